@@ -1,0 +1,80 @@
+"""What the full model computed: equilibria with their tangents, and trajectories."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from softrl.artifacts.artifact import Artifact
+from softrl.core.errors import ArtifactError
+
+
+@dataclass(frozen=True)
+class Snapshots(Artifact):
+    """Static equilibria and dynamic trajectories of the full finite-element model.
+
+    A load is ``(p_1 .. p_n, F_x, F_y, F_z)``: chamber gauge pressures in Pa and a force on the plate's
+    centroid in N; its conjugate coordinate is ``(V_1 - V_1(0) .., tip - tip(0))`` in m^3 and m.
+
+    Attributes
+    ----------
+    loads : (samples, n + 3) Pa and N
+    coordinate : (samples, n + 3) m^3 and m
+    energy : (samples,) J, elastic energy above rest
+    compliance : (samples, n + 3, n + 3) d coordinate / d load
+    tangent_stiffness : (samples, n + 3, n + 3) T' K_elastic T with T = dx / d load
+    tangent_mass : (samples, n + 3, n + 3) T' M T with T = dx / d load
+    centre_of_mass : (samples, 3) m, displacement of the centre of mass
+    tip_quaternion : (samples, 4) w x y z of the plate relative to rest
+    displacement : (samples, nodes, 3) m, float32, on the mesh's corner nodes
+    nodal_mass : (nodes,) kg on the same nodes
+    trajectory_time : (steps,) s, common to all trajectories
+    trajectory_load : (trajectories, steps, n + 3) Pa and N, held over the step that ends at that time
+    trajectory_coordinate : (trajectories, steps, n + 3) m^3 and m
+    trajectory_quaternion : (trajectories, steps, 4) w x y z
+    rest_tip : (3,) m
+    rest_volume : (n,) m^3
+    mass : kg
+    youngs_modulus_pa, poisson, density_kg_m3, rayleigh_mass_per_s, rayleigh_stiffness_s : the model's settings
+    failed : number of sampled loads whose equilibrium was not found
+    robot_name : the robot
+    """
+
+    stage: ClassVar[str] = "fem"
+
+    loads: np.ndarray
+    coordinate: np.ndarray
+    energy: np.ndarray
+    compliance: np.ndarray
+    tangent_stiffness: np.ndarray
+    tangent_mass: np.ndarray
+    centre_of_mass: np.ndarray
+    tip_quaternion: np.ndarray
+    displacement: np.ndarray
+    nodal_mass: np.ndarray
+    trajectory_time: np.ndarray
+    trajectory_load: np.ndarray
+    trajectory_coordinate: np.ndarray
+    trajectory_quaternion: np.ndarray
+    rest_tip: np.ndarray
+    rest_volume: np.ndarray
+    mass: float
+    youngs_modulus_pa: float
+    poisson: float
+    density_kg_m3: float
+    rayleigh_mass_per_s: float
+    rayleigh_stiffness_s: float
+    failed: int
+    robot_name: str
+
+    @property
+    def chambers(self) -> int:
+        """Number of pressure chambers."""
+        return self.loads.shape[1] - 3
+
+    def validate(self) -> None:
+        """Check that every per-sample array has one row per load."""
+        super().validate()
+        for name in ("coordinate", "energy", "compliance", "tip_quaternion", "displacement"):
+            if len(getattr(self, name)) != len(self.loads):
+                raise ArtifactError(f"Snapshots.{name} has {len(getattr(self, name))} rows for {len(self.loads)} loads")

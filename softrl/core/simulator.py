@@ -1,0 +1,75 @@
+"""The contract of every body model: pressures and tip force in, motion out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What a body did over a run, one row per sample; also what sensors report of it.
+
+    Attributes
+    ----------
+    time : (steps,) s
+    position : (steps, 3) m, tip in the base frame
+    quaternion : (steps, 4) w x y z, tip orientation relative to the base frame
+    pressure : (steps, chambers) Pa, what acted in the chambers
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    quaternion: np.ndarray
+    pressure: np.ndarray
+
+
+class Hook(NamedTuple):
+    """One effect as the body's kernel sees it; ``kernel`` has the signature ``effects.effect.PORT_KERNEL``.
+
+    ``state`` is advanced in place, so a caller that needs the old state copies it first.
+    """
+
+    kernel: Any
+    parameters: np.ndarray
+    state: np.ndarray
+
+
+class Simulator(Protocol):
+    """A body: ROM, lumped, finite elements or PyBullet. Stateless; the state is a value."""
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Tunable physical parameters by name with unit suffix, e.g. ``youngs_modulus_scale``."""
+        ...
+
+    def with_parameters(self, **values: float) -> "Simulator":
+        """Return a copy with some tunable parameters replaced (used by a refit)."""
+        ...
+
+    def reset(self, rng: np.random.Generator | None = None) -> Any:
+        """Return the state at rest under zero pressure."""
+        ...
+
+    def step(self, state: Any, pressure: np.ndarray, dt_s: float, tip_force: np.ndarray | None = None) -> Any:
+        """Return the state after ``dt_s`` under ``pressure`` (chambers,) Pa and ``tip_force`` (3,) N."""
+        ...
+
+    def observe(self, state: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return tip position (3,) m and quaternion (4,) w x y z."""
+        ...
+
+    def simulate(
+        self,
+        time: np.ndarray,
+        pressure: np.ndarray,
+        tip_force: np.ndarray | None = None,
+        body: Sequence[Hook] = (),
+        load: Sequence[Hook] = (),
+    ) -> Motion:
+        """Return the motion from rest under ``pressure`` (steps, chambers), each row held until its time.
+
+        ``time`` is uniform, s. ``body`` and ``load`` effects act inside the equations of motion.
+        """
+        ...

@@ -1,0 +1,114 @@
+"""The contract of an effect: one piece of physics that a simulator may leave out.
+
+Two kinds of kernel, both numba functions without the interpreter in the loop:
+
+* a *signal* kernel (sites valve, chamber, sensor) changes a vector in place once per time step:
+  ``kernel(parameters, state, value, dt)``. At valve and chamber the value is the chambers' pressure in Pa; at the
+  sensor it is the pose, position (3) m and quaternion (4) w x y z.
+* a *port* kernel (sites body, load) acts inside the body's implicit step:
+  ``kernel(parameters, state, port, dt, commit)``. It reads the trial motion from ``port`` and *adds* its reaction and
+  the derivative of that reaction; it may change ``state`` only when ``commit`` is true, once a step has converged.
+"""
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
+
+import numba as nb
+import numpy as np
+
+from softrl.core.errors import ConfigError
+from softrl.robots.robot import Robot
+
+SITES = ("valve", "chamber", "body", "load", "sensor")
+
+_vector = nb.types.Array(nb.float64, 1, "C")
+_matrix = nb.types.Array(nb.float64, 2, "C")
+SIGNAL_KERNEL = nb.void(_vector, _vector, _vector, nb.float64)
+PORT_KERNEL = nb.void(_vector, _vector, _matrix, nb.float64, nb.boolean)
+
+# rows of a body port (8, chambers): one column per chamber
+STRAIN, RATE, ELASTIC, ELASTIC_SLOPE, PRESSURE, REST, ADDED, ADDED_SLOPE = range(8)
+# STRAIN         chamber elongation e_i relative to rest, dimensionless (trial value)
+# RATE           (e_i - e_i at the last step) / dt, 1/s
+# ELASTIC        elastic resisting pressure of the bare body, Pa;  ELASTIC_SLOPE  its derivative by e_i, Pa
+# PRESSURE       pressure that acts in the chamber, Pa;  REST  stiffness scale Pa: ELASTIC_SLOPE at rest
+# ADDED          output: further resisting pressure, Pa (positive resists elongation);  ADDED_SLOPE  d ADDED / d e_i, Pa
+
+# rows of a load port (7, 3)
+TIP, TIP_VELOCITY, GRAVITY, FORCE, FORCE_SLOPE = 0, 1, 2, 3, 4
+# TIP            trial tip position, m;  TIP_VELOCITY  m/s
+# GRAVITY        in/out: gravity felt by the body, m/s^2 (a tilt rotates it)
+# FORCE          output: further force on the tip, N;  FORCE_SLOPE .. +2  output: d FORCE / d TIP, N/m (rows: force)
+
+BODY_PORT_ROWS, LOAD_PORT_ROWS = 8, 7
+
+
+def parameter(unit: str, low: float, high: float, neutral: float, *, typical: float, log: bool = False) -> Any:
+    """Declare a fitted parameter of an effect.
+
+    Parameters
+    ----------
+    unit : SI unit, "1" if dimensionless
+    low, high : hard bounds of the search; ``neutral`` lies within them
+    neutral : the value at which the effect vanishes
+    typical : a value at which the effect is plain to see; the prior's scale
+    log : search on a logarithmic scale (only where low > 0)
+    """
+    return dataclasses.field(
+        metadata={"unit": unit, "low": low, "high": high, "neutral": neutral, "typical": typical, "log": log}
+    )
+
+
+@dataclass(frozen=True)
+class Effect:
+    """Base of all effects: a subclass adds parameters with ``parameter(...)``, a site, and a kernel.
+
+    Every subclass has a field ``chamber``, or none: -1 for all chambers, else one chamber's number from 0.
+    """
+
+    site: ClassVar[str]
+    title: ClassVar[str]
+    kernel: ClassVar[Any]
+
+    def __post_init__(self) -> None:
+        for field in self.parameter_fields():
+            value, low, high = getattr(self, field.name), field.metadata["low"], field.metadata["high"]
+            if not low <= value <= high:
+                raise ConfigError(
+                    f"effect {self.name()}.{field.name}={value:g} {field.metadata['unit']} is outside {low:g}..{high:g}"
+                )
+
+    @classmethod
+    def name(cls) -> str:
+        """Return the file and config name of this effect."""
+        return cls.__module__.rsplit(".", 1)[-1]
+
+    @classmethod
+    def parameter_fields(cls) -> Iterator[dataclasses.Field[Any]]:
+        """Yield the fitted fields in order."""
+        return (field for field in fields(cls) if "unit" in field.metadata)
+
+    @classmethod
+    def neutral(cls, **fixed: Any) -> "Effect":
+        """Return this effect with the parameters at which it does nothing; ``fixed`` sets the other fields."""
+        return cls(**{f.name: f.metadata["neutral"] for f in cls.parameter_fields()}, **fixed)
+
+    def pack(self, robot: Robot) -> np.ndarray:
+        """Return the parameter vector that the kernel reads; by default the fitted fields, then ``chamber``."""
+        values = [float(getattr(self, field.name)) for field in self.parameter_fields()]
+        return np.array([*values, float(getattr(self, "chamber", -1))])
+
+    def reset(self, robot: Robot) -> np.ndarray:
+        """Return the state vector at rest; one or more slots, as the kernel needs."""
+        return np.zeros(max(robot.chambers, 1))
+
+    def apply(self, robot: Robot, state: np.ndarray, value: np.ndarray, dt_s: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return (state, value) after one step, inputs untouched: the pure form of a kernel call."""
+        state, value = state.copy(), np.array(value, dtype=float)
+        if self.site in ("body", "load"):
+            type(self).kernel(self.pack(robot), state, value, dt_s, True)
+        else:
+            type(self).kernel(self.pack(robot), state, value, dt_s)
+        return state, value

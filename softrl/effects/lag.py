@@ -1,0 +1,47 @@
+"""A regulator that follows its command with a first-order lag, slower when venting than when filling."""
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numba as nb
+import numpy as np
+
+from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
+from softrl.robots.robot import Robot
+
+
+@nb.njit(SIGNAL_KERNEL, cache=True)
+def lag_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
+    """Advance ``dp/dt = (p_cmd - p) / tau`` exactly over ``dt`` with the command held."""
+    chamber = int(parameters[2])
+    for i in range(len(value)):
+        if chamber >= 0 and chamber != i:
+            continue
+        tau = parameters[0] if value[i] >= state[i] else parameters[1]
+        share = 1.0 if tau <= 0.0 else -math.expm1(-dt / tau)
+        state[i] += share * (value[i] - state[i])
+        value[i] = state[i]
+
+
+@dataclass(frozen=True)
+class Lag(Effect):
+    """First-order valve lag, ``dp/dt = (p_cmd - p) / tau`` with tau by the sign of the change.
+
+    Notes
+    -----
+    Textbook first-order model of a pneumatic regulator (no equation number checked). A regulator's own limit on flow
+    makes the venting constant longer than the filling one.
+    """
+
+    site: ClassVar[str] = "valve"
+    title: ClassVar[str] = "first-order lag between commanded and supplied pressure"
+    kernel: ClassVar = lag_kernel
+
+    fill_s: float = parameter("s", 0.0, 5.0, 0.0, typical=0.3)
+    vent_s: float = parameter("s", 0.0, 5.0, 0.0, typical=0.3)
+    chamber: int = -1
+
+    def reset(self, robot: Robot) -> np.ndarray:
+        """Return the supplied pressures at rest, zero gauge."""
+        return np.zeros(robot.chambers)

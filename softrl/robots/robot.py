@@ -1,0 +1,70 @@
+"""A robot as data: chambers, geometry, limits and what its sensors report."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from softrl.core.errors import ConfigError
+
+OUTPUTS = ("tip_position", "tip_pose", "bend_angle")
+
+
+@dataclass(frozen=True)
+class Robot:
+    """One pneumatic robot.
+
+    Attributes
+    ----------
+    name : used in artifacts and tracking; artifacts of different robots never mix
+    chamber_angle_deg : angle of each chamber around the z axis, from +x
+    chamber_radius_m : distance of the chambers from the backbone
+    chamber_area_m2 : effective area on which a chamber's pressure pushes along the backbone
+    length_m : backbone length at rest, base to tip
+    mass_kg : moving mass
+    pressure_min_pa, pressure_max_pa : gauge pressures a driver will send
+    slew_pa_per_s : fastest change of a commanded pressure
+    tip_force_max_n : load that the tip is made for
+    axis : direction of the backbone at rest in the base frame, one of +x -x +y -y +z -z
+    output : what the sensors report of the motion: tip_position, tip_pose or bend_angle
+    command : name of the command channels in recordings ("pressure", or another such as "pump_pwm")
+    command_to_pa : Pa per unit of the command channel (1 for pressure)
+    gravity_m_s2 : (3,) in the base frame
+    """
+
+    name: str
+    chamber_angle_deg: tuple[float, ...]
+    chamber_radius_m: float
+    chamber_area_m2: float
+    length_m: float
+    mass_kg: float
+    pressure_min_pa: float
+    pressure_max_pa: float
+    slew_pa_per_s: float
+    tip_force_max_n: float
+    axis: str
+    output: str
+    command: str
+    command_to_pa: float
+    gravity_m_s2: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if self.pressure_min_pa >= self.pressure_max_pa:
+            raise ConfigError(
+                f"robot.pressure_min_pa={self.pressure_min_pa:g} is not below pressure_max_pa={self.pressure_max_pa:g}"
+            )
+        for name in ("chamber_radius_m", "chamber_area_m2", "length_m", "mass_kg", "slew_pa_per_s"):
+            if getattr(self, name) <= 0:
+                raise ConfigError(f"robot.{name}={getattr(self, name):g} must be positive")
+        if self.output not in OUTPUTS:
+            raise ConfigError(f"robot.output={self.output} is unknown; expected one of {', '.join(OUTPUTS)}")
+
+    @property
+    def chambers(self) -> int:
+        """Number of pressure chambers."""
+        return len(self.chamber_angle_deg)
+
+    @property
+    def chamber_direction(self) -> np.ndarray:
+        """Unit vectors (chambers, 2) from the backbone to each chamber in the x-y plane."""
+        angle = np.deg2rad(self.chamber_angle_deg)
+        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
