@@ -1,0 +1,48 @@
+"""The contract of every robot driver: pressures out, timed samples in, and safety in between."""
+
+from dataclasses import dataclass
+from typing import Protocol, Self
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One reading of the robot, stamped by the device's own clock.
+
+    Attributes
+    ----------
+    time_s : s since the device started, increasing
+    commanded : (chambers,) Pa, what the driver had sent last, after its limits
+    pressure : (chambers,) Pa measured at the chambers
+    position : (3,) m, tip in the base frame
+    quaternion : (4,) w x y z
+    tip_force : (3,) N
+    """
+
+    time_s: float
+    commanded: np.ndarray
+    pressure: np.ndarray
+    position: np.ndarray
+    quaternion: np.ndarray
+    tip_force: np.ndarray
+
+
+class Driver(Protocol):
+    """A robot that takes pressures. Used as a context manager: it vents on exit, on an exception, on a lost link."""
+
+    def __enter__(self) -> Self:
+        """Connect; the robot is vented and its samples start."""
+        ...
+
+    def __exit__(self, *exception: object) -> None:
+        """Vent and disconnect, whatever happened."""
+        ...
+
+    def command(self, pressure: np.ndarray) -> np.ndarray:
+        """Send (chambers,) Pa and return what was sent, after the robot's limits of pressure and slew."""
+        ...
+
+    def advance(self, dt_s: float) -> list[Sample]:
+        """Let ``dt_s`` pass on the device's clock and return the samples that arrived."""
+        ...
