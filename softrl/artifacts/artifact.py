@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 import shutil
 import typing
 from dataclasses import dataclass
@@ -30,6 +31,11 @@ class Artifact:
     def kind(cls) -> str:
         """Return the name under which this artifact is stored."""
         return cls.__name__
+
+    @classmethod
+    def key(cls) -> str:
+        """Return the name in ``inputs.<name>`` and of the folder in a run, e.g. ``reduced_model``."""
+        return re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
 
     def validate(self) -> None:
         """Raise ``ArtifactError`` unless shapes and values are consistent; the base checks finiteness."""

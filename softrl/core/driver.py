@@ -17,7 +17,7 @@ class Sample:
     pressure : (chambers,) Pa measured at the chambers
     position : (3,) m, tip in the base frame
     quaternion : (4,) w x y z
-    tip_force : (3,) N
+    tip_force : (3,) N, not a number where the robot has no force sensor
     """
 
     time_s: float

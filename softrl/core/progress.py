@@ -28,3 +28,11 @@ def progress(items: Iterable[T], title: str, total: int | None = None) -> Iterat
             left = f", about {(total - done) * (now - start) / done:.0f} s left" if total else ""
             log.info("%s: %d of %s%s", title, done, total or "?", left)
         yield item
+
+
+class TqdmHandler(logging.Handler):
+    """Writes log lines to the standard error without tearing a progress bar."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write one line."""
+        tqdm.write(self.format(record), file=sys.stderr)

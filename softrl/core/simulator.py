@@ -52,8 +52,19 @@ class Simulator(Protocol):
         """Return the state at rest under zero pressure."""
         ...
 
-    def step(self, state: Any, pressure: np.ndarray, dt_s: float, tip_force: np.ndarray | None = None) -> Any:
-        """Return the state after ``dt_s`` under ``pressure`` (chambers,) Pa and ``tip_force`` (3,) N."""
+    def step(
+        self,
+        state: Any,
+        pressure: np.ndarray,
+        dt_s: float,
+        tip_force: np.ndarray | None = None,
+        body: Sequence[Hook] = (),
+        load: Sequence[Hook] = (),
+    ) -> Any:
+        """Return the state after ``dt_s`` under ``pressure`` (chambers,) Pa and ``tip_force`` (3,) N.
+
+        ``state`` is left as it was; the hooks' own states are advanced in place, once, as in ``simulate``.
+        """
         ...
 
     def observe(self, state: Any) -> tuple[np.ndarray, np.ndarray]:

@@ -1,11 +1,15 @@
 """One recorded run in SI units, and a set of them."""
 
-from dataclasses import dataclass, field
-from typing import Any, ClassVar
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from softrl.artifacts.artifact import Artifact
+from softrl.artifacts.artifact import META, Artifact
+from softrl.core.errors import ArtifactError
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,14 @@ class Recording:
     markers: dict[str, np.ndarray] = field(default_factory=dict)
     temperature: np.ndarray | None = None
 
+    def channels(self) -> Iterator[tuple[str, np.ndarray]]:
+        """Yield the recorded channels by name, markers by their own."""
+        for entry in fields(self):
+            values = getattr(self, entry.name)
+            if isinstance(values, np.ndarray):
+                yield entry.name, values
+        yield from self.markers.items()
+
 
 @dataclass(frozen=True)
 class RecordingSet(Artifact):
@@ -52,3 +64,31 @@ class RecordingSet(Artifact):
     def sessions(self) -> list[str]:
         """Return the names of the sessions in order of appearance."""
         return list(dict.fromkeys(r.session for r in self.recordings))
+
+    def validate(self) -> None:
+        """Check that every channel of every run has one finite row per time."""
+        for recording in self.recordings:
+            for channel, values in recording.channels():
+                if len(values) != len(recording.time):
+                    raise ArtifactError(
+                        f"run {recording.name}: {channel} has {len(values)} rows for {len(recording.time)} times"
+                    )
+                if not np.isfinite(values).all():
+                    bad = int((~np.isfinite(values)).sum())
+                    raise ArtifactError(f"run {recording.name}: {channel} holds {bad} values that are not finite")
+
+    def write(self, folder: Path) -> None:
+        """Write a dataset folder, with the artifact's own record beside it."""
+        from softrl.recordings.write import write  # reader and writer know this class
+
+        meta = {"kind": self.kind(), "schema": self.schema, "values": {}, "array_dicts": []}
+        (folder / META).write_text(json.dumps(meta, indent=1))
+        write(folder, self)
+
+    @classmethod
+    def read(cls, folder: Path, meta: dict[str, Any]) -> Self:
+        """Read the dataset folder back; it was checked against its robot when it was made."""
+        from softrl.recordings.read import read
+
+        found = read(folder, None)
+        return cls(robot_name=found.robot_name, recordings=found.recordings, notes=found.notes)

@@ -1,0 +1,75 @@
+"""The door: ``python -m softrl stage=...``."""
+
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import Any, NoReturn
+
+# errors of the command line are told in one line here, not by hydra
+os.environ.setdefault("HYDRA_FULL_ERROR", "1")
+
+import hydra  # noqa: E402
+from hydra.errors import HydraException  # noqa: E402
+from omegaconf import DictConfig  # noqa: E402
+from omegaconf.errors import OmegaConfBaseException  # noqa: E402
+
+from softrl.core.errors import SoftrlError  # noqa: E402
+
+HERE = Path(__file__).resolve().parent
+CONF = next(folder for folder in (HERE / "conf", HERE.parent / "conf") if folder.is_dir())
+
+
+@hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")
+def run(cfg: DictConfig) -> None:
+    """Run the stage that the configuration names, or the whole loop."""
+    from softrl.loop import run_configured  # imported late: --help answers at once
+
+    run_configured(cfg)
+
+
+def main() -> None:
+    """Run the command line; a user's mistake is one line and exit status 2."""
+    sys.argv[1:] = [word for given in sys.argv[1:] for word in _spell_out(given)]
+    signal.signal(signal.SIGTERM, _stop)
+    error: BaseException | None = None
+    try:
+        run()
+    except KeyboardInterrupt as interrupt:
+        error = interrupt
+        _leave("stopped; finished stages are kept, run the same command again to go on", 130)
+    except (SoftrlError, HydraException, OmegaConfBaseException) as mistake:
+        error = mistake
+        if "debug=true" in sys.argv:
+            raise
+        _leave(_one_line(mistake), 2)
+    finally:
+        from softrl.core.sweep import close_parents
+
+        close_parents(error)
+
+
+def _spell_out(word: str) -> list[str]:
+    """Turn ``effect=run:<id>`` into the two overrides that it is short for."""
+    if word.startswith("effect=run:"):
+        return ["effect=identified", f"inputs.diagnosis={word.removeprefix('effect=')}"]
+    return [word]
+
+
+def _one_line(error: Exception) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    shown = [line for line in lines if not line.startswith(("full_key:", "object_type=", "reference_type="))]
+    return " ".join(shown)
+
+
+def _leave(message: str, status: int) -> NoReturn:
+    print(f"softrl: {message}", file=sys.stderr)
+    sys.exit(status)
+
+
+def _stop(number: int, frame: Any) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+if __name__ == "__main__":
+    main()

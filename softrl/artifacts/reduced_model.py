@@ -1,0 +1,90 @@
+"""The reduced model: POD modes of the displacement, and the condensed energy that moves the body."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from softrl.artifacts.artifact import Artifact
+from softrl.core.errors import ArtifactError
+
+
+@dataclass(frozen=True)
+class ReducedModel(Artifact):
+    """A body with ``n`` chambers in ``r = n + 3`` coordinates ``z = (V - V_rest, tip - tip_rest)``, m^3 and m.
+
+    Rest is the stress-free shape without weight. All maps are polynomials of ``y`` with ``z = frame y``; the samples
+    fill the ball ``|y| <= 1``. Coefficients follow the monomials of ``r`` variables ordered by degree.
+
+    Attributes
+    ----------
+    frame : (r, r) m^3 and m, z per y
+    energy : (monomials,) J, elastic energy W; none of degree 0 and 1
+    mass_root : (r r, monomials) kg^0.5 m, rows of R with M = R' R in y
+    stiffness_root : (r r, monomials) J^0.5, rows of R with T' K_elastic T = R' R in y: what stiffness-proportional
+        damping multiplies
+    centre_of_mass : (3, monomials) m, displacement of the centre of mass
+    rotation : (3, monomials) rad, rotation vector of the tip relative to rest
+    rest_tip : (3,) m;  rest_volume : (n,) m^3;  mass : kg
+    gravity_m_s2 : (3,) in the base frame, acting unless another is given
+    pressure_min_pa, pressure_max_pa : the robot's limits
+    load_low, load_high : (r,) Pa and N, range of the sampled loads
+    rayleigh_mass_per_s, rayleigh_stiffness_s, youngs_modulus_pa : of the full model
+    symmetry : the robot's symmetries used in the fit: none, rotations, or all
+    modes : (modes, nodes, 3) float32, orthonormal in the nodal masses, kg^-0.5
+    singular_values : (samples,) kg^0.5 m, of the mass-weighted snapshots
+    robot_name : the robot
+
+    Notes
+    -----
+    ``dW/dz`` is the load (Pa, N) that holds ``z``; equations of motion ``M z'' + D z' + dW/dz = load`` with
+    ``D = rayleigh_mass M + rayleigh_stiffness T' K T``.
+    """
+
+    stage: ClassVar[str] = "pod"
+
+    frame: np.ndarray
+    energy: np.ndarray
+    mass_root: np.ndarray
+    stiffness_root: np.ndarray
+    centre_of_mass: np.ndarray
+    rotation: np.ndarray
+    rest_tip: np.ndarray
+    rest_volume: np.ndarray
+    mass: float
+    gravity_m_s2: np.ndarray
+    pressure_min_pa: float
+    pressure_max_pa: float
+    load_low: np.ndarray
+    load_high: np.ndarray
+    rayleigh_mass_per_s: float
+    rayleigh_stiffness_s: float
+    youngs_modulus_pa: float
+    symmetry: str
+    modes: np.ndarray
+    singular_values: np.ndarray
+    robot_name: str
+
+    @property
+    def chambers(self) -> int:
+        """Number of pressure chambers."""
+        return len(self.rest_volume)
+
+    @property
+    def order(self) -> int:
+        """Number of coordinates, chambers + 3."""
+        return len(self.frame)
+
+    def validate(self) -> None:
+        """Check that shapes agree and that the rest is free of load."""
+        super().validate()
+        order = self.chambers + 3
+        if self.frame.shape != (order, order):
+            raise ArtifactError(f"ReducedModel.frame has shape {self.frame.shape}; expected {(order, order)}")
+        for name, rows in (("mass_root", order**2), ("stiffness_root", order**2), ("centre_of_mass", 3), ("rotation", 3)):
+            if len(getattr(self, name)) != rows:
+                raise ArtifactError(f"ReducedModel.{name} has {len(getattr(self, name))} rows; expected {rows}")
+        if np.abs(self.energy[: 1 + order]).max() > 0.0:
+            raise ArtifactError("ReducedModel.energy has terms of degree 0 or 1; the rest must be free of load")
+        if self.modes.ndim != 3 or self.modes.shape[2] != 3:
+            raise ArtifactError(f"ReducedModel.modes has shape {self.modes.shape}; expected (modes, nodes, 3)")

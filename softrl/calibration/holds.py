@@ -1,0 +1,106 @@
+"""Settled holds of recordings: where the command stood still long enough for the tip to be quasi-static."""
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+
+from softrl.core.driver import Driver
+from softrl.core.errors import RecordingError
+from softrl.recordings.program import random_steps, record
+from softrl.recordings.recording import Recording, RecordingSet
+from softrl.robots.robot import Robot
+
+log = logging.getLogger(__name__)
+COMMAND_TOLERANCE_PA = 1.0
+
+
+@dataclass(frozen=True)
+class Holds:
+    """Settled holds.
+
+    Attributes
+    ----------
+    pressure : (holds, n) Pa commanded at the driver, P_R
+    position : (holds, 3) m, mean tip over the end of the hold
+    run : (holds,) number of the recording in its set
+    last_row : (holds,) last row of the hold in its recording
+    """
+
+    pressure: np.ndarray
+    position: np.ndarray
+    run: np.ndarray
+    last_row: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.pressure)
+
+    def where(self, keep: np.ndarray) -> "Holds":
+        """Return the holds at which ``keep`` (holds,) bool is true."""
+        return Holds(self.pressure[keep], self.position[keep], self.run[keep], self.last_row[keep])
+
+
+def record_holds(
+    driver: Driver, robot: Robot, runs: int, holds: int, hold_s: float, dt_s: float, rng: np.random.Generator
+) -> RecordingSet:
+    """Return ``runs`` recordings of ``holds`` random constant pressures each, made on the robot behind ``driver``."""
+    recordings = []
+    with driver:
+        for run in range(runs):
+            time, pressure = random_steps(robot, holds, hold_s, dt_s, rng)
+            recordings.append(record(driver, robot, time, pressure, f"holds_{run + 1}", "calibration"))
+    return RecordingSet(robot.name, tuple(recordings), {"program": f"{holds} random holds of {hold_s:g} s a run"})
+
+
+def settled_holds(recordings: RecordingSet, hold_min_s: float, average_s: float, drift_max_m: float) -> Holds:
+    """Return the holds of at least ``hold_min_s`` whose tip drifts less than ``drift_max_m`` over their last ``average_s``.
+
+    Raises
+    ------
+    RecordingError
+        If fewer than four holds are left: a map cannot be fitted to that.
+    """
+    found, unsettled = [], 0
+    for run, recording in enumerate(recordings.recordings):
+        for first, last in _constant_stretches(recording, hold_min_s):
+            position, drift = _end_of_hold(recording, first, last, average_s)
+            unsettled += drift >= drift_max_m
+            if drift < drift_max_m:
+                found.append((recording.pressure_cmd[last], position, run, last))
+    if unsettled:
+        log.info("%d holds still moved more than %g mm at their end and are left out", unsettled, 1e3 * drift_max_m)
+    if len(found) < 4:
+        raise RecordingError(
+            f"recordings of {recordings.robot_name} hold {len(found)} settled holds with tip positions ({unsettled} still "
+            f"moving); expected at least 4 of {hold_min_s:g} s: record constant pressures, or lower stage.hold_min_s"
+        )
+    pressure, position, run_of, last_row = zip(*found, strict=True)
+    return Holds(np.array(pressure), np.array(position), np.array(run_of), np.array(last_row))
+
+
+def split_holds(holds: Holds, heldout_share: float, rng: np.random.Generator) -> np.ndarray:
+    """Return (holds,) bool: whole runs are held out, or (with a single run) a contiguous end of it."""
+    runs = np.unique(holds.run)
+    if len(runs) == 1:
+        return np.arange(len(holds)) >= round((1.0 - heldout_share) * len(holds))
+    count = int(np.clip(round(heldout_share * len(runs)), 1, len(runs) - 1))
+    return np.isin(holds.run, rng.permutation(runs)[:count])
+
+
+def _constant_stretches(recording: Recording, hold_min_s: float) -> list[tuple[int, int]]:
+    """Return (first, last) rows of the stretches of constant command that last ``hold_min_s`` or more."""
+    if recording.position is None:
+        return []
+    changes = np.abs(np.diff(recording.pressure_cmd, axis=0)).max(axis=1) > COMMAND_TOLERANCE_PA
+    first = np.concatenate([[0], np.flatnonzero(changes) + 1])
+    last = np.concatenate([np.flatnonzero(changes), [len(recording.time) - 1]])
+    long = recording.time[last] - recording.time[first] >= 0.98 * hold_min_s
+    return list(zip(first[long].tolist(), last[long].tolist(), strict=True))
+
+
+def _end_of_hold(recording: Recording, first: int, last: int, average_s: float) -> tuple[np.ndarray, float]:
+    """Return the mean tip (3,) m over the last ``average_s`` and how far its second half lies from the first, m."""
+    rows = np.arange(first, last + 1)
+    end = recording.position[rows[recording.time[rows] > recording.time[last] - average_s]]
+    half = max(len(end) // 2, 1)
+    return end.mean(axis=0), float(np.linalg.norm(end[-half:].mean(axis=0) - end[:half].mean(axis=0)))

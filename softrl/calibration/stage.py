@@ -1,0 +1,227 @@
+"""Material and pressure calibration: tensile curve -> hyperelastic law; holds of the robot -> f_RS: P_R -> P_S."""
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from softrl.artifacts.calibration import Calibration
+from softrl.artifacts.reduced_model import ReducedModel
+from softrl.calibration.figures import draw_pressure_map, draw_tensile
+from softrl.calibration.holds import Holds, record_holds, settled_holds, split_holds
+from softrl.calibration.inversion import pressure_by_simulator
+from softrl.calibration.material_fit import as_record, best_fit, fit_materials
+from softrl.calibration.mlp import Ensemble, EnsembleSettings, fit_ensemble
+from softrl.calibration.pressure_map import PressureMap
+from softrl.calibration.replay import replay_errors
+from softrl.calibration.tensile import read_tensile
+from softrl.core.driver import Driver
+from softrl.core.errors import ConfigError, RecordingError
+from softrl.core.simulator import Simulator
+from softrl.core.tracking import Tracker
+from softrl.pod.rom import pressure_for_tip
+from softrl.recordings.recording import RecordingSet
+from softrl.robots.robot import Robot
+
+log = logging.getLogger(__name__)
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+@dataclass(frozen=True)
+class Config:
+    """Material law from a tensile curve, and f_RS from settled holds.
+
+    Attributes
+    ----------
+    material_curve : CSV of a tensile test, absolute, or relative to the working directory or the project; null for none
+    stretch_max : the laws are fitted below this stretch
+    curve_bins : equal bins of stretch that the curve is averaged over;  curve_blocks : every second one is held out
+    runs, holds_per_run, hold_s, dt_s : random holds recorded on the driver when no recordings are given
+    hold_min_s, average_s, drift_max_mm : a hold counts from this duration on; its tip is averaged over the last
+        ``average_s`` and may drift by this much meanwhile
+    residual_max_mm : holds whose tip the simulator cannot reach within this distance are left out
+    settle_s : duration simulated per constant pressure where no reduced model inverts the tip
+    heldout_share : share of the runs that training never sees
+    members, hidden, epochs, learning_rate, weight_decay : the ensemble of networks and its training
+    """
+
+    material_curve: str | None
+    stretch_max: float
+    curve_bins: int
+    curve_blocks: int
+    runs: int
+    holds_per_run: int
+    hold_s: float
+    dt_s: float
+    hold_min_s: float
+    average_s: float
+    drift_max_mm: float
+    residual_max_mm: float
+    settle_s: float
+    heldout_share: float
+    members: int
+    hidden: int
+    epochs: int
+    learning_rate: float
+    weight_decay: float
+    seed: int
+
+    def __post_init__(self) -> None:
+        positive = ("runs", "hold_s", "dt_s", "hold_min_s", "average_s", "drift_max_mm", "residual_max_mm", "settle_s",
+                    "hidden", "epochs", "learning_rate", "curve_blocks")  # fmt: skip
+        for name in positive:
+            if getattr(self, name) <= 0:
+                raise ConfigError(f"stage.{name}={getattr(self, name):g} must be positive")
+        if not 0.0 < self.heldout_share < 1.0:
+            raise ConfigError(f"stage.heldout_share={self.heldout_share:g}; expected a share between 0 and 1")
+        if self.members < 2:
+            raise ConfigError(f"stage.members={self.members}; expected 2 or more, their spread is the uncertainty")
+        if self.stretch_max <= 1.05:
+            raise ConfigError(f"stage.stretch_max={self.stretch_max:g}; expected a stretch above 1.05")
+        if self.hold_min_s > self.hold_s or self.average_s > self.hold_min_s:
+            raise ConfigError(
+                f"stage.average_s={self.average_s:g}, hold_min_s={self.hold_min_s:g}, hold_s={self.hold_s:g}; expected them rising"
+            )
+        if self.runs * self.holds_per_run < 8:
+            raise ConfigError(f"stage.runs={self.runs} with holds_per_run={self.holds_per_run} gives too few holds; expected 8")
+
+
+def run(
+    config: Config,
+    robot: Robot,
+    reduced_model: ReducedModel | None,
+    simulator: Simulator,
+    driver: Driver,
+    recordings: RecordingSet | None,
+    *,
+    tracker: Tracker,
+) -> Calibration:
+    """Return the material's law and f_RS with its held-out errors logged beside identity and affine baselines."""
+    rng = np.random.default_rng(config.seed)
+    material = _fit_material(config, tracker) if config.material_curve else {}
+    if recordings is None:
+        recordings = record_holds(driver, robot, config.runs, config.holds_per_run, config.hold_s, config.dt_s, rng)
+    holds = settled_holds(recordings, config.hold_min_s, config.average_s, 1e-3 * config.drift_max_mm)
+    holds, pressure_sim = _invert(config, robot, reduced_model, simulator, holds)
+    heldout = split_holds(holds, config.heldout_share, rng)
+    ensemble = _train(config, holds.pressure[~heldout], pressure_sim[~heldout])
+    inverted_by = "reduced model" if _by_model(robot, reduced_model) else "simulator"
+    calibration = _assemble(robot, ensemble, holds, pressure_sim, heldout, material, inverted_by)
+    _report_map(calibration, tracker)
+    _report_replay(calibration, simulator, robot, recordings, holds, tracker)
+    return calibration
+
+
+def _fit_material(config: Config, tracker: Tracker) -> dict[str, object]:
+    path = Path(str(config.material_curve))
+    if not path.is_absolute() and not path.exists():
+        path = REPOSITORY / path
+    curve = read_tensile(path, config.curve_bins, config.stretch_max)
+    fits = fit_materials(curve, config.curve_blocks)
+    for fit in fits:
+        tracker.metric(f"heldout/{fit.law}_stress_kpa", fit.heldout_rms_pa / 1e3)
+        tracker.metric(f"heldout/{fit.law}_extrapolated_stress_kpa", fit.extrapolation_rms_pa / 1e3)
+    tracker.metric("train/initial_youngs_modulus_kpa", best_fit(fits).initial_youngs_modulus_pa / 1e3)
+    tracker.figure("tensile_fits", draw_tensile(curve, fits))
+    log.info("%s: %s fits best, %.1f kPa on held-out stretches", path.name, best_fit(fits).law, best_fit(fits).heldout_rms_pa / 1e3)
+    return as_record(fits)
+
+
+def _by_model(robot: Robot, reduced_model: ReducedModel | None) -> bool:
+    # three chambers and three coordinates of the tip: only then has the reduced model a unique answer
+    return reduced_model is not None and robot.chambers == 3
+
+
+def _invert(
+    config: Config, robot: Robot, reduced_model: ReducedModel | None, simulator: Simulator, holds: Holds
+) -> tuple[Holds, np.ndarray]:
+    """Return the holds that the simulator can reach, and P_S (holds, n) Pa there."""
+    if _by_model(robot, reduced_model):
+        pressure, miss = pressure_for_tip(reduced_model, holds.position)
+    else:
+        pressure, miss = pressure_by_simulator(simulator, holds.position, holds.pressure, config.settle_s, config.dt_s)
+    reached = np.isfinite(pressure).all(axis=1) & (miss < 1e-3 * config.residual_max_mm)
+    if reached.sum() < 4:
+        raise RecordingError(
+            f"the simulator reaches {reached.sum()} of {len(holds)} recorded tips within {config.residual_max_mm:g} mm (median "
+            f"miss {1e3 * np.median(miss):.3g} mm); expected 4 or more: check frame and units, or raise stage.residual_max_mm"
+        )
+    if not reached.all():
+        log.warning("%d of %d recorded tips are out of the simulator's reach and left out", (~reached).sum(), len(holds))
+    return holds.where(reached), pressure[reached]
+
+
+def _train(config: Config, pressure_real: np.ndarray, pressure_sim: np.ndarray) -> Ensemble:
+    settings = EnsembleSettings(
+        config.members, config.hidden, config.epochs, config.learning_rate, config.weight_decay, config.seed
+    )
+    return fit_ensemble(pressure_real, pressure_sim, settings)
+
+
+def _assemble(
+    robot: Robot,
+    ensemble: Ensemble,
+    holds: Holds,
+    pressure_sim: np.ndarray,
+    heldout: np.ndarray,
+    material: dict[str, object],
+    inverted_by: str,
+) -> Calibration:
+    seen = holds.pressure[~heldout]
+    return Calibration(
+        weights=ensemble.weights,
+        members=len(ensemble.weights["skip"]),
+        pressure_mean=ensemble.pressure.mean,
+        pressure_spread=ensemble.pressure.spread,
+        correction_spread=ensemble.correction_spread,
+        pressure_low=seen.min(axis=0),
+        pressure_high=seen.max(axis=0),
+        pressure_real=holds.pressure,
+        pressure_sim=pressure_sim,
+        heldout=heldout,
+        inverted_by=inverted_by,
+        material=material,
+        robot_name=robot.name,
+    )
+
+
+def _report_map(calibration: Calibration, tracker: Tracker) -> None:
+    """Log the error of f_RS on held-out holds beside the identity and an affine map, and that of its inverse."""
+    c, pressure_map = calibration, PressureMap(calibration)
+    real, sim, held = c.pressure_real, c.pressure_sim, c.heldout
+    mapped, spread = pressure_map.real_to_sim(real), pressure_map.spread(real)
+    ones = np.ones((len(real), 1))
+    affine = np.hstack([real, ones]) @ np.linalg.lstsq(np.hstack([real, ones])[~held], sim[~held], rcond=None)[0]
+    inverse = pressure_map.sim_to_real(sim[held])
+    tracker.metric("train/pressure_map_rms_kpa", _rms_kpa(mapped[~held] - sim[~held]))
+    tracker.metric("heldout/pressure_map_rms_kpa", _rms_kpa(mapped[held] - sim[held]))
+    tracker.metric("heldout/pressure_map_identity_rms_kpa", _rms_kpa(real[held] - sim[held]))
+    tracker.metric("heldout/pressure_map_affine_rms_kpa", _rms_kpa(affine[held] - sim[held]))
+    tracker.metric("heldout/pressure_map_inverse_rms_kpa", _rms_kpa(inverse - real[held]))
+    tracker.metric("heldout/pressure_map_spread_kpa", _rms_kpa(spread[held]))
+    tracker.metric("train/holds_count", int((~held).sum()))
+    tracker.metric("heldout/holds_count", int(held.sum()))
+    tracker.figure("pressure_map", draw_pressure_map(real, sim, mapped, spread, held))
+
+
+def _report_replay(
+    calibration: Calibration,
+    simulator: Simulator,
+    robot: Robot,
+    recordings: RecordingSet,
+    holds: Holds,
+    tracker: Tracker,
+) -> None:
+    """Log errors of tip, arc length, curvature, orientation and velocity on held-out runs, with and without f_RS."""
+    judged = holds.where(calibration.heldout)
+    runs = {int(i): recordings.recordings[i] for i in np.unique(judged.run)}
+    with_map = replay_errors(simulator, robot, runs, judged, PressureMap(calibration).real_to_sim)
+    without = replay_errors(simulator, robot, runs, judged, lambda pressure: pressure)
+    for name, value in with_map.items():
+        tracker.metric(f"heldout/{name}", value)
+        tracker.metric(f"heldout/uncalibrated_{name}", without[name])
+
+
+def _rms_kpa(error: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(error**2)) / 1e3)

@@ -1,0 +1,63 @@
+"""Hashes that say whether a stage would do the same work again."""
+
+import ast
+import functools
+import hashlib
+import importlib.util
+import json
+from pathlib import Path
+from typing import Any
+
+PACKAGE = "softrl"
+
+
+def of_values(values: Any) -> str:
+    """Return a hash of plain nested values, independent of the order of keys."""
+    return hashlib.sha256(json.dumps(values, sort_keys=True, default=str).encode()).hexdigest()[:16]
+
+
+def of_folder(folder: Path) -> str:
+    """Return a hash over the names and bytes of the files in a folder."""
+    digest = hashlib.sha256()
+    for path in sorted(p for p in folder.rglob("*") if p.is_file()):
+        digest.update(str(path.relative_to(folder)).encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def of_code(*modules: str) -> str:
+    """Return a hash over the sources of ``modules`` and of all modules of this package that they import."""
+    seen: set[str] = set()
+    waiting = list(modules)
+    while waiting:
+        module = waiting.pop()
+        if module not in seen and module.startswith(PACKAGE):
+            seen.add(module)
+            waiting += _imports(module)
+    return of_values({module: _source(module) for module in seen})
+
+
+@functools.cache
+def _source(module: str) -> str:
+    spec = importlib.util.find_spec(module)
+    return Path(spec.origin).read_text() if spec and spec.origin else ""
+
+
+@functools.cache
+def _imports(module: str) -> tuple[str, ...]:
+    found: list[str] = []
+    for node in ast.walk(ast.parse(_source(module))):
+        if isinstance(node, ast.Import):
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module and node.module.startswith(PACKAGE):
+            found += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names
+                                     if _is_module(f"{node.module}.{alias.name}"))]
+    return tuple(name for name in found if name.startswith(PACKAGE))
+
+
+@functools.cache
+def _is_module(name: str) -> bool:
+    try:
+        return importlib.util.find_spec(name) is not None
+    except ModuleNotFoundError:
+        return False

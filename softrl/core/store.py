@@ -1,0 +1,195 @@
+"""MLflow as the only hand-over between stages; the one module that imports mlflow."""
+
+import json
+import logging
+import os
+import socket
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from filelock import FileLock
+
+from softrl.core.errors import ArtifactError
+
+os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
+os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")
+os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
+
+from mlflow.entities import Metric, Param, Run, RunTag  # noqa: E402  (after the switches that it reads on import)
+from mlflow.tracking import MlflowClient  # noqa: E402
+from mlflow.utils.file_utils import local_file_uri_to_path  # noqa: E402
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+log = logging.getLogger(__name__)
+EXPERIMENT = "softrl"
+PARENT = "mlflow.parentRunId"
+BATCH = 500
+
+
+@dataclass(frozen=True)
+class Location:
+    """Where runs are kept: ``uri`` of a server, or none for a database and a folder under ``folder``."""
+
+    uri: str | None
+    folder: str
+
+
+class Store:
+    """Runs of stages, found by tags and read in place."""
+
+    def __init__(self, location: Location) -> None:
+        folder = Path(location.folder).resolve()
+        self._cache = folder / "mlcache"
+        if location.uri:
+            self.client = MlflowClient(location.uri)
+            self.experiment = self._experiment(None)
+            return
+        folder.mkdir(parents=True, exist_ok=True)
+        # several processes that meet a fresh database would all try to migrate it
+        with FileLock(folder / "mlflow.db.lock"):
+            quiet = logging.getLogger("alembic")
+            quiet.setLevel(logging.WARNING)
+            self.client = MlflowClient(f"sqlite:///{folder / 'mlflow.db'}")
+            self.experiment = self._experiment((folder / "mlartifacts").as_uri())
+
+    def _experiment(self, artifact_location: str | None) -> str:
+        found = self.client.get_experiment_by_name(EXPERIMENT)
+        if found is not None:
+            return found.experiment_id
+        return self.client.create_experiment(EXPERIMENT, artifact_location=artifact_location)
+
+    def find(self, tags: dict[str, str]) -> Run | None:
+        """Return the newest finished run that carries all ``tags``."""
+        condition = " and ".join(f"tags.`softrl.{key}` = '{value}'" for key, value in tags.items())
+        runs = self.client.search_runs([self.experiment], f"attributes.status = 'FINISHED' and {condition}",
+                                       order_by=["attributes.start_time DESC"], max_results=1)
+        return runs[0] if runs else None
+
+    def get(self, run_id: str) -> Run:
+        """Return a finished run by id.
+
+        Raises
+        ------
+        ArtifactError
+            If there is no such run, or it did not finish.
+        """
+        try:
+            run = self.client.get_run(run_id)
+        except Exception as error:  # mlflow raises several unrelated classes here
+            raise ArtifactError(f"run:{run_id} is not in this tracking store; `make ui` lists the runs") from error
+        if run.info.status != "FINISHED":
+            raise ArtifactError(f"run:{run_id} is {run.info.status.lower()}, not finished; rerun its stage")
+        return run
+
+    def folder(self, run: Run, name: str) -> Path:
+        """Return a local folder with the artifact ``name`` of a run; local stores are read in place."""
+        uri = run.info.artifact_uri
+        if uri.startswith("file:") or uri.startswith("/"):
+            return Path(local_file_uri_to_path(uri)) / name
+        cached = self._cache / run.info.run_id / name
+        if not cached.exists():
+            cached.parent.mkdir(parents=True, exist_ok=True)
+            self.client.download_artifacts(run.info.run_id, name, str(cached.parent))
+        return cached
+
+    def children(self, parent: str) -> list[Run]:
+        """Return the finished runs under a parent, newest first."""
+        condition = f"attributes.status = 'FINISHED' and tags.`{PARENT}` = '{parent}'"
+        return list(self.client.search_runs([self.experiment], condition, order_by=["attributes.start_time DESC"]))
+
+    def close_abandoned(self) -> int:
+        """Mark runs of killed processes on this machine as failed; return how many there were."""
+        host = socket.gethostname()
+        running = self.client.search_runs(
+            [self.experiment], f"attributes.status = 'RUNNING' and tags.`softrl.host` = '{host}'"
+        )
+        dead = [run for run in running if not _alive(int(run.data.tags["softrl.pid"]))]
+        for run in dead:
+            self.client.set_terminated(run.info.run_id, "FAILED")
+            log.info("run %s of stage %s was killed; it is marked failed", run.info.run_id[:8],
+                     run.data.tags.get("softrl.stage"))
+        return len(dead)
+
+    def start(self, name: str, tags: dict[str, str], parent: str | None) -> "OpenRun":
+        """Open a run."""
+        owner = {"host": socket.gethostname(), "pid": str(os.getpid())}
+        all_tags = {f"softrl.{key}": value for key, value in (tags | owner).items()}
+        if parent:
+            all_tags[PARENT] = parent
+        run = self.client.create_run(self.experiment, run_name=name, tags=all_tags)
+        return OpenRun(self, run)
+
+
+class OpenRun:
+    """One run while its stage works: a ``Tracker`` that is finished, or marked failed, exactly once."""
+
+    def __init__(self, store: Store, run: Run) -> None:
+        self.store, self.run = store, run
+        self.id: str = run.info.run_id
+        self.metrics: dict[str, float] = {}
+        self._buffer: list[Metric] = []
+        self._failed = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        self._flush()
+        if kind is None:
+            self.store.client.set_terminated(self.id, "FINISHED")
+            return
+        self.store.client.set_tag(self.id, "softrl.error", f"{kind.__name__}: {error}"[:400])
+        self.store.client.set_terminated(self.id, "KILLED" if kind is KeyboardInterrupt else "FAILED")
+
+    def metric(self, name: str, value: float, step: int | None = None) -> None:
+        """Record a number, sent in batches."""
+        self.metrics[name] = float(value)
+        self._buffer.append(Metric(name, float(value), int(time.time() * 1000), step or 0))
+        if len(self._buffer) >= BATCH:
+            self._flush()
+
+    def figure(self, name: str, figure: "Figure") -> None:
+        """Record a figure as PNG."""
+        self.store.client.log_figure(self.id, figure, f"figures/{name}.png")
+        figure.clear()
+
+    def text(self, name: str, content: str) -> None:
+        """Record a text file."""
+        self.store.client.log_text(self.id, content, name)
+
+    def params(self, values: dict[str, Any]) -> None:
+        """Record flat parameters, and all of them as ``config.json``."""
+        flat = [Param(key, str(value)[:500]) for key, value in values.items()]
+        for start in range(0, len(flat), 100):
+            self.store.client.log_batch(self.id, params=flat[start : start + 100])
+        self.text("config.json", json.dumps(values, indent=1, default=str))
+
+    def tag(self, **tags: str) -> None:
+        """Set tags."""
+        self.store.client.log_batch(self.id, tags=[RunTag(f"softrl.{key}", value) for key, value in tags.items()])
+
+    def artifact(self, name: str, artifact: Any) -> None:
+        """Store an artifact under ``name``; it appears whole or not at all."""
+        with tempfile.TemporaryDirectory(prefix="softrl-") as scratch:
+            artifact.save(Path(scratch) / name)
+            self.store.client.log_artifacts(self.id, str(Path(scratch) / name), name)
+
+    def _flush(self) -> None:
+        if self._buffer:
+            self.store.client.log_batch(self.id, metrics=self._buffer)
+            self._buffer = []
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True

@@ -1,0 +1,210 @@
+"""Trajectories for learning: random pressures and tip forces rolled through a body, as windows of states and loads."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import torch
+
+from softrl.artifacts.snapshots import Snapshots
+from softrl.calibration.kinematics import arc, rotation_vector
+from softrl.core.errors import SolverError
+from softrl.core.progress import progress
+from softrl.robots.robot import Robot
+
+# a state is tip (3), arc length, curvature, rotation vector (3), then the volumes
+TIP, POSE = slice(0, 3), 8
+KINDS = (TIP, slice(3, 4), slice(4, 5), slice(5, POSE), slice(POSE, None))
+
+
+class Body(Protocol):
+    """What is learned from: a reduced model in batches. Coordinates z are (volumes - at rest, tip - at rest), SI."""
+
+    @property
+    def chambers(self) -> int:
+        """Number of chambers n; z has n + 3 numbers."""
+        ...
+
+    @property
+    def rest_tip(self) -> np.ndarray:
+        """(3,) m."""
+        ...
+
+    def step(
+        self, z: torch.Tensor, velocity: torch.Tensor, load: torch.Tensor, dt: float
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return (z, velocity) after ``dt`` s of ``load``, each (B, n + 3)."""
+        ...
+
+    def residual(
+        self, z: torch.Tensor, velocity: torch.Tensor, acceleration: torch.Tensor, load: torch.Tensor
+    ) -> torch.Tensor:
+        """Return what is missing to the balance of forces (B, n + 3), Pa and N."""
+        ...
+
+    def quaternion(self, z: np.ndarray) -> np.ndarray:
+        """Return orientations (..., 4) w x y z of the tip at ``z`` (..., n + 3)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Trajectories:
+    """Runs from rest on one time step.
+
+    Attributes
+    ----------
+    load : (runs, steps, n + 3) Pa and N, held over the step that ends at the row's time
+    state : (runs, steps, 8 + n) SI, see ``ForwardDynamics``
+    rate : (runs, steps, 8 + n), (state - state one step before) / dt; zero in the first row, which is at rest
+    dt_s : s
+    """
+
+    load: np.ndarray
+    state: np.ndarray
+    rate: np.ndarray
+    dt_s: float
+
+    def __len__(self) -> int:
+        return len(self.load)
+
+    def part(self, runs: slice) -> "Trajectories":
+        """Return some of the runs."""
+        return Trajectories(self.load[runs], self.state[runs], self.rate[runs], self.dt_s)
+
+    @property
+    def rows(self) -> np.ndarray:
+        """(runs, steps - 1, features): state and rate at k with the load held from k to k + 1."""
+        return np.concatenate([self.state[:, :-1], self.rate[:, :-1], self.load[:, 1:]], axis=2)
+
+
+def coordinates_of(state: torch.Tensor, rest_tip: torch.Tensor) -> torch.Tensor:
+    """Return z (..., n + 3), volumes first, that lie in a state (..., 8 + n)."""
+    return torch.cat([state[..., POSE:], state[..., TIP] - rest_tip], dim=-1)
+
+
+def trajectories_from(
+    z: np.ndarray, quaternion: np.ndarray, load: np.ndarray, rest_tip: np.ndarray, axis: str, dt_s: float
+) -> Trajectories:
+    """Return trajectories of coordinates ``z`` (runs, steps, n + 3) whose first row is at rest."""
+    n = z.shape[2] - 3
+    tip = rest_tip + z[..., n:]
+    length, curvature = arc(tip, axis)
+    turn = rotation_vector(quaternion)
+    state = np.concatenate([tip, length[..., None], curvature[..., None], turn, z[..., :n]], axis=2)
+    rate = np.diff(state, axis=1, prepend=state[:, :1]) / dt_s
+    return Trajectories(load, state, rate, dt_s)
+
+
+def roll(body: Body, load: np.ndarray, axis: str, dt_s: float) -> Trajectories:
+    """Return the motion of ``body`` from rest under ``load`` (runs, steps, n + 3); the first row is at rest, its load unused.
+
+    Raises
+    ------
+    SolverError
+        If a run leaves the finite numbers.
+    """
+    runs, steps, size = load.shape
+    z, velocity = (torch.zeros(runs, size, dtype=torch.float64) for _ in range(2))
+    held = torch.tensor(load, dtype=torch.float64)
+    path = np.zeros(load.shape)
+    with torch.no_grad():
+        for k in progress(range(1, steps), "rolling the reduced model"):
+            z, velocity = body.step(z, velocity, held[:, k], dt_s)
+            path[:, k] = z.numpy()
+    if not np.isfinite(path).all():
+        bad = int((~np.isfinite(path)).any(axis=(1, 2)).sum())
+        raise SolverError(f"{bad} of {runs} rolled trajectories of the reduced model diverged; lower stage.dt_s or check the model")
+    return trajectories_from(path, body.quaternion(path), load, body.rest_tip, axis, dt_s)
+
+
+def full_order(snapshots: Snapshots, axis: str, dt_s: float) -> Trajectories | None:
+    """Return the trajectories of the full model as a test set, or None if it has none on the time step ``dt_s``."""
+    step_s = float(np.median(np.diff(snapshots.trajectory_time))) if len(snapshots.trajectory_time) > 1 else 0.0
+    if not len(snapshots.trajectory_load) or abs(step_s - dt_s) > 1e-6:
+        return None
+
+    def from_rest(values: np.ndarray, rest: np.ndarray) -> np.ndarray:
+        return np.concatenate([np.broadcast_to(rest, (len(values), 1, values.shape[2])), values], axis=1)
+
+    zero = np.zeros(snapshots.chambers + 3)
+    return trajectories_from(
+        from_rest(snapshots.trajectory_coordinate, zero),
+        from_rest(snapshots.trajectory_quaternion, np.array([1.0, 0.0, 0.0, 0.0])),
+        from_rest(snapshots.trajectory_load, zero),
+        snapshots.rest_tip,
+        axis,
+        dt_s,
+    )
+
+
+def random_loads(
+    robot: Robot, low: np.ndarray, high: np.ndarray, runs: int, steps: int, dt_s: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Return loads (runs, steps, n + 3) within ``low`` and ``high`` (n + 3,): steps in even runs, multisines in odd ones.
+
+    Every run starts without load; a tip force acts in every other pair of runs. Pressures obey the robot's slew limit.
+    """
+    n = robot.chambers
+    load = np.zeros((runs, steps, n + 3))
+    for run in range(runs):
+        make = _random_steps if run % 2 == 0 else _multisine
+        load[run, :, :n] = _slewed(make(low[:n], high[:n], steps, dt_s, rng), robot.slew_pa_per_s * dt_s)
+        if run % 4 < 2:
+            load[run, :, n:] = make(low[n:], high[n:], steps, dt_s, rng)
+    return load
+
+
+def _random_steps(low: np.ndarray, high: np.ndarray, steps: int, dt_s: float, rng: np.random.Generator) -> np.ndarray:
+    """Return (steps, channels) of levels that change together after 0.1 to 1 s."""
+    durations = rng.uniform(0.1, 1.0, size=steps)
+    level_of = np.searchsorted(np.cumsum(durations), dt_s * np.arange(steps))
+    return rng.uniform(low, high, size=(steps, len(low)))[level_of]
+
+
+def _multisine(low: np.ndarray, high: np.ndarray, steps: int, dt_s: float, rng: np.random.Generator) -> np.ndarray:
+    """Return (steps, channels) of five tones of 0.1 to 4 Hz around a random level, within the range."""
+    tone = 2.0 * np.pi * np.geomspace(0.1, 4.0, 5)[:, None] * rng.uniform(0.8, 1.25, (5, len(low)))
+    phase = rng.uniform(0.0, 2.0 * np.pi, (5, len(low)))
+    wave = np.sin(dt_s * np.arange(steps)[:, None, None] * tone + phase).mean(axis=1)
+    middle = rng.uniform(low, high)
+    return np.clip(middle + (high - low) * wave, low, high)
+
+
+def _slewed(wanted: np.ndarray, reach: float) -> np.ndarray:
+    sent = np.zeros_like(wanted)
+    for k in range(1, len(wanted)):
+        sent[k] = sent[k - 1] + np.clip(wanted[k] - sent[k - 1], -reach, reach)
+    return sent
+
+
+class Windows:
+    """Windows of ``window`` rows of trajectories, cut on demand; before the start the robot is at rest without load."""
+
+    def __init__(self, trajectories: Trajectories, window: int) -> None:
+        rows = trajectories.rows
+        rest = rows[:, :1].copy()
+        rest[..., 2 * trajectories.state.shape[2] :] = 0.0
+        padded = np.concatenate([np.repeat(rest, window - 1, axis=1), rows], axis=1)
+        self.rows = torch.tensor(padded, dtype=torch.float32)
+        self.next_rate = torch.tensor(trajectories.rate[:, 1:], dtype=torch.float32)
+        self.window = window
+        self.per_run = rows.shape[1]
+
+    def __len__(self) -> int:
+        return len(self.rows) * self.per_run
+
+    def take(self, index: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return windows (B, window, features) and the rate (B, 8 + n) one step after each."""
+        run, end = index // self.per_run, index % self.per_run
+        span = end[:, None] + torch.arange(self.window)
+        return self.rows[run[:, None], span], self.next_rate[run, end]
+
+    def take_segments(self, index: torch.Tensor, steps: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Return windows, the loads (B, steps, n + 3) held from their last row on, and the true rates (B, steps, 8 + n)."""
+        run = index // self.per_run
+        end = torch.clamp(index % self.per_run, max=self.per_run - steps)
+        span = end[:, None] + torch.arange(self.window)
+        ahead = end[:, None] + torch.arange(steps)
+        size = self.next_rate.shape[2]
+        load = self.rows[run[:, None], ahead + self.window - 1, 2 * size :]
+        return self.rows[run[:, None], span], load, self.next_rate[run[:, None], ahead]

@@ -1,0 +1,142 @@
+"""Training of f_S: first one step ahead, then over short rollouts, on data plus physics."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from softrl.core.progress import progress
+from softrl.core.scaling import Scaler
+from softrl.dynamics.dataset import KINDS, Windows
+from softrl.dynamics.physics_residual import PhysicsResidual
+from softrl.dynamics.transformer import ForwardNet, advance
+
+
+@dataclass(frozen=True)
+class TrainingSettings:
+    """Numbers of the stage's config that the training needs; ``physics_weight`` is lambda of eq. 10."""
+
+    batch: int
+    onestep_updates: int
+    rollout_updates: int
+    rollout_steps: int
+    learning_rate: float
+    physics_weight: float
+    seed: int
+
+
+@dataclass(frozen=True)
+class History:
+    """Losses by update, dimensionless: 1 is the linear prediction. ``physics`` is nan where it had no weight."""
+
+    data: np.ndarray
+    physics: np.ndarray
+    validation_update: np.ndarray
+    validation: np.ndarray
+
+
+def fit_linear(net: ForwardNet, windows: Windows, ridge: float) -> None:
+    """Set the scalers of ``net`` and its linear map by least squares; give it training windows only.
+
+    ``ridge`` is relative to the mean square of a scaled feature.
+    """
+    states = net.states
+    scaler = Scaler.fit(windows.rows[:, windows.window - 1 :].numpy().astype(float))
+    net.row_mean.copy_(torch.tensor(scaler.mean))
+    net.row_spread.copy_(torch.tensor(scaler.spread))
+    size = len(net.linear)
+    gram, moment = torch.zeros(size, size, dtype=torch.float64), torch.zeros(size, states, dtype=torch.float64)
+    for index in torch.arange(len(windows)).split(4096):
+        rows, target = windows.take(index)
+        x = net.features((rows - net.row_mean) / net.row_spread)[:, -1].double()
+        change = (target - rows[:, -1, states : 2 * states]).double()
+        gram, moment = gram + x.T @ x, moment + x.T @ change
+    net.linear.copy_(torch.linalg.solve(gram + ridge * len(windows) * torch.eye(size, dtype=torch.float64), moment))
+    square = torch.zeros(states, dtype=torch.float64)
+    for index in torch.arange(len(windows)).split(4096):
+        rows, target = windows.take(index)
+        square += (net.linear_rate(rows)[:, -1] - target).double().pow(2).sum(dim=0)
+    net.fine.copy_(_shared_by_kind((square / len(windows)).sqrt()))
+
+
+def _shared_by_kind(rms: torch.Tensor) -> torch.Tensor:
+    """Return ``rms`` (states,) with at least a tenth of the largest of its kind: a twist of nothing must not count."""
+    shared = rms.clone()
+    for kind in KINDS:
+        shared[kind] = rms[kind].clamp(min=0.1 * float(rms[kind].max()))
+    return torch.where(shared > 0.0, shared, 1.0)
+
+
+def train_forward(
+    net: ForwardNet, train: Windows, validation: Windows, physics: PhysicsResidual, settings: TrainingSettings
+) -> History:
+    """Train ``net`` in place and return how it went.
+
+    Notes
+    -----
+    Paper eq. 10: loss = data + lambda physics. Both terms are 1 for the linear prediction. The second part of
+    the updates lets the network read its own predictions for some steps, which keeps rollouts from drifting away.
+    """
+    generator = torch.Generator().manual_seed(settings.seed)
+    optimiser = torch.optim.AdamW(net.parameters(), lr=settings.learning_rate, weight_decay=1e-4)
+    updates = settings.onestep_updates + settings.rollout_updates
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, settings.learning_rate, updates + 1, pct_start=0.05)
+    data_losses, physics_losses, judged = [], [], []
+    for update in progress(range(updates), "f_S training"):
+        index = torch.randint(len(train), (settings.batch,), generator=generator)
+        if update < settings.onestep_updates:
+            data, residual = _onestep_loss(net, train, physics, index, settings.physics_weight > 0.0)
+        else:
+            share = index[: max(settings.batch // settings.rollout_steps, 16)]
+            data, residual = _rollout_loss(net, train, physics, share, settings)
+        optimiser.zero_grad()
+        (data + settings.physics_weight * residual if settings.physics_weight > 0.0 else data).backward()
+        torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
+        optimiser.step()
+        schedule.step()
+        data_losses.append(float(data.detach()))
+        physics_losses.append(float(residual.detach()))
+        if update % max(updates // 40, 1) == 0 or update == updates - 1:
+            judged.append((update, onestep_error(net, validation)))
+    return History(np.array(data_losses), np.array(physics_losses), *np.array(judged).T)
+
+
+def onestep_error(net: ForwardNet, windows: Windows, samples: int = 2000) -> float:
+    """Return the mean squared error of the last row's prediction, in units of ``net.fine``, on evenly drawn windows."""
+    index = torch.linspace(0, len(windows) - 1, min(samples, len(windows))).long()
+    rows, target = windows.take(index)
+    with torch.no_grad():
+        return float(((net(rows)[:, -1] - target) / net.fine).pow(2).mean())
+
+
+def _onestep_loss(
+    net: ForwardNet, train: Windows, physics: PhysicsResidual, index: torch.Tensor, with_physics: bool
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the loss over all rows of the windows, and the physics of the last one."""
+    rows, target = train.take(index)
+    rate = net(rows)
+    # the rate after row k is the rate in row k + 1; the linear map lacks its past in the first rows of a window
+    targets = torch.cat([rows[:, 1:, net.states : 2 * net.states], target[:, None]], dim=1)
+    data = ((rate - targets) / net.fine)[:, net.linear_rows - 1 :].pow(2).mean()
+    residual = physics(rows[:, -1], rate[:, -1]).pow(2).mean().float() if with_physics else torch.tensor(torch.nan)
+    return data, residual
+
+
+def _rollout_loss(
+    net: ForwardNet, train: Windows, physics: PhysicsResidual, index: torch.Tensor, settings: TrainingSettings
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the loss of rates and states over a rollout, and the mean physics along it."""
+    steps = settings.rollout_steps
+    rows, load, target = train.take_segments(index, steps)
+    data, residual, drift = torch.tensor(0.0), torch.tensor(0.0), torch.zeros(())
+    for k in range(steps):
+        rate = net(rows)[:, -1]
+        error = (rate - target[:, k]) / net.fine
+        drift = drift + error
+        # drift is the error of the state in units of fine times dt
+        data = data + (error.pow(2).mean() + drift.pow(2).mean() / (k + 1)) / (2 * steps)
+        if settings.physics_weight > 0.0:
+            residual = residual + physics(rows[:, -1], rate).pow(2).mean().float() / steps
+        if k + 1 < steps:
+            rows = advance(rows, rate, load[:, k + 1], physics.dt_s)
+    return data, residual if settings.physics_weight > 0.0 else torch.tensor(torch.nan)

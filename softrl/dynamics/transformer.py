@@ -1,0 +1,93 @@
+"""The network of f_S: a causal Transformer encoder over a window, on top of a linear map of its last row."""
+
+import numpy as np
+import torch
+from torch import nn
+
+from softrl.artifacts.dynamics import ForwardDynamics
+
+
+class ForwardNet(nn.Module):
+    """Predicts dX/dt one step after each row of a window from that row and those before it.
+
+    Parameters
+    ----------
+    states, loads : 8 + n and n + 3
+    window, width, heads, layers, feedforward : size of the encoder
+    linear_rows : rows that the linear map reads
+
+    Attributes
+    ----------
+    row_mean, row_spread : scaler of a row
+    linear : (linear_rows * features + 1, states) SI; the rate's change over one step by scaled rows, newest first
+    fine : (states,) SI, rms of what the linear map leaves; the unit of the Transformer's answer and of the losses
+
+    Notes
+    -----
+    Paper eqs. 5-8 and 11: two encoder layers, four heads, window m, then a linear head; the axes are (batch, time, feature).
+    Departures: the mask is causal, so every row of a window is a training example; the rate is predicted as the present one
+    plus a linear map, fixed by least squares before training, plus the Transformer, which begins at zero.
+    """
+
+    def __init__(
+        self, states: int, loads: int, window: int, width: int, heads: int, layers: int, feedforward: int, linear_rows: int
+    ) -> None:
+        super().__init__()
+        features = 2 * states + loads
+        self.states, self.window, self.linear_rows = states, window, linear_rows
+        self.register_buffer("row_mean", torch.zeros(features))
+        self.register_buffer("row_spread", torch.ones(features))
+        self.register_buffer("linear", torch.zeros(linear_rows * features + 1, states))
+        self.register_buffer("fine", torch.ones(states))
+        self.embed = nn.Linear(features, width)
+        self.place = nn.Parameter(0.02 * torch.randn(window, width))
+        layer = nn.TransformerEncoderLayer(width, heads, feedforward, dropout=0.0, batch_first=True, norm_first=True)
+        self.encoder = nn.TransformerEncoder(layer, layers, norm=nn.LayerNorm(width), enable_nested_tensor=False)
+        self.head = nn.Linear(width, states)
+        nn.init.zeros_(self.head.weight)
+        nn.init.zeros_(self.head.bias)
+        self.register_buffer("mask", nn.Transformer.generate_square_subsequent_mask(window), persistent=False)
+
+    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+        """Return dX/dt (batch, rows, states) SI one step after each of ``rows`` (batch, at most window, features) SI."""
+        scaled = (rows - self.row_mean) / self.row_spread
+        time = rows.shape[1]
+        hidden = self.encoder(self.embed(scaled) + self.place[-time:], mask=self.mask[:time, :time], is_causal=True)
+        return self._linear_rate(rows, scaled) + self.fine * self.head(hidden)
+
+    def linear_rate(self, rows: torch.Tensor) -> torch.Tensor:
+        """Return what the linear map alone predicts, (batch, rows, states) SI."""
+        return self._linear_rate(rows, (rows - self.row_mean) / self.row_spread)
+
+    def features(self, scaled: torch.Tensor) -> torch.Tensor:
+        """Return (batch, rows, linear_rows * features + 1): each scaled row, those before it, and a one."""
+        past = [scaled]
+        for _ in range(self.linear_rows - 1):
+            past.append(torch.cat([past[-1][:, :1], past[-1][:, :-1]], dim=1))
+        return torch.cat([*past, torch.ones_like(scaled[..., :1])], dim=2)
+
+    def _linear_rate(self, rows: torch.Tensor, scaled: torch.Tensor) -> torch.Tensor:
+        return rows[..., self.states : 2 * self.states] + self.features(scaled) @ self.linear
+
+
+def forward_net(artifact: ForwardDynamics) -> ForwardNet:
+    """Return the trained network of ``artifact``, ready to predict."""
+    net = ForwardNet(
+        8 + artifact.chambers, artifact.chambers + 3, artifact.window, artifact.width, artifact.heads, artifact.layers,
+        artifact.feedforward, artifact.linear_rows,
+    )  # fmt: skip
+    net.load_state_dict({name: torch.tensor(w) for name, w in artifact.weights.items()})
+    return net.eval()
+
+
+def weights_of(net: nn.Module) -> dict[str, np.ndarray]:
+    """Return the state_dict as arrays."""
+    return {name: w.detach().numpy().copy() for name, w in net.state_dict().items()}
+
+
+def advance(rows: torch.Tensor, rate: torch.Tensor, next_load: torch.Tensor, dt_s: float) -> torch.Tensor:
+    """Return the window one step on: its last state moved by ``rate`` (B, states) over ``dt_s``, then ``next_load`` held."""
+    states = rate.shape[-1]
+    moved = rows[:, -1, :states] + dt_s * rate
+    last = torch.cat([moved, rate, next_load], dim=-1)
+    return torch.cat([rows[:, 1:], last[:, None]], dim=1)

@@ -1,0 +1,51 @@
+"""A wall that the tip may touch."""
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numba as nb
+import numpy as np
+
+from softrl.effects.effect import FORCE, FORCE_SLOPE, PORT_KERNEL, TIP, Effect, parameter
+from softrl.robots.robot import Robot
+
+
+@nb.njit(PORT_KERNEL, cache=True)
+def contact_kernel(
+    parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool
+) -> None:
+    """Push the tip back along the wall's normal in proportion to its depth."""
+    depth = -parameters[3]
+    for k in range(3):
+        depth += parameters[k] * port[TIP, k]
+    if depth <= 0.0:
+        return
+    for j in range(3):
+        port[FORCE, j] -= parameters[4] * depth * parameters[j]
+        for k in range(3):
+            port[FORCE_SLOPE + j, k] -= parameters[4] * parameters[j] * parameters[k]
+
+
+@dataclass(frozen=True)
+class Contact(Effect):
+    """Elastic, frictionless plane that the tip meets: upright in the azimuth of its normal, unless ``elevation_rad`` turns it.
+
+    ``distance`` is that from the base's origin along the normal, in lengths of the robot; at 2 it is out of reach.
+    """
+
+    site: ClassVar[str] = "load"
+    title: ClassVar[str] = "contact of the tip with a plane"
+    kernel: ClassVar = contact_kernel
+
+    distance: float = parameter("1", 0.0, 2.0, 2.0, typical=0.1)
+    azimuth_rad: float = parameter("rad", -math.pi, math.pi, 0.0, typical=0.0)
+    stiffness_n_per_m: float = parameter("N/m", 10.0, 1e5, 500.0, typical=500.0, log=True)
+    elevation_rad: float = 0.0
+
+    def pack(self, robot: Robot) -> np.ndarray:
+        """Return (normal (3,), distance m, stiffness N/m)."""
+        flat = math.cos(self.elevation_rad)
+        normal = [flat * math.cos(self.azimuth_rad), flat * math.sin(self.azimuth_rad), math.sin(self.elevation_rad)]
+        reach = self.distance * robot.length_m if self.distance < 2.0 else math.inf
+        return np.array([*normal, reach, self.stiffness_n_per_m])

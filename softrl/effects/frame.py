@@ -1,0 +1,46 @@
+"""A sensor whose base frame is not the robot's."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numba as nb
+import numpy as np
+
+from scipy.spatial.transform import Rotation
+
+from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
+from softrl.robots.robot import Robot
+
+
+@nb.njit(SIGNAL_KERNEL, cache=True)
+def frame_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
+    """Turn the pose by the packed matrix and quaternion, then shift the position."""
+    x, y, z = value[0], value[1], value[2]
+    for k in range(3):
+        value[k] = parameters[3 * k] * x + parameters[3 * k + 1] * y + parameters[3 * k + 2] * z + parameters[13 + k]
+    a, b, c, d = parameters[9], parameters[10], parameters[11], parameters[12]
+    e, f, g, h = value[3], value[4], value[5], value[6]
+    value[3], value[4] = a * e - b * f - c * g - d * h, a * f + b * e + c * h - d * g
+    value[5], value[6] = a * g - b * h + c * e + d * f, a * h + b * g - c * f + d * e
+
+
+@dataclass(frozen=True)
+class Frame(Effect):
+    """Rotation (a rotation vector) and shift of the frame in which the sensor reports, shift in lengths of the robot."""
+
+    site: ClassVar[str] = "sensor"
+    title: ClassVar[str] = "misregistration of the sensor's frame"
+    kernel: ClassVar = frame_kernel
+
+    turn_x_rad: float = parameter("rad", -0.6, 0.6, 0.0, typical=0.1)
+    turn_y_rad: float = parameter("rad", -0.6, 0.6, 0.0, typical=0.1)
+    turn_z_rad: float = parameter("rad", -3.1416, 3.1416, 0.0, typical=0.2)
+    shift_x: float = parameter("1", -0.3, 0.3, 0.0, typical=0.02)
+    shift_y: float = parameter("1", -0.3, 0.3, 0.0, typical=0.02)
+    shift_z: float = parameter("1", -0.3, 0.3, 0.0, typical=0.02)
+
+    def pack(self, robot: Robot) -> np.ndarray:
+        """Return (matrix (9,), quaternion (4,) w x y z, shift (3,) m)."""
+        turn = Rotation.from_rotvec([self.turn_x_rad, self.turn_y_rad, self.turn_z_rad])
+        shift = robot.length_m * np.array([self.shift_x, self.shift_y, self.shift_z])
+        return np.concatenate([turn.as_matrix().ravel(), turn.as_quat(scalar_first=True), shift])

@@ -1,0 +1,30 @@
+"""A chamber that acts more, or less, than its pressure says."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numba as nb
+import numpy as np
+
+from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
+
+
+@nb.njit(SIGNAL_KERNEL, cache=True)
+def gain_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
+    """Scale the acting pressure."""
+    chamber = int(parameters[1])
+    for i in range(len(value)):
+        if chamber < 0 or chamber == i:
+            value[i] *= parameters[0]
+
+
+@dataclass(frozen=True)
+class Gain(Effect):
+    """Acting pressure as a multiple of the supplied one: an effective area, a sensor's scale, a regulator's span."""
+
+    site: ClassVar[str] = "chamber"
+    title: ClassVar[str] = "gain of a chamber"
+    kernel: ClassVar = gain_kernel
+
+    gain: float = parameter("1", 0.1, 3.0, 1.0, typical=0.8)
+    chamber: int = -1

@@ -1,0 +1,39 @@
+"""A ring of past values inside a state vector, for effects that look back in time."""
+
+import numba as nb
+import numpy as np
+
+CAPACITY = 4096   # past values a channel: 1 s at a step of 0.25 ms
+HEAD, COUNT, FIRST = 0, 1, 2
+
+
+def empty_history(width: int) -> np.ndarray:
+    """Return the state vector of a history of ``width`` channels that has seen nothing yet."""
+    return np.zeros(FIRST + CAPACITY * width)
+
+
+@nb.njit(cache=True)
+def push(state: np.ndarray, value: np.ndarray, before: bool) -> None:
+    """Add ``value`` (width,) to the history; what came before the first value equals it if ``before``, else zero."""
+    width = len(value)
+    if state[COUNT] == 0.0 and before:
+        for k in range(CAPACITY):
+            for i in range(width):
+                state[FIRST + k * width + i] = value[i]
+    state[COUNT] += 1.0
+    head = (int(state[HEAD]) + 1) % CAPACITY
+    state[HEAD] = float(head)
+    for i in range(width):
+        state[FIRST + head * width + i] = value[i]
+
+
+@nb.njit(cache=True)
+def look_back(state: np.ndarray, width: int, channel: int, steps: float) -> float:
+    """Return a channel's value ``steps`` (not necessarily whole) before the last one, interpolated linearly."""
+    steps = min(steps, CAPACITY - 2.0)
+    whole = int(steps)
+    share = steps - whole
+    head = int(state[HEAD])
+    near = state[FIRST + (head - whole) % CAPACITY * width + channel]
+    far = state[FIRST + (head - whole - 1) % CAPACITY * width + channel]
+    return (1.0 - share) * near + share * far

@@ -1,0 +1,110 @@
+"""Replay a recording's commands through a plant, and sample the result when the recording was sampled."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from softrl.core.errors import RecordingError
+from softrl.effects.chain import EffectChain, Plant
+from softrl.recordings.recording import Recording
+from softrl.robots.robot import Robot
+
+MAX_STEPS = 5_000_000
+
+
+def replay(
+    plant: Plant, recording: Recording, dt_s: float, drive: str = "command", settle_s: float = 0.0
+) -> Recording:
+    """Return what the plant's sensors report under a recording's commands, at the recording's times.
+
+    Parameters
+    ----------
+    plant : body with effects
+    recording : its times need not be uniform; its commands are held until their time, as in ``Simulator.simulate``
+    dt_s : step of the uniform grid on which the plant is simulated, s
+    drive : "command" sends the commands through the valve; "measured" puts the measured pressure behind the valve, which
+        tests the body apart from the valve
+    settle_s : time before the first sample during which the plant is held under the first row (of the measured
+        pressure if there is one), for a recording that does not begin at rest
+
+    Returns
+    -------
+    Recording
+        Of the same name, session, times, commands and tip force. ``pressure_meas``, ``position``, ``quaternion`` are
+        simulated; ``bend_angle`` is derived from the pose if the recording has it or the robot reports it.
+        Markers are left out.
+
+    Notes
+    -----
+    Between grid points positions are interpolated linearly, quaternions likewise and normalised.
+    """
+    robot = plant.chain.robot
+    time, first = _grid(recording, dt_s, settle_s)
+    row = np.searchsorted(recording.time, time - 1e-3 * dt_s, side="left")  # equal times may differ in a last digit
+    row = row.clip(max=len(recording.time) - 1)
+    driving = _driving(recording, drive)
+    pressure = driving[row]
+    if first and recording.pressure_meas is not None:
+        pressure[:first] = recording.pressure_meas[0]
+    force = None if recording.tip_force is None else recording.tip_force[row]
+    motion = _behind_valve(plant, drive).simulate(time, pressure, force)
+    quaternion = _sampled(recording.time, time, motion.quaternion)
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    reports_angle = robot.output == "bend_angle" or recording.bend_angle is not None
+    return replace(
+        recording,
+        pressure_meas=_sampled(recording.time, time, motion.pressure),
+        position=_sampled(recording.time, time, motion.position),
+        quaternion=quaternion,
+        bend_angle=bend_angle(robot, quaternion) if reports_angle else None,
+        markers={},
+        temperature=None,
+    )
+
+
+def bend_angle(robot: Robot, quaternion: np.ndarray) -> np.ndarray:
+    """Return the angle (steps,) rad between the tip's axis and the base's z axis.
+
+    For a robot with one chamber it has a sign: positive where the chamber's pressure bends the tip.
+    """
+    w, x, y, z = quaternion.T
+    tangent = np.stack([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)], axis=1)
+    if robot.chambers == 1:
+        return np.arctan2(-tangent[:, :2] @ robot.chamber_direction[0], tangent[:, 2])
+    return np.arctan2(np.hypot(tangent[:, 0], tangent[:, 1]), tangent[:, 2])
+
+
+def _grid(recording: Recording, dt_s: float, settle_s: float) -> tuple[np.ndarray, int]:
+    """Return a uniform grid from before the first to after the last sample, and the rows before the first sample."""
+    first = round(settle_s / dt_s)
+    steps = first + 1 + int(np.ceil((recording.time[-1] - recording.time[0]) / dt_s - 1e-9))
+    if steps > MAX_STEPS:
+        raise RecordingError(
+            f"run {recording.name} lasts {np.ptp(recording.time):g} s, which is {steps} steps of {dt_s:g} s; "
+            f"expected at most {MAX_STEPS}; cut the run or raise dt_s"
+        )
+    return recording.time[0] + dt_s * (np.arange(max(steps, 2)) - first), first
+
+
+def _driving(recording: Recording, drive: str) -> np.ndarray:
+    if drive == "command":
+        return recording.pressure_cmd
+    if drive != "measured":
+        raise ValueError(f"drive={drive!r}; expected command or measured")
+    if recording.pressure_meas is None:
+        raise RecordingError(f"run {recording.name} has no measured pressure; replay it from its commands")
+    return recording.pressure_meas
+
+
+def _behind_valve(plant: Plant, drive: str) -> Plant:
+    if drive == "command":
+        return plant
+    return Plant(plant.simulator, EffectChain(plant.chain.robot, plant.chain.at("chamber", "body", "load", "sensor")))
+
+
+def _sampled(wanted: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the columns of ``values`` (steps, n), interpolated linearly from ``time`` to ``wanted``."""
+    place = (wanted - time[0]) / (time[1] - time[0])
+    left = np.clip(np.floor(place + 1e-9).astype(int), 0, len(time) - 2)
+    share = (place - left).clip(0.0, 1.0)[:, None]
+    return (1.0 - share) * values[left] + share * values[left + 1]

@@ -1,0 +1,45 @@
+"""A wall that is stiffer, or softer, than the model's."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numba as nb
+import numpy as np
+
+from softrl.effects.effect import (
+    ADDED, ADDED_SLOPE, ELASTIC, ELASTIC_SLOPE, PORT_KERNEL, REST, STRAIN, Effect, parameter,
+)
+
+
+@nb.njit(PORT_KERNEL, cache=True)
+def stiffness_scale_kernel(
+    parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool
+) -> None:
+    """Add ``scale - 1`` times the elastic resistance: the whole body's, or one chamber's own spring."""
+    more, chamber = parameters[0] - 1.0, int(parameters[1])
+    for i in range(port.shape[1]):
+        if chamber < 0:
+            port[ADDED, i] += more * port[ELASTIC, i]
+            port[ADDED_SLOPE, i] += more * port[ELASTIC_SLOPE, i]
+        elif chamber == i:
+            port[ADDED, i] += more * port[REST, i] * port[STRAIN, i]
+            port[ADDED_SLOPE, i] += more * port[REST, i]
+
+
+@dataclass(frozen=True)
+class StiffnessScale(Effect):
+    """Stiffness as a multiple of the model's: of the whole body, or of one chamber (an asymmetry of fabrication).
+
+    Notes
+    -----
+    For all chambers this scales the elastic forces exactly. One chamber gets a linear spring along its own elongation,
+    ``(scale - 1)`` times its stiffness at rest, which keeps the body's stiffness symmetric: it stores energy and gives
+    it back. A scale far below 1 in one chamber can make the sum indefinite; the bounds stay clear of that.
+    """
+
+    site: ClassVar[str] = "body"
+    title: ClassVar[str] = "stiffness of the body or of one chamber"
+    kernel: ClassVar = stiffness_scale_kernel
+
+    scale: float = parameter("1", 0.4, 5.0, 1.0, typical=1.4, log=True)
+    chamber: int = -1

@@ -1,0 +1,61 @@
+"""A wall that relaxes: it creeps on under constant pressure."""
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numba as nb
+import numpy as np
+
+from softrl.effects.effect import ADDED, ADDED_SLOPE, ELASTIC, ELASTIC_SLOPE, PORT_KERNEL, Effect, parameter
+from softrl.robots.robot import Robot
+
+
+@nb.njit(PORT_KERNEL, cache=True)
+def viscoelasticity_kernel(
+    parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool
+) -> None:
+    """Advance each branch's overstress exactly for an elastic resistance that changes linearly over the step."""
+    n = port.shape[1]
+    chamber = int(parameters[4])
+    for i in range(n):
+        if chamber >= 0 and chamber != i:
+            continue
+        change = port[ELASTIC, i] - state[2 * n + i]
+        for branch in range(2):
+            share, tau = parameters[2 * branch], parameters[2 * branch + 1]
+            kept = -tau / dt * math.expm1(-dt / tau)
+            overstress = math.exp(-dt / tau) * state[branch * n + i] + kept * change
+            port[ADDED, i] += share * overstress
+            port[ADDED_SLOPE, i] += share * kept * port[ELASTIC_SLOPE, i]
+            if commit:
+                state[branch * n + i] = overstress
+        if commit:
+            state[2 * n + i] = port[ELASTIC, i]
+
+
+@dataclass(frozen=True)
+class Viscoelasticity(Effect):
+    """Prony series of two branches over the elastic resistance; the second is absent at ``share_2 = 0``.
+
+    Notes
+    -----
+    Linear viscoelasticity in the form of a recursion for the overstress of each Maxwell branch (standard in
+    finite-element texts; no equation number checked). The long-term stiffness is the model's; at once the wall resists
+    ``1 + share_1 + share_2`` times as much. Under a constant pressure one branch creeps with the time constant
+    ``relaxation (1 + share)``.
+    """
+
+    site: ClassVar[str] = "body"
+    title: ClassVar[str] = "viscoelastic relaxation and creep of the wall"
+    kernel: ClassVar = viscoelasticity_kernel
+
+    share_1: float = parameter("1", 0.0, 5.0, 0.0, typical=0.4)
+    relaxation_1_s: float = parameter("s", 0.02, 300.0, 1.0, typical=2.0, log=True)
+    share_2: float = parameter("1", 0.0, 5.0, 0.0, typical=0.2)
+    relaxation_2_s: float = parameter("s", 0.02, 300.0, 20.0, typical=20.0, log=True)
+    chamber: int = -1
+
+    def reset(self, robot: Robot) -> np.ndarray:
+        """Return the overstress of both branches and the last elastic resistance of each chamber, all zero."""
+        return np.zeros(3 * robot.chambers)

@@ -1,0 +1,98 @@
+"""Equilibria along a path of loads: each starts from the one before it, moved along its tangent."""
+
+import logging
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from softrl.core.errors import SolverError
+from softrl.fem.coupling import Pose
+from softrl.fem.model import FemModel, Tangent
+
+log = logging.getLogger(__name__)
+REFINEMENTS = (1, 3, 9)  # how much finer the load steps become when an equilibrium is not found
+
+
+class Cost(NamedTuple):
+    """What an equilibrium cost.
+
+    Attributes
+    ----------
+    iterations, factorisations : over all load steps
+    seconds : wall clock in its process
+    steps_m : largest nodal shift of each iteration of the last load step, m
+    """
+
+    iterations: int
+    factorisations: int
+    seconds: float
+    steps_m: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """One equilibrium with its tangent, and what it cost.
+
+    Attributes
+    ----------
+    load : (chambers + 3,) Pa and N
+    pose, tangent : where it is and how it answers
+    cost : of all its load steps
+    """
+
+    load: np.ndarray
+    pose: Pose
+    tangent: Tangent
+    cost: Cost
+
+
+def follow(
+    model: FemModel, loads: np.ndarray, scale: np.ndarray, largest_step: float
+) -> Iterator[Equilibrium | None]:
+    """Yield the equilibrium of each row of ``loads`` (samples, chambers + 3), or None where it is not found.
+
+    A change of load longer than ``largest_step`` (in units of ``scale``) is divided. After a failure the path
+    starts again at rest.
+    """
+    zero = np.zeros(loads.shape[1])
+    rest = Equilibrium(zero, model.rest(), model.tangent(model.rest(), zero), Cost(0, 0, 0.0, ()))
+    here = rest
+    for load in loads:
+        found = _reach(model, here, load, scale, largest_step)
+        if found is None and here is not rest:
+            found = _reach(model, rest, load, scale, largest_step)
+        if found is None:
+            log.warning("no equilibrium found at load %s (Pa, N)", np.array2string(load, precision=4))
+        here = found or rest
+        yield found
+
+
+def _reach(
+    model: FemModel, start: Equilibrium, load: np.ndarray, scale: np.ndarray, largest_step: float
+) -> Equilibrium | None:
+    distance = float(np.linalg.norm((load - start.load) / scale))
+    for refinement in REFINEMENTS:
+        count = refinement * max(1, int(np.ceil(distance / largest_step)))
+        try:
+            return _walk(model, start, load, count)
+        except SolverError as failure:
+            log.info("%d load steps were too few: %s", count, failure)
+    return None
+
+
+def _walk(model: FemModel, start: Equilibrium, load: np.ndarray, count: int) -> Equilibrium:
+    here, began = start, time.monotonic()
+    iterations = factorisations = 0
+    for share in np.arange(1, count + 1) / count:
+        target = start.load + share * (load - start.load)
+        guess = model.coupling.move(here.pose, here.tangent.change @ (target - here.load))
+        solve = model.static(target, guess)
+        if not solve.converged:
+            raise SolverError(f"Newton stopped after {solve.iterations} iterations, {solve.residual_n:.1e} N left")
+        tangent = model.tangent(solve.pose, target)
+        iterations, factorisations = iterations + solve.iterations, factorisations + solve.factorisations + 1
+        here = Equilibrium(target, solve.pose, tangent, Cost(iterations, factorisations, time.monotonic() - began, solve.steps_m))
+    return here

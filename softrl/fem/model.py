@@ -1,0 +1,274 @@
+"""The full finite-element body: equilibria, their tangents, and implicit time steps."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from softrl.artifacts.mesh import PLATE, Mesh
+from softrl.core.errors import ConfigError, MeshError, SolverError
+from softrl.fem.assembly import assemble_elastic, multiply_blocks, node_pairs
+from softrl.fem.coupling import Coupling, Pose, quaternion_of
+from softrl.fem.elements import quadratic_mesh, rigid_bodies
+from softrl.fem.loads import (
+    USED_TRIPLES, WEIGHTS, add_volume_gradient, add_volume_stiffness, enclosed_volumes,
+)
+from softrl.fem.material import ENERGY, STRESS, TANGENT, Material
+from softrl.fem.newton import NewtonSettings, Objective, Solve, Value, factorise, minimise
+from softrl.fem.solver import LinearSolver, linear_solver
+
+
+@dataclass(frozen=True)
+class State:
+    """A moving body.
+
+    Attributes
+    ----------
+    pose : where it is
+    velocity : (nodes, 3) m/s
+    change : (unknowns,) the last step's change of the unknowns, from which the next step starts
+    """
+
+    pose: Pose
+    velocity: np.ndarray
+    change: np.ndarray
+
+
+class Step(NamedTuple):
+    """A time step: the state after it, and how the solve went."""
+
+    state: State
+    solve: Solve
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """How an equilibrium answers a change of its load (p_1 .. p_n, F_x, F_y, F_z).
+
+    Attributes
+    ----------
+    change : (unknowns, n + 3) d unknowns / d load
+    compliance : (n + 3, n + 3) d (volumes, tip) / d load, symmetric up to round-off
+    stiffness : (n + 3, n + 3) T' K_elastic T with T = d nodes / d load
+    mass : (n + 3, n + 3) T' M T
+    """
+
+    change: np.ndarray
+    compliance: np.ndarray
+    stiffness: np.ndarray
+    mass: np.ndarray
+
+
+class FemModel:
+    """Quadratic tetrahedra of one material with rigid plate and ribs, fixed base, pressure in the cavities.
+
+    A load is ``(p_1 .. p_n, F_x, F_y, F_z)``: gauge pressures in Pa, and a force in N on the tip, which is the
+    volume centroid of the plate. The mesh is the stress-free shape.
+
+    Parameters
+    ----------
+    mesh : linear tetrahedra; mid-edge nodes are added here
+    material : the hyperelastic law
+    density_kg_m3 : of the whole mesh, ribs and plate too
+    rayleigh_mass_per_s, rayleigh_stiffness_s : damping force (a M + b K_elastic(x)) v; K is taken at the last step
+    newton : settings of the iteration
+    gravity_m_s2 : (3,) zero unless given
+    stiffness_scale : factor on the elastic energy
+    solver : linear solver; the best one installed if None
+    """
+
+    def __init__(
+        self, mesh: Mesh, material: Material, density_kg_m3: float, rayleigh_mass_per_s: float,
+        rayleigh_stiffness_s: float, newton: NewtonSettings, gravity_m_s2: tuple[float, ...] = (0.0, 0.0, 0.0),
+        stiffness_scale: float = 1.0, solver: LinearSolver | None = None,
+    ) -> None:
+        if density_kg_m3 <= 0:
+            raise ConfigError(f"density {density_kg_m3:g} kg/m^3 must be positive")
+        if not (mesh.node_region == PLATE).any():
+            raise MeshError(f"mesh of {mesh.robot_name} has no plate (node region {PLATE}), so it has no tip")
+        self.quadratic = quadratic = quadratic_mesh(mesh)
+        self.chambers, self.newton = mesh.chambers, newton
+        self.rayleigh_mass_per_s, self.rayleigh_stiffness_s = rayleigh_mass_per_s, rayleigh_stiffness_s
+        self.nodal_mass = quadratic.lumped_mass(density_kg_m3)
+        self.gravity_m_s2 = np.array(gravity_m_s2, dtype=float)
+        self._material, self._parameters = material, material.pack()
+
+        region = quadratic.region[quadratic.elements]
+        deformable = ~((region == region[:, :1]).all(axis=1) & (region[:, 0] != 0))
+        self._elements = np.ascontiguousarray(quadratic.elements[deformable])
+        self._gradients = np.ascontiguousarray(quadratic.gradients[deformable])
+        self._weights = np.ascontiguousarray(quadratic.weights[deformable]) * stiffness_scale
+        self.pairs = node_pairs(len(quadratic.points), self._elements, quadratic.cavity_triangles)
+        self.coupling = self._couple()
+        self._tip_share = self.coupling.spread(0)[:, None]
+        self._solver = solver if solver is not None else linear_solver()
+        self._stepping = 0.0  # the time step whose factors the solver holds, s
+        self.rest_tip = quadratic.plate_centroid()
+        self.rest_volume = self.volumes(self.rest())
+
+    # what a pose means
+
+    def rest(self) -> Pose:
+        """Return the stress-free pose."""
+        return self.coupling.rest()
+
+    def volumes(self, pose: Pose) -> np.ndarray:
+        """Return the cavity volumes (chambers,) in m^3."""
+        q = self.quadratic
+        return enclosed_volumes(
+            pose.position, q.cavity_triangles, q.cavity_of_triangle, USED_TRIPLES, WEIGHTS, self.chambers
+        )
+
+    def tip(self, pose: Pose) -> np.ndarray:
+        """Return the tip position (3,) in m."""
+        return pose.centre[0].copy()
+
+    def tip_quaternion(self, pose: Pose) -> np.ndarray:
+        """Return the plate's orientation relative to rest (4,) w x y z."""
+        return quaternion_of(pose.rotation[0])
+
+    def coordinate(self, pose: Pose) -> np.ndarray:
+        """Return the coordinate conjugate to a load, (V - V_rest, tip - tip_rest), m^3 and m."""
+        return np.r_[self.volumes(pose) - self.rest_volume, self.tip(pose) - self.rest_tip]
+
+    def centre_of_mass(self, pose: Pose) -> np.ndarray:
+        """Return the displacement (3,) in m of the centre of mass."""
+        moved = self.nodal_mass @ (pose.position - self.quadratic.points)
+        return moved / self.nodal_mass.sum()
+
+    def elastic_energy(self, pose: Pose) -> float:
+        """Return the elastic energy above rest in J."""
+        return self._elastic(pose, ENERGY).energy
+
+    # equilibria
+
+    def static(self, load: np.ndarray, start: Pose | None = None) -> Solve:
+        """Return the equilibrium under ``load`` (chambers + 3,) Pa and N that Newton finds from ``start`` (rest)."""
+        self._stepping = 0.0
+        first = start if start is not None else self.rest()
+        return minimise(self._potential(load), first, self.coupling, self._solver, self.newton)
+
+    def tangent(self, pose: Pose, load: np.ndarray) -> Tangent:
+        """Return the tangent at an equilibrium.
+
+        Raises
+        ------
+        SolverError
+            If the Hessian is not positive: a buckling point, where no tangent exists.
+        """
+        self._stepping = 0.0
+        if not factorise(self._potential(load)(pose, TANGENT), pose, self.coupling, self._solver):
+            raise SolverError("the equilibrium is not stable: its stiffness has a negative pivot")
+        forces = self.load_directions(pose)
+        change = self._solver.solve(forces)
+        elastic = self._elastic(pose, TANGENT)
+        assert elastic.blocks is not None
+        shapes = np.stack([self.coupling.expand(column, pose) for column in change.T])
+        stiff = np.stack([multiply_blocks(elastic.blocks, self.pairs.first, self.pairs.second, t) for t in shapes])
+        return Tangent(
+            change, forces.T @ change, np.einsum("ani,bni->ab", shapes, stiff),
+            np.einsum("ani,n,bni->ab", shapes, self.nodal_mass, shapes),
+        )
+
+    def load_directions(self, pose: Pose) -> np.ndarray:
+        """Return the generalised force (unknowns, chambers + 3) of each unit load."""
+        q = self.quadratic
+        columns = np.zeros((self.coupling.unknowns, self.chambers + 3))
+        for chamber, unit in enumerate(np.eye(self.chambers)):
+            force = np.zeros_like(pose.position)
+            add_volume_gradient(
+                pose.position, q.cavity_triangles, q.cavity_of_triangle, USED_TRIPLES, WEIGHTS, unit, force
+            )
+            columns[:, chamber] = self.coupling.reduce(force, pose)
+        plate = self.coupling.body_slice(0)
+        columns[plate.start : plate.start + 3, self.chambers :] = np.eye(3)
+        return columns
+
+    # motion
+
+    def state(self, pose: Pose | None = None) -> State:
+        """Return the state at rest in ``pose`` (the stress-free one if None)."""
+        pose = pose if pose is not None else self.rest()
+        return State(pose, np.zeros_like(pose.position), np.zeros(self.coupling.unknowns))
+
+    def step(self, state: State, load: np.ndarray, dt: float, gravity_m_s2: np.ndarray | None = None) -> Step:
+        """Return the state ``dt`` seconds later under ``load``, by implicit Euler.
+
+        Notes
+        -----
+        The new nodes x minimise  |x - x_n - dt v_n|_M^2 / (2 dt^2) + |x - x_n|_(aM + bK_n)^2 / (2 dt) + W(x) - p.V(x)
+        - F.tip - m g.x, with K_n the elastic Hessian at x_n: the variational form of implicit Euler with Rayleigh
+        damping. First order in ``dt``; it damps motions faster than about 2 pi dt.
+        """
+        before, extrapolated = state.pose.position, self.coupling.move(state.pose, state.change)
+        damping = None
+        if self.rayleigh_stiffness_s > 0:
+            damping = self._elastic(state.pose, TANGENT).blocks
+        free_flight = before + dt * state.velocity
+        static = self._potential(load, gravity_m_s2)
+        inertia = self.nodal_mass[:, None] / dt**2
+        drag = self.nodal_mass[:, None] * self.rayleigh_mass_per_s / dt
+        rate = self.rayleigh_stiffness_s / dt
+
+        def objective(pose: Pose, order: int) -> Value:
+            energy, gradient, blocks = static(pose, order)
+            ahead, moved = pose.position - free_flight, pose.position - before
+            push = inertia * ahead + drag * moved
+            energy += 0.5 * float((inertia * ahead * ahead).sum() + (drag * moved * moved).sum())
+            if damping is not None:
+                viscous = rate * multiply_blocks(damping, self.pairs.first, self.pairs.second, moved)
+                push += viscous
+                energy += 0.5 * float((viscous * moved).sum())
+            if blocks is not None:
+                if damping is not None:
+                    blocks += rate * damping
+                blocks[self.pairs.diagonal[:, None], range(3), range(3)] += inertia + drag
+            return Value(energy, gradient + push, blocks)
+
+        ready, self._stepping = self._stepping == dt, dt
+        first = min(extrapolated, state.pose, key=lambda pose: objective(pose, ENERGY).energy)
+        solve = minimise(objective, first, self.coupling, self._solver, self.newton, ready)
+        velocity = (solve.pose.position - before) / dt
+        return Step(State(solve.pose, velocity, self.coupling.difference(state.pose, solve.pose)), solve)
+
+    # energies
+
+    def _couple(self) -> Coupling:
+        q = self.quadratic
+        bodies = rigid_bodies(q.region)
+        centres = [q.points[q.region == number].mean(axis=0) for number in bodies]
+        centres[0] = q.plate_centroid()  # so that a force on the tip makes no moment
+        return Coupling(q.points, q.region, bodies, np.array(centres), self.pairs)
+
+    def _elastic(self, pose: Pose, order: int) -> Value:
+        """Return the elastic energy with as many derivatives as ``order`` asks."""
+        gradient = np.zeros_like(pose.position)
+        blocks = np.zeros((len(self.pairs.first) if order >= TANGENT else 1, 3, 3))
+        energy = assemble_elastic(
+            type(self._material).kernel, self._parameters, pose.position, self._elements, self._gradients,
+            self._weights, order, self.pairs.element_slots, gradient, blocks,
+        )
+        return Value(energy, gradient, blocks if order >= TANGENT else None)
+
+    def _potential(self, load: np.ndarray, gravity_m_s2: np.ndarray | None = None) -> Objective:
+        """Return W(x) - p.V(x) - F.tip - m g.x as a function of the pose."""
+        q = self.quadratic
+        pressure = np.ascontiguousarray(load[: self.chambers], dtype=float)
+        force = np.asarray(load[self.chambers :], dtype=float)
+        gravity = self.gravity_m_s2 if gravity_m_s2 is None else gravity_m_s2
+        weight = self.nodal_mass[:, None] * gravity
+        spread = self._tip_share
+        surface = (q.cavity_triangles, q.cavity_of_triangle, USED_TRIPLES, WEIGHTS)
+
+        def objective(pose: Pose, order: int) -> Value:
+            energy, gradient, blocks = self._elastic(pose, order)
+            energy -= float(pressure @ self.volumes(pose) + force @ pose.centre[0] + (weight * pose.position).sum())
+            if order >= STRESS:
+                push = np.zeros_like(gradient)
+                add_volume_gradient(pose.position, *surface, pressure, push)
+                gradient -= push + weight + spread * force
+            if blocks is not None:
+                add_volume_stiffness(pose.position, *surface, pressure, self.pairs.triangle_slots, blocks)
+            return Value(energy, gradient, blocks)
+
+        return objective

@@ -1,0 +1,146 @@
+"""Minimisation of an energy over poses: Newton with line search, shifted Hessian and reuse of the factors."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from softrl.core.errors import ConfigError
+from softrl.fem.coupling import Coupling, Pose
+from softrl.fem.material import STRESS, TANGENT
+from softrl.fem.solver import LinearSolver
+
+SUFFICIENT_DECREASE = 1e-4  # Armijo's constant
+ROUND_OFF = 1e-10  # share of the energy below which a difference is noise
+SHORTEST_STEP = 1e-6
+FIRST_SHIFT, LARGEST_SHIFT = 1e-5, 1e2  # share of the Hessian's diagonal
+
+
+@dataclass(frozen=True)
+class NewtonSettings:
+    """When a Newton iteration ends, and when it keeps its factors.
+
+    Attributes
+    ----------
+    tolerance_m : ends once a full step moves no node by more
+    max_iterations : then the solve counts as not converged
+    reuse_below : the factors are kept as long as each step is shorter than this share of the one before; 0 never
+    """
+
+    tolerance_m: float
+    max_iterations: int
+    reuse_below: float
+
+    def __post_init__(self) -> None:
+        if not self.tolerance_m > 0:
+            raise ConfigError(f"newton.tolerance_m={self.tolerance_m:g} must be positive")
+        if self.max_iterations < 1:
+            raise ConfigError(f"newton.max_iterations={self.max_iterations} must be at least 1")
+        if not 0.0 <= self.reuse_below < 1.0:
+            raise ConfigError(f"newton.reuse_below={self.reuse_below:g} is outside [0, 1)")
+
+
+class Solve(NamedTuple):
+    """The outcome of a minimisation: failure is a value here.
+
+    Attributes
+    ----------
+    pose : the last pose
+    converged : whether the last step was below the tolerance
+    iterations, factorisations : counts
+    residual_n : largest nodal force out of balance, N
+    steps_m : largest nodal shift of each iteration, m
+    """
+
+    pose: Pose
+    converged: bool
+    iterations: int
+    factorisations: int
+    residual_n: float
+    steps_m: tuple[float, ...]
+
+
+class Value(NamedTuple):
+    """An objective at a pose: energy in J, nodal gradient (nodes, 3) N, node-pair Hessian blocks or None."""
+
+    energy: float
+    gradient: np.ndarray
+    blocks: np.ndarray | None
+
+
+Objective = Callable[[Pose, int], Value]
+
+
+def minimise(
+    objective: Objective, start: Pose, coupling: Coupling, solver: LinearSolver, settings: NewtonSettings,
+    factors_ready: bool = False,
+) -> Solve:
+    """Return the pose near ``start`` at which ``objective`` has no gradient.
+
+    ``factors_ready`` says that ``solver`` holds the factors of a similar Hessian, to begin with.
+    """
+    shifts = 3 * len(coupling.free)
+    pose, value = start, objective(start, STRESS)
+    steps: list[float] = []
+    factorisations, fresh, reusable = 0, False, factors_ready
+    previous = np.inf
+    residual = coupling.reduce(value.gradient, pose)
+    while len(steps) < settings.max_iterations:
+        step = -solver.solve(residual) if reusable else None
+        if step is None or np.abs(step[:shifts]).max() > settings.reuse_below * previous:
+            positive = factorise(objective(pose, TANGENT), pose, coupling, solver)
+            step, factorisations, fresh = -solver.solve(residual), factorisations + 1, True
+            reusable = positive and settings.reuse_below > 0
+        else:
+            fresh = False
+        length = float(np.abs(step[:shifts]).max())
+        share, pose, value = _search(objective, coupling, pose, value, step, float(residual @ step))
+        residual = coupling.reduce(value.gradient, pose)
+        steps.append(length)
+        if share == 1.0 and length < settings.tolerance_m:
+            return Solve(pose, True, len(steps), factorisations, _largest(residual, shifts), tuple(steps))
+        if share == 0.0 and fresh:
+            break
+        reusable = reusable and share == 1.0
+        previous = length if length > 0 else np.inf
+    return Solve(pose, False, len(steps), factorisations, _largest(residual, shifts), tuple(steps))
+
+
+def factorise(value: Value, pose: Pose, coupling: Coupling, solver: LinearSolver) -> bool:
+    """Factorise the Hessian, shifted until it is positive; return whether it was so without a shift."""
+    assert value.blocks is not None
+    matrix = coupling.stiffness(value.blocks, value.gradient, pose)
+    if solver.factorise(matrix):
+        return True
+    diagonal = np.abs(matrix.data[coupling.diagonal])
+    diagonal = np.maximum(diagonal, 1e-6 * diagonal.max())
+    plain, shift = matrix.data[coupling.diagonal].copy(), FIRST_SHIFT
+    while shift <= LARGEST_SHIFT:
+        matrix.data[coupling.diagonal] = plain + shift * diagonal
+        if solver.factorise(matrix):
+            return False
+        shift *= 10.0
+    matrix.data[:] = 0.0  # steepest descent, scaled: always possible
+    matrix.data[coupling.diagonal] = diagonal
+    solver.factorise(matrix)
+    return False
+
+
+def _search(
+    objective: Objective, coupling: Coupling, pose: Pose, value: Value, step: np.ndarray, slope: float
+) -> tuple[float, Pose, Value]:
+    """Return (share, pose, value) of the longest halved step that lowers the energy enough; share 0 if none."""
+    share = 1.0
+    noise = ROUND_OFF * abs(value.energy)
+    while share >= SHORTEST_STEP:
+        trial = coupling.move(pose, share * step)
+        found = objective(trial, STRESS)
+        if found.energy <= value.energy + SUFFICIENT_DECREASE * share * slope + noise:
+            return share, trial, found
+        share *= 0.5
+    return 0.0, pose, value
+
+
+def _largest(residual: np.ndarray, shifts: int) -> float:
+    return float(np.abs(residual[:shifts]).max(initial=0.0))

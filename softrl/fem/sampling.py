@@ -1,0 +1,76 @@
+"""Which loads to compute: low-discrepancy equilibria in the order of a path, and step programs for trajectories."""
+
+import numpy as np
+from scipy.stats import qmc
+
+from softrl.robots.robot import Robot
+
+
+def sobol_loads(robot: Robot, samples: int, faces_share: float, seed: int) -> np.ndarray:
+    """Return loads (samples, chambers + 3), Pa and N, that fill the robot's pressures and tip forces.
+
+    Pressures fill the box of the robot's limits, the force fills the ball of radius ``tip_force_max_n``. A share of
+    the samples has one pressure moved to a limit, so that a model fitted to them need not extrapolate there.
+    """
+    rng = np.random.default_rng(seed)
+    sobol = qmc.Sobol(robot.chambers + 3, rng=rng)
+    unit = sobol.random_base2(int(np.ceil(np.log2(samples))))[:samples]
+    pressure = robot.pressure_min_pa + (robot.pressure_max_pa - robot.pressure_min_pa) * unit[:, : robot.chambers]
+    for row in range(round(faces_share * samples)):
+        pressure[row, rng.integers(robot.chambers)] = rng.choice([robot.pressure_min_pa, robot.pressure_max_pa])
+    height, turn, radius = 2.0 * unit[:, -3] - 1.0, 2.0 * np.pi * unit[:, -2], unit[:, -1] ** (1.0 / 3.0)
+    flat = np.sqrt(1.0 - height**2)
+    force = radius[:, None] * np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
+    return np.hstack([pressure, robot.tip_force_max_n * force])
+
+
+def load_scale(robot: Robot) -> np.ndarray:
+    """Return the scale (chambers + 3,) of a load: half the pressure range, and the largest tip force."""
+    half = 0.5 * (robot.pressure_max_pa - robot.pressure_min_pa)
+    return np.r_[np.full(robot.chambers, half), np.full(3, max(robot.tip_force_max_n, 1e-3))]
+
+
+def paths(loads: np.ndarray, scale: np.ndarray, count: int) -> list[np.ndarray]:
+    """Return ``count`` lists of row numbers: neighbours together, each a nearest-neighbour path from zero load.
+
+    Every row is in one list; the lists depend on ``loads`` alone, not on how many processes work them off.
+    """
+    scaled = loads / scale
+    groups = [np.arange(len(loads))]
+    while len(groups) < count:  # halve the largest group along its widest direction
+        largest = max(range(len(groups)), key=lambda g: len(groups[g]))
+        rows = groups.pop(largest)
+        widest = int(np.argmax(np.ptp(scaled[rows], axis=0)))
+        ordered = rows[np.argsort(scaled[rows, widest], kind="stable")]
+        groups += [ordered[: len(rows) // 2], ordered[len(rows) // 2 :]]
+    return [_nearest_path(rows, scaled) for rows in groups if len(rows)]
+
+
+def _nearest_path(rows: np.ndarray, scaled: np.ndarray) -> np.ndarray:
+    remaining, here, path = list(rows), np.zeros(scaled.shape[1]), []
+    while remaining:
+        nearest = int(np.argmin(((scaled[remaining] - here) ** 2).sum(axis=1)))
+        path.append(remaining.pop(nearest))
+        here = scaled[path[-1]]
+    return np.array(path)
+
+
+def step_program(robot: Robot, time: np.ndarray, hold_s: float, rng: np.random.Generator) -> np.ndarray:
+    """Return loads (steps, chambers + 3), Pa and N: random pressures and tip forces, each held ``hold_s``.
+
+    Pressures move to the next level at the robot's slew rate; the force jumps, and is zero in every second hold.
+    """
+    dt = float(time[1] - time[0])
+    index = np.minimum((time - time[0] + 1e-9) // hold_s, len(time)).astype(int)
+    holds = int(index.max()) + 1
+    level = rng.uniform(robot.pressure_min_pa, robot.pressure_max_pa, (holds, robot.chambers))
+    direction = rng.standard_normal((holds, 3))
+    force = robot.tip_force_max_n * rng.random((holds, 1)) * direction / np.linalg.norm(direction, axis=1)[:, None]
+    force[::2] = 0.0
+    load = np.zeros((len(time), robot.chambers + 3))
+    pressure = np.zeros(robot.chambers)
+    for step, hold in enumerate(index):
+        reach = robot.slew_pa_per_s * dt
+        pressure = pressure + np.clip(level[hold] - pressure, -reach, reach)
+        load[step] = np.r_[pressure, force[hold]]
+    return load

@@ -1,0 +1,244 @@
+"""fem: equilibria and motions of the full finite-element model, as snapshots for a reduced one."""
+
+import logging
+import time
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from joblib import Parallel, delayed, parallel_config
+
+from softrl.artifacts.mesh import Mesh
+from softrl.artifacts.snapshots import Snapshots
+from softrl.core.errors import ConfigError, SolverError
+from softrl.core.progress import progress
+from softrl.core.tracking import Tracker
+from softrl.fem.continuation import Cost, Equilibrium, follow
+from softrl.fem.figures import draw_newton, draw_shapes, draw_tips, draw_trajectories
+from softrl.fem.material import Material, material_of
+from softrl.fem.model import FemModel
+from softrl.fem.newton import NewtonSettings
+from softrl.fem.sampling import load_scale, paths, sobol_loads, step_program
+from softrl.fem.trajectory import Trajectory, roll_out
+from softrl.robots.robot import Robot
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Config:
+    """Static and dynamic sampling of the full model, without gravity, round the stress-free mesh."""
+
+    law: str  # stable_neo_hookean, yeoh, mooney_rivlin or st_venant_kirchhoff
+    moduli_pa: tuple[float, ...]  # Young's modulus; yeoh: c1, c2, c3; mooney_rivlin: c10, c01
+    poisson: float
+    equilibria: int  # Sobol samples of the loads
+    faces_share: float  # share of them with one pressure at its limit
+    load_step: float  # longest load step, in units of (half the pressure range, largest tip force)
+    paths: int  # warm-started chains of samples; more are better balanced, each begins at rest
+    trajectories: int
+    duration_s: float  # of each trajectory
+    hold_s: float  # of each level in it
+    dt_s: float
+    rayleigh_mass_per_s: float
+    rayleigh_stiffness_s: float
+    tolerance_m: float  # Newton ends below this nodal step
+    max_iterations: int
+    reuse_below: float  # keep the factors while steps shrink faster than this
+    max_failed_share: float  # more samples without an equilibrium are an error
+    processes: int
+    seed: int
+
+    def __post_init__(self) -> None:
+        least = {"equilibria": 1, "paths": 1, "trajectories": 0, "processes": 1}
+        for key, low in least.items():
+            if getattr(self, key) < low:
+                raise ConfigError(f"stage.{key}={getattr(self, key)} must be at least {low}")
+        for key in ("load_step", "duration_s", "hold_s", "dt_s"):
+            if not getattr(self, key) > 0:
+                raise ConfigError(f"stage.{key}={getattr(self, key):g} must be positive")
+        for key in ("faces_share", "max_failed_share"):
+            if not 0 <= getattr(self, key) <= 1:
+                raise ConfigError(f"stage.{key}={getattr(self, key):g} is outside 0..1")
+        for key in ("rayleigh_mass_per_s", "rayleigh_stiffness_s"):
+            if getattr(self, key) < 0:
+                raise ConfigError(f"stage.{key}={getattr(self, key):g} must not be negative")
+
+
+class Body(NamedTuple):
+    """What a worker needs to build the model."""
+
+    config: Config
+    robot: Robot
+    mesh: Mesh
+    material: Material
+
+
+def run(config: Config, robot: Robot, mesh: Mesh, *, tracker: Tracker) -> Snapshots:
+    """Return equilibria over the robot's loads, with tangents, and trajectories of the full model.
+
+    Notes
+    -----
+    Gravity is left out: the mesh is the stress-free shape, and a reduced model adds gravity through the map of the
+    centre of mass. Loads whose equilibrium is not found are counted in ``failed`` and left out.
+    """
+    body = Body(config, robot, mesh, material_of(config.law, config.moduli_pa, config.poisson))
+    loads = sobol_loads(robot, config.equilibria, config.faces_share, config.seed)
+    chains = paths(loads, load_scale(robot), config.paths)
+    clock = np.arange(1, round(config.duration_s / config.dt_s) + 1) * config.dt_s
+    programs = [
+        step_program(robot, clock, config.hold_s, rng)
+        for rng in np.random.default_rng(config.seed).spawn(config.trajectories)
+    ]
+    began = time.monotonic()
+    samples, trajectories = _compute(body, loads, chains, programs)
+    log.info("%d equilibria and %d trajectories in %.0f s", len(samples), len(trajectories), time.monotonic() - began)
+    _refuse_failures(len(loads) - len(samples), config)
+    snapshots = _collect(body, loads, samples, clock, trajectories)
+    _report(snapshots, samples, config.trajectories, tracker)
+    tracker.figure("deformed_shapes", draw_shapes(mesh, snapshots))
+    tracker.figure("sampled_tips", draw_tips(snapshots))
+    tracker.figure("newton_convergence", draw_newton([cost.steps_m for _, _, cost in samples], config.tolerance_m))
+    tracker.figure("trajectories", draw_trajectories(snapshots))
+    return snapshots
+
+
+def build_model(body: Body) -> FemModel:
+    """Return the model that ``body`` describes; its density gives the robot its mass."""
+    config = body.config
+    newton = NewtonSettings(config.tolerance_m, config.max_iterations, config.reuse_below)
+    return FemModel(
+        body.mesh, body.material, body.robot.mass_kg / body.mesh.volume(), config.rayleigh_mass_per_s,
+        config.rayleigh_stiffness_s, newton,
+    )
+
+
+class Row(NamedTuple):
+    """One equilibrium as ``Snapshots`` keeps it; see there for shapes and units."""
+
+    coordinate: np.ndarray
+    energy: float
+    compliance: np.ndarray
+    tangent_stiffness: np.ndarray
+    tangent_mass: np.ndarray
+    centre_of_mass: np.ndarray
+    tip_quaternion: np.ndarray
+    displacement: np.ndarray
+
+
+Found = tuple[int, Row, Cost]
+
+
+def _compute(
+    body: Body, loads: np.ndarray, chains: list[np.ndarray], programs: list[np.ndarray]
+) -> tuple[list[Found], list[Trajectory]]:
+    """Work off all chains and programs in parallel processes; the result does not depend on how many."""
+    tasks = [delayed(_trace)(body, loads, chain) for chain in chains]
+    tasks += [delayed(_move)(body, program) for program in programs]
+    samples: list[Found] = []
+    trajectories: list[Trajectory] = []
+    with parallel_config(backend="loky", inner_max_num_threads=1):
+        results = Parallel(n_jobs=body.config.processes, return_as="generator")(tasks)
+        for result in progress(results, "FEM: chains of equilibria, then trajectories", total=len(tasks)):
+            if isinstance(result, list):
+                samples += result
+            elif result is not None:
+                trajectories.append(result)
+    return sorted(samples, key=lambda found: found[0]), trajectories
+
+
+def _trace(body: Body, loads: np.ndarray, chain: np.ndarray) -> list[Found]:
+    """Return the equilibria of the rows in ``chain`` that are found."""
+    model = build_model(body)
+    found = follow(model, loads[chain], load_scale(body.robot), body.config.load_step)
+    return [
+        (int(number), _row(model, equilibrium), equilibrium.cost)
+        for number, equilibrium in zip(chain, found, strict=True)
+        if equilibrium is not None
+    ]
+
+
+def _row(model: FemModel, equilibrium: Equilibrium) -> Row:
+    pose, tangent = equilibrium.pose, equilibrium.tangent
+    corners = model.quadratic.corners
+    return Row(
+        coordinate=model.coordinate(pose),
+        energy=model.elastic_energy(pose),
+        compliance=0.5 * (tangent.compliance + tangent.compliance.T),
+        tangent_stiffness=tangent.stiffness,
+        tangent_mass=tangent.mass,
+        centre_of_mass=model.centre_of_mass(pose),
+        tip_quaternion=model.tip_quaternion(pose),
+        displacement=(pose.position - model.quadratic.points)[:corners].astype(np.float32),
+    )
+
+
+def _move(body: Body, program: np.ndarray) -> Trajectory | None:
+    """Return the motion under ``program``, or None, with a warning, where a step does not converge."""
+    try:
+        return roll_out(build_model(body), program, body.config.dt_s)
+    except SolverError as failure:
+        log.warning("a trajectory is left out: %s", failure)
+        return None
+
+
+def _refuse_failures(failed: int, config: Config) -> None:
+    if failed > config.max_failed_share * config.equilibria:
+        raise SolverError(
+            f"{failed} of {config.equilibria} loads found no equilibrium, more than stage.max_failed_share="
+            f"{config.max_failed_share:g}; use a smaller stage.load_step, or check mesh and material"
+        )
+
+
+def _collect(
+    body: Body, loads: np.ndarray, samples: list[Found], clock: np.ndarray, trajectories: list[Trajectory]
+) -> Snapshots:
+    """Return the artifact; rows keep the order of ``loads``."""
+    config, model = body.config, build_model(body)
+    width = loads.shape[1]
+    columns = {name: np.array([getattr(row, name) for _, row, _ in samples]) for name in Row._fields}
+    empty = np.zeros((0, len(clock), width))
+    return Snapshots(
+        loads=loads[[number for number, _, _ in samples]],
+        **columns,
+        nodal_mass=corner_mass(model),
+        trajectory_time=clock,
+        trajectory_load=np.array([t.load for t in trajectories]) if trajectories else empty,
+        trajectory_coordinate=np.array([t.coordinate for t in trajectories]) if trajectories else empty,
+        trajectory_quaternion=(
+            np.array([t.quaternion for t in trajectories]) if trajectories else np.zeros((0, len(clock), 4))
+        ),
+        rest_tip=model.rest_tip,
+        rest_volume=model.rest_volume,
+        mass=float(model.nodal_mass.sum()),
+        youngs_modulus_pa=body.material.youngs_modulus_pa,
+        poisson=body.material.poisson,
+        density_kg_m3=body.robot.mass_kg / body.mesh.volume(),
+        rayleigh_mass_per_s=config.rayleigh_mass_per_s,
+        rayleigh_stiffness_s=config.rayleigh_stiffness_s,
+        failed=len(loads) - len(samples),
+        robot_name=body.mesh.robot_name,
+    )
+
+
+def corner_mass(model: FemModel) -> np.ndarray:
+    """Return the mass (corners,) kg of the corner nodes once each mid-edge node has given half to either end."""
+    quadratic = model.quadratic
+    mass = model.nodal_mass[: quadratic.corners].copy()
+    np.add.at(mass, quadratic.edge_ends, 0.5 * model.nodal_mass[quadratic.corners :, None])
+    return mass
+
+
+def _report(
+    snapshots: Snapshots, samples: list[Found], trajectories: int, tracker: Tracker
+) -> None:
+    tip = snapshots.coordinate[:, -3:]
+    tracker.metric("equilibria", len(samples))
+    tracker.metric("failed", snapshots.failed)
+    tracker.metric("trajectories_failed", trajectories - len(snapshots.trajectory_load))
+    tracker.metric("newton_iterations_mean", float(np.mean([cost.iterations for _, _, cost in samples])))
+    tracker.metric("factorisations_mean", float(np.mean([cost.factorisations for _, _, cost in samples])))
+    tracker.metric("seconds_per_equilibrium_s", float(np.mean([cost.seconds for _, _, cost in samples])))
+    for axis, extent in zip("xyz", np.ptp(tip, axis=0), strict=True):
+        tracker.metric(f"tip_range_{axis}_mm", 1e3 * float(extent))
+    tracker.metric("tip_range_mm", 1e3 * float(np.linalg.norm(tip, axis=1).max()))

@@ -1,0 +1,105 @@
+"""Cavities of a solid: shells of its boundary that enclose negative volume, one for each chamber."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from softrl.core.errors import MeshError
+from softrl.mesh.surface import Surface, check_closed, enclosed_volume, label_shells
+from softrl.mesh.tetrahedra import Tetrahedra
+from softrl.robots.robot import Robot
+
+CM3 = 1e6
+
+
+class Cavities(NamedTuple):
+    """``triangles`` (triangles, 3), normals into the cavity, and their ``chamber`` (triangles,) from 0."""
+
+    triangles: np.ndarray
+    chamber: np.ndarray
+
+
+def find_cavities(solid: Tetrahedra, robot: Robot, name: str) -> Cavities:
+    """Return the cavities of ``solid`` in the order of the robot's chambers.
+
+    Parameters
+    ----------
+    name : the mesh's name in error messages
+
+    Raises
+    ------
+    MeshError
+        If the cavities are filled, too few or too many, open, touch each other or the outside, or lie at
+        other angles than the robot's chambers.
+    """
+    boundary = solid.boundary()
+    check_closed(boundary, solid.points, f"the boundary of {name}")
+    return cavities_of(Surface(solid.points, boundary), robot, name)
+
+
+def cavities_of(boundary: Surface, robot: Robot, name: str) -> Cavities:
+    """Return the cavities among the shells of a closed ``boundary``; raises like ``find_cavities``."""
+    shells = split_shells(boundary.triangles)
+    volume = np.array([enclosed_volume(boundary.points, shell) for shell in shells])
+    _check_touch(boundary.points, shells)
+    _check_numbers(volume, robot, name)
+    cavities = [shell for shell, v in zip(shells, volume, strict=True) if v < 0]
+    order = match_chambers(np.array([boundary.points[np.unique(c)].mean(axis=0) for c in cavities]), robot, name)
+    ordered = [cavities[i] for i in order]
+    chamber = np.repeat(np.arange(len(ordered)), [len(c) for c in ordered])
+    return Cavities(np.concatenate(ordered), chamber)
+
+
+def split_shells(triangles: np.ndarray) -> list[np.ndarray]:
+    """Return the triangles of each connected shell."""
+    label = label_shells(triangles)
+    return [triangles[label == k] for k in range(label.max() + 1)]
+
+
+def _check_touch(points: np.ndarray, shells: list[np.ndarray]) -> None:
+    seen = np.concatenate([np.unique(shell) for shell in shells])
+    node, uses = np.unique(seen, return_counts=True)
+    if (uses > 1).any():
+        at = 1e3 * points[node[uses > 1][0]]
+        raise MeshError(
+            f"a cavity touches the outside or another cavity in {int((uses > 1).sum())} nodes, e.g. at "
+            f"({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm; expected a wall around every cavity: refine the mesh there"
+        )
+
+
+def _check_numbers(volume: np.ndarray, robot: Robot, name: str) -> None:
+    solids, cavities = volume[volume > 0], -volume[volume < 0]
+    if len(solids) != 1:
+        parts = ", ".join(f"{CM3 * v:.1f}" for v in solids)
+        raise MeshError(f"{name} falls into {len(solids)} separate solids ({parts} cm3); expected one connected body")
+    if not len(cavities):
+        raise MeshError(
+            f"{name} has no cavity: its boundary is one outer surface that encloses {CM3 * solids[0]:.1f} cm3, so the "
+            f"{robot.chambers} chambers are filled with material (or open to the outside); give the watertight surface "
+            "with its cavities instead (stage.source=<file>.stl), or the cavities' surfaces in stage.cavity_surfaces"
+        )
+    if len(cavities) != robot.chambers:
+        found = ", ".join(f"{CM3 * v:.2f}" for v in cavities)
+        raise MeshError(
+            f"{name} has {len(cavities)} cavities ({found} cm3), but robot {robot.name} has {robot.chambers} chambers; "
+            "a chamber that is open to the outside is no cavity: close it, or fill what is no chamber"
+        )
+
+
+def match_chambers(centre: np.ndarray, robot: Robot, name: str) -> list[int]:
+    """Return for each chamber the number of the cavity whose ``centre`` (cavities, 3) m lies at its angle."""
+    if robot.chambers == 1:
+        return [0]
+    angle = np.rad2deg(np.arctan2(centre[:, 1], centre[:, 0]))
+    wanted = np.array(robot.chamber_angle_deg)
+    apart = np.abs((angle[None, :] - wanted[:, None] + 180.0) % 360.0 - 180.0)  # (chambers, cavities)
+    nearest = apart.argmin(axis=1)
+    # half of what separates two chambers, with a margin: nearer to its own chamber than to any other
+    allowed = 0.4 * 360.0 / robot.chambers
+    if len(set(nearest.tolist())) < robot.chambers or apart.min(axis=1).max() > allowed:
+        found = ", ".join(f"{a:.0f}" for a in angle)
+        raise MeshError(
+            f"{name} has its cavities at {found} deg around z, but robot {robot.name} has its chambers at "
+            f"{', '.join(f'{a:g}' for a in wanted)} deg; turn the mesh, or set robot.chamber_angle_deg"
+        )
+    return [int(i) for i in nearest]

@@ -1,0 +1,118 @@
+"""The volume mesh of a robot: the tripod by parameters, its sample, or a user's own mesh or surface."""
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from softrl.artifacts.mesh import Mesh
+from softrl.core.errors import ConfigError
+from softrl.core.tracking import Tracker
+from softrl.mesh.cavity import Cavities, cavities_of, find_cavities
+from softrl.mesh.figures import draw_cuts, draw_quality
+from softrl.mesh.geometry import TripodGeometry, build_tripod
+from softrl.mesh.quality import check_elements, smallest_dihedral
+from softrl.mesh.reader import join_surfaces, read_mesh, read_surface
+from softrl.mesh.region import Regions, layer_of_elements, tag_nodes
+from softrl.mesh.sample import read_sample
+from softrl.mesh.surface import Surface
+from softrl.mesh.tetrahedra import Tetrahedra, TetrahedraSettings, tetrahedralize
+from softrl.robots.robot import Robot
+
+log = logging.getLogger(__name__)
+SAMPLE, GENERATE = "sample", "generate"
+
+
+@dataclass(frozen=True)
+class Config:
+    """Where the mesh comes from, how fine it is and where its rigid parts are.
+
+    Attributes
+    ----------
+    source : ``sample`` (the committed coarse tripod), ``generate`` (the tripod by ``geometry``), or the path of
+        a volume mesh or closed surface in a format of meshio
+    unit_m : length in m of one unit in the files of ``source`` and ``cavity_surfaces``
+    cavity_surfaces : files with the surfaces of single cavities, if ``source`` shows the outside only
+    min_dihedral_deg : a mesh with a flatter element is refused
+    tetrahedra : edge length and envelope, where a surface is to be meshed
+    geometry : measures of the tripod
+    regions : where base, plate and ribs are
+    """
+
+    source: str
+    unit_m: float
+    cavity_surfaces: tuple[str, ...]
+    min_dihedral_deg: float
+    tetrahedra: TetrahedraSettings
+    geometry: TripodGeometry
+    regions: Regions
+
+    def __post_init__(self) -> None:
+        if self.unit_m <= 0:
+            raise ConfigError(f"stage.unit_m={self.unit_m:g} must be positive: 0.001 for a file in mm")
+        if not 0.0 <= self.min_dihedral_deg < 70.0:
+            raise ConfigError(
+                f"stage.min_dihedral_deg={self.min_dihedral_deg:g}; expected 0 to 70 (a regular tetrahedron has 70.5)"
+            )
+        if self.cavity_surfaces and self.source in (SAMPLE, GENERATE):
+            raise ConfigError(f"stage.cavity_surfaces is given, but stage.source={self.source} brings its own cavities")
+
+
+def run(config: Config, robot: Robot, *, tracker: Tracker) -> Mesh:
+    """Return the robot's mesh with its regions and cavities, checked; log sizes, volumes and quality."""
+    name = config.source if config.source in (SAMPLE, GENERATE) else Path(config.source).name
+    solid = _solid(config, robot)
+    cavities = find_cavities(solid, robot, name)
+    check_elements(solid, config.min_dihedral_deg, name)
+    mesh = _assemble(config, robot, solid, cavities, name)
+    mesh.validate()
+    _report(mesh, solid, config, robot, tracker)
+    return mesh
+
+
+def _solid(config: Config, robot: Robot) -> Tetrahedra:
+    if config.source == SAMPLE:
+        return read_sample(config.geometry)
+    if config.source == GENERATE:
+        return tetrahedralize(build_tripod(config.geometry, robot), config.tetrahedra)
+    body = read_mesh(Path(config.source), config.unit_m, robot)
+    if config.cavity_surfaces:
+        outside = Surface(body.points, body.boundary()) if isinstance(body, Tetrahedra) else body
+        body = join_surfaces(outside, [read_surface(Path(path), config.unit_m) for path in config.cavity_surfaces])
+    if isinstance(body, Tetrahedra):
+        return body
+    cavities_of(body, robot, Path(config.source).name)  # a wrong surface is refused before minutes of meshing
+    return tetrahedralize(body, config.tetrahedra)
+
+
+def _assemble(config: Config, robot: Robot, solid: Tetrahedra, cavities: Cavities, name: str) -> Mesh:
+    return Mesh(
+        points=solid.points,
+        tetrahedra=solid.corners,
+        node_region=tag_nodes(solid.points, config.regions, name),
+        element_layer=layer_of_elements(solid.points, solid.corners, config.regions),
+        cavity_triangles=cavities.triangles,
+        cavity_of_triangle=cavities.chamber,
+        robot_name=robot.name,
+    )
+
+
+def _report(mesh: Mesh, solid: Tetrahedra, config: Config, robot: Robot, tracker: Tracker) -> None:
+    angle = smallest_dihedral(solid)
+    tracker.metric("nodes_count", len(mesh.points))
+    tracker.metric("tetrahedra_count", len(mesh.tetrahedra))
+    tracker.metric("volume_cm3", 1e6 * mesh.volume())
+    tracker.metric("min_dihedral_deg", angle.min())
+    tracker.metric("median_dihedral_deg", float(np.median(angle)))
+    volumes = [1e6 * mesh.cavity_volume(chamber) for chamber in range(mesh.chambers)]
+    for chamber, volume in enumerate(volumes):
+        tracker.metric(f"cavity_{chamber + 1}_volume_cm3", volume)
+    rib = config.regions.rib_from_m
+    height = 0.5 * (rib[0] + config.regions.rib_to_m[0]) if rib else 0.5 * robot.length_m
+    tracker.figure("cuts", draw_cuts(mesh, robot.chamber_angle_deg[0], height))
+    tracker.figure("quality", draw_quality(angle, config.min_dihedral_deg))
+    log.info(
+        "%d nodes, %d tetrahedra, %.1f cm3 of solid, cavities of %s cm3, smallest dihedral angle %.1f deg",
+        len(mesh.points), len(mesh.tetrahedra), 1e6 * mesh.volume(), ", ".join(f"{v:.1f}" for v in volumes), angle.min(),
+    )  # fmt: skip

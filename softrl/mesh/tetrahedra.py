@@ -1,0 +1,101 @@
+"""From a closed surface to tetrahedra of the solid, and from tetrahedra back to their boundary."""
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+import pytetwild
+
+from softrl.artifacts.mesh import tetrahedron_volumes
+from softrl.core.errors import ConfigError, MeshError
+from softrl.mesh.surface import Surface
+
+log = logging.getLogger(__name__)
+FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))  # corners of a tetrahedron's faces, normals outward
+MM = 1e3
+
+
+@dataclass(frozen=True)
+class TetrahedraSettings:
+    """What fTetWild aims at.
+
+    Attributes
+    ----------
+    edge_m : length of an edge where nothing asks for a shorter one
+    envelope_m : the result's surface stays this close to the given one
+    stop_energy : optimisation ends when the worst element's AMIPS energy is below this (a regular one has 3)
+    """
+
+    edge_m: float
+    envelope_m: float
+    stop_energy: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.envelope_m < self.edge_m:
+            raise ConfigError(
+                f"stage.tetrahedra.envelope_m={self.envelope_m:g}, edge_m={self.edge_m:g}; expected 0 < envelope < edge"
+            )
+        if self.stop_energy <= 3:
+            raise ConfigError(f"stage.tetrahedra.stop_energy={self.stop_energy:g}; expected above 3, a regular element's")
+
+
+@dataclass(frozen=True)
+class Tetrahedra:
+    """Linear tetrahedra of the solid: ``points`` (nodes, 3) m, ``corners`` (elements, 4) node numbers."""
+
+    points: np.ndarray
+    corners: np.ndarray
+
+    def volume(self) -> float:
+        """Return the volume of the solid in m^3."""
+        return float(tetrahedron_volumes(self.points, self.corners).sum())
+
+    def boundary(self) -> np.ndarray:
+        """Return the triangles (triangles, 3) that belong to one tetrahedron only, normals out of the solid."""
+        faces = np.concatenate([self.corners[:, list(face)] for face in FACES])
+        _, first, uses = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+        if (uses > 2).any():
+            raise MeshError(f"{int((uses > 2).sum())} faces belong to three or more tetrahedra: elements are repeated; remove the copies")
+        return faces[first[uses == 1]]
+
+
+def tetrahedralize(surface: Surface, settings: TetrahedraSettings) -> Tetrahedra:
+    """Return the tetrahedra of the solid that ``surface`` bounds; its cavities stay empty.
+
+    Notes
+    -----
+    fTetWild keeps what has winding number one: cavity shells must face inward (``surface.orient_shells``).
+    One thread, so that the same surface gives the same mesh.
+    """
+    diagonal = float(np.linalg.norm(np.ptp(surface.points, axis=0)))
+    points, corners = pytetwild.tetrahedralize(
+        MM * surface.points,
+        surface.triangles.astype(np.int32),
+        edge_length_abs=MM * settings.edge_m,
+        epsilon=settings.envelope_m / diagonal,
+        stop_energy=settings.stop_energy,
+        num_threads=1,
+    )
+    if not len(corners):
+        raise MeshError("fTetWild kept no tetrahedra: the surface encloses no volume; check that it is closed")
+    made = tidy(points / MM, corners)
+    error = made.volume() / surface.volume() - 1.0
+    log.info("fTetWild made %d nodes, %d tetrahedra, volume %+.1f %% off the surface's", len(made.points), len(made.corners), 100 * error)
+    if abs(error) > 0.1:
+        raise MeshError(
+            f"the tetrahedra fill {1e6 * made.volume():.1f} cm3 but the surface encloses {1e6 * surface.volume():.1f} cm3; "
+            "lower stage.tetrahedra.envelope_m (walls thinner than it are lost)"
+        )
+    return made
+
+
+def tidy(points: np.ndarray, corners: np.ndarray) -> Tetrahedra:
+    """Return the tetrahedra with unused points dropped, turned to positive volume if the file's order is the other.
+
+    Single inverted elements among others stay as they are: they are an error of the mesh, not a convention.
+    """
+    used, number = np.unique(corners, return_inverse=True)
+    corners, points = number.reshape(corners.shape).astype(np.int64), np.asarray(points, float)[used]
+    if np.median(tetrahedron_volumes(points, corners)) < 0:
+        corners = corners[:, [0, 2, 1, 3]]
+    return Tetrahedra(points, corners)

@@ -1,0 +1,237 @@
+"""Lumped body of constant curvature: needs no mesh, only a robot's few numbers."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numba as nb
+import numpy as np
+from numba.typed import List
+
+from softrl.core.errors import ConfigError, SolverError
+from softrl.core.simulator import Hook, Motion
+from softrl.effects.effect import PORT_KERNEL
+from softrl.pcc.kernel import run_kernel, tip_pose
+from softrl.robots.robot import Robot
+
+QUASI_STATIC_S = 1e12       # one implicit step of this length is an equilibrium
+_PORT = nb.types.FunctionType(PORT_KERNEL)
+
+
+class PccState(NamedTuple):
+    """Coordinates (m,) and velocity (m,) 1/s: bend towards +x, towards +y in rad, elongation; one bend if one chamber."""
+
+    coordinates: np.ndarray
+    velocity: np.ndarray
+
+
+@dataclass(frozen=True)
+class PccSimulator:
+    """One segment of constant curvature with linear stiffness, implemented as a Simulator.
+
+    Attributes
+    ----------
+    robot : chambers, geometry, mass, gravity; its axis must be +z
+    bend_at_full_pressure_rad : bend under ``robot.pressure_max_pa`` in one chamber at stiffness scale 1
+    elongation_at_full_pressure : elongation under ``robot.pressure_max_pa`` in all chambers at stiffness scale 1
+    bending_stiffness_scale, axial_stiffness_scale : of the stiffnesses that follow from the two numbers above
+    damping_s : damping over stiffness: the time constant with which a massless body settles
+    mass_scale : of ``robot.mass_kg``
+
+    Notes
+    -----
+    Constant-curvature kinematics as in the reviews of continuum robots (no equation number checked). A chamber at
+    direction ``d`` and radius ``r`` elongates by ``e = epsilon - (r / L) b.d``, and its pressure does the work
+    ``p A L de``, so that it bends the tip away from itself. Inertia is that of an evenly loaded, slightly bent backbone
+    (``m L^2 / 20`` in bending, ``m L^2 / 3`` along) and is held constant: centrifugal terms are left out. Gravity and
+    tip force act through the exact maps of centre of mass and tip. The length at rest already includes the axial weight.
+    A robot with one chamber bends in its plane and does not elongate.
+    """
+
+    robot: Robot
+    bend_at_full_pressure_rad: float
+    elongation_at_full_pressure: float
+    bending_stiffness_scale: float
+    axial_stiffness_scale: float
+    damping_s: float
+    mass_scale: float
+
+    def __post_init__(self) -> None:
+        if self.robot.axis != "+z":
+            raise ConfigError(f"robot.axis={self.robot.axis}: simulator pcc needs +z; turn chambers and gravity instead")
+        if self.robot.pressure_max_pa <= 0.0:
+            raise ConfigError(f"robot.pressure_max_pa={self.robot.pressure_max_pa:g} must be positive for simulator pcc")
+        for name in ("bend_at_full_pressure_rad", "elongation_at_full_pressure", *self._tunable):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
+                raise ConfigError(f"simulator.{name}={getattr(self, name):g} must be positive")
+
+    @property
+    def _tunable(self) -> tuple[str, ...]:
+        axial = () if self.robot.chambers == 1 else ("axial_stiffness_scale",)
+        return ("bending_stiffness_scale", *axial, "damping_s", "mass_scale")
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Tunable physical parameters; a single chamber has no axial stiffness."""
+        return {name: getattr(self, name) for name in self._tunable}
+
+    def with_parameters(self, **values: float) -> "PccSimulator":
+        """Return a copy with some tunable parameters replaced."""
+        unknown = set(values) - set(self._tunable)
+        if unknown:
+            raise ConfigError(f"simulator pcc has no parameter {', '.join(sorted(unknown))}; it has {', '.join(self._tunable)}")
+        return replace(self, **values)
+
+    @property
+    def stiffness(self) -> np.ndarray:
+        """(3,) J: of b_x, b_y (per rad^2) and elongation."""
+        r = self.robot
+        bending = r.pressure_max_pa * r.chamber_area_m2 * r.chamber_radius_m / self.bend_at_full_pressure_rad
+        axial = r.chambers * r.pressure_max_pa * r.chamber_area_m2 * r.length_m / self.elongation_at_full_pressure
+        return np.array([bending, bending, axial]) * [
+            self.bending_stiffness_scale, self.bending_stiffness_scale, self.axial_stiffness_scale
+        ]
+
+    @cached_property
+    def strain_map(self) -> np.ndarray:
+        """(chambers, 3): chamber elongation per coordinate (b_x, b_y, epsilon)."""
+        lever = self.robot.chamber_radius_m / self.robot.length_m
+        return np.hstack([-lever * self.robot.chamber_direction, np.ones((self.robot.chambers, 1))])
+
+    @cached_property
+    def _model(self) -> tuple[Any, ...]:
+        """The arrays that the kernel reads, in its order; ``rest`` is the equilibrium under gravity alone."""
+        return self._model_about(self._equilibrium(_no_hooks()))
+
+    def _model_about(self, rest: np.ndarray) -> tuple[Any, ...]:
+        r, length = self.robot, self.robot.length_m
+        basis = np.eye(3) if r.chambers > 1 else np.vstack([-r.chamber_direction.T, [[0.0]]])
+        mass = self.mass_scale * r.mass_kg
+        stiffness = basis.T**2 @ self.stiffness
+        inertia = basis.T**2 @ (mass * length**2 * np.array([1 / 20, 1 / 20, 1 / 3]))
+        to_strain = np.ascontiguousarray(self.strain_map @ basis)
+        push = r.chamber_area_m2 * length * to_strain.T
+        to_elastic = np.ascontiguousarray(np.linalg.pinv(push) @ np.diag(stiffness))
+        slope = np.ascontiguousarray(np.diag(to_elastic @ np.linalg.pinv(to_strain)))
+        gravity = np.array(r.gravity_m_s2, dtype=float)
+        axial_weight = mass * gravity[2] * length / 2.0
+        scalars = np.array([length, mass, axial_weight])
+        return (
+            basis, stiffness, self.damping_s * stiffness, inertia, np.ascontiguousarray(push), to_strain, to_elastic,
+            slope, rest, scalars, gravity,
+        )
+
+    def _equilibrium(self, hooks: tuple[Any, ...], pressure: np.ndarray | None = None) -> np.ndarray:
+        """Return the coordinates (m,) at rest under gravity, load effects and ``pressure`` (chambers,)."""
+        order = 1 if self.robot.chambers == 1 else 3
+        loads_only = (*_no_hooks()[:3], *hooks[3:])
+        y = np.zeros(order)
+        held = np.zeros((1, self.robot.chambers)) if pressure is None else np.atleast_2d(pressure).astype(float)
+        self._run(y, np.zeros(order), QUASI_STATIC_S, held, np.zeros((1, 3)), self._model_about(np.zeros(order)), loads_only)
+        return y
+
+    def _run(
+        self, y: np.ndarray, velocity: np.ndarray, dt_s: float, pressure: np.ndarray, tip_force: np.ndarray,
+        model: tuple[Any, ...], hooks: tuple[Any, ...],
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Advance ``y`` and ``velocity`` in place; return positions (steps, 3) and quaternions (steps, 4)."""
+        position, quaternion = np.empty((len(pressure), 3)), np.empty((len(pressure), 4))
+        failed = run_kernel(y, velocity, dt_s, pressure, tip_force, model, hooks, position, quaternion)
+        if failed > 0.01 * len(pressure) or not np.isfinite(y).all():
+            raise SolverError(
+                f"simulator pcc: {failed} of {len(pressure)} steps of {dt_s:g} s did not converge; "
+                "try a smaller dt_s, a larger stiffness, or weaker effects"
+            )
+        return position, quaternion
+
+    def equilibrium(self, pressure: np.ndarray) -> PccState:
+        """Return the state at rest under ``pressure`` (chambers,) Pa and gravity."""
+        y = self._equilibrium(_no_hooks(), np.asarray(pressure, dtype=float))
+        return PccState(y, np.zeros_like(y))
+
+    def reset(self, rng: np.random.Generator | None = None) -> PccState:
+        """Return the state at rest under zero pressure; ``rng`` is unused."""
+        rest = self._model[8].copy()
+        return PccState(rest, np.zeros_like(rest))
+
+    def step(
+        self,
+        state: PccState,
+        pressure: np.ndarray,
+        dt_s: float,
+        tip_force: np.ndarray | None = None,
+        body: Sequence[Hook] = (),
+        load: Sequence[Hook] = (),
+    ) -> PccState:
+        """Return the state after ``dt_s`` under ``pressure`` (chambers,) Pa and ``tip_force`` (3,) N.
+
+        Strains that body effects see count from the equilibrium under gravity alone.
+        """
+        y, velocity = state.coordinates.copy(), state.velocity.copy()
+        force = np.zeros((1, 3)) if tip_force is None else np.array(tip_force, dtype=float).reshape(1, 3)
+        held = np.array(pressure, dtype=float).reshape(1, self.robot.chambers)
+        self._run(y, velocity, float(dt_s), held, force, self._model, _running(body, load))
+        return PccState(y, velocity)
+
+    def observe(self, state: PccState) -> tuple[np.ndarray, np.ndarray]:
+        """Return tip position (3,) m and quaternion (4,) w x y z."""
+        position, quaternion = np.empty(3), np.empty(4)
+        tip_pose(self._model[0] @ state.coordinates, self.robot.length_m, position, quaternion)
+        return position, quaternion
+
+    def simulate(
+        self,
+        time: np.ndarray,
+        pressure: np.ndarray,
+        tip_force: np.ndarray | None = None,
+        body: Sequence[Hook] = (),
+        load: Sequence[Hook] = (),
+    ) -> Motion:
+        """Return the motion from rest under ``pressure`` (steps, chambers), each row held until its time.
+
+        Rest is the equilibrium under gravity and the load effects; strains that body effects see count from there.
+        """
+        hooks = _typed(body, load) if body or load else _no_hooks()
+        model = self._model_about(self._equilibrium(hooks)) if load else self._model
+        y, velocity = model[8].copy(), np.zeros_like(model[8])
+        held = np.ascontiguousarray(pressure, dtype=float)
+        force = np.zeros((len(time), 3)) if tip_force is None else np.ascontiguousarray(tip_force, dtype=float)
+        position, quaternion = self._run(y, velocity, float(time[1] - time[0]), held, force, model, hooks)
+        return Motion(np.asarray(time, dtype=float), position, quaternion, held)
+
+
+def _typed(body: Sequence[Hook], load: Sequence[Hook]) -> tuple[Any, ...]:
+    """Return kernels, parameters and states of the body's, then of the load's hooks, as the compiled code takes them."""
+    lists: list[Any] = []
+    for hooks in (body, load):
+        kernels = List.empty_list(_PORT)
+        parameters, states = List.empty_list(nb.float64[::1]), List.empty_list(nb.float64[::1])
+        for hook in hooks:
+            kernels.append(hook.kernel)
+            parameters.append(hook.parameters)
+            states.append(hook.state)
+        lists += [kernels, parameters, states]
+    return tuple(lists)
+
+
+_RUNNING: list[Any] = []
+
+
+def _running(body: Sequence[Hook], load: Sequence[Hook]) -> tuple[Any, ...]:
+    """Return the typed hooks of a caller who steps: the same sequences as in the call before are typed once."""
+    if not (body or load):
+        return _no_hooks()
+    if not _RUNNING or _RUNNING[0] is not body or _RUNNING[1] is not load:
+        _RUNNING[:] = [body, load, _typed(body, load)]
+    return _RUNNING[2]
+
+
+_NO_HOOKS: list[tuple[Any, ...]] = []
+
+
+def _no_hooks() -> tuple[Any, ...]:
+    """Return the empty hooks, made once: typed lists are slow to build."""
+    if not _NO_HOOKS:
+        _NO_HOOKS.append(_typed((), ()))
+    return _NO_HOOKS[0]

@@ -1,0 +1,198 @@
+"""How good the data are, before anything is concluded from them: sampling, clipping, excitation, noise floor."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from softrl.recordings.recording import Recording, RecordingSet
+from softrl.robots.robot import Robot
+
+GAP_PERIODS = 5.0          # a pause of more than this many median periods is a gap
+HOLD_S = 1.0               # a command unchanged for twice this long ends in a window of this length at rest
+EXCITED_SHARE = 0.02       # a chamber that moves less than this share of the pressure range is not excited
+CLIPPED_SHARE = 0.02       # this share of samples at one extreme value is clipping, unless the command holds there
+JUMP_RAD = 0.5             # an orientation that turns farther than this between samples has jumped
+
+
+@dataclass(frozen=True)
+class RunCheck:
+    """Findings of one run.
+
+    Attributes
+    ----------
+    name, session : the run
+    samples, duration_s, period_s : count, span, and median time between samples
+    gaps : (start s, length s) of every pause
+    excited : chambers whose command moves
+    noise : channel -> standard deviation of its white part, SI units
+    noise_from : "holds" or "differences"
+    held : channel -> share of samples that repeat the sample before exactly, while the command moves
+    warnings : one sentence each
+    """
+
+    name: str
+    session: str
+    samples: int
+    duration_s: float
+    period_s: float
+    gaps: tuple[tuple[float, float], ...]
+    excited: tuple[int, ...]
+    noise: dict[str, float]
+    noise_from: str
+    held: dict[str, float]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class DataCheck:
+    """Findings of a whole set.
+
+    Attributes
+    ----------
+    runs : one entry a run
+    noise_floor : channel -> median of the runs' noise, SI units: no model can be expected to fit better
+    repeatability : channel -> rms difference between runs of equal commands over sqrt 2, SI units; empty without repeats
+    excited : chambers that move in any run
+    """
+
+    runs: tuple[RunCheck, ...]
+    noise_floor: dict[str, float]
+    repeatability: dict[str, float]
+    excited: tuple[int, ...]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """All warnings, each with its run."""
+        return tuple(f"{run.name}: {warning}" for run in self.runs for warning in run.warnings)
+
+
+def check(recordings: RecordingSet, robot: Robot) -> DataCheck:
+    """Return what the recordings can and cannot tell; nothing is changed and nothing is raised."""
+    runs = tuple(check_run(recording, robot) for recording in recordings.recordings)
+    channels = {channel for run in runs for channel in run.noise}
+    floor = {c: float(np.median([run.noise[c] for run in runs if c in run.noise])) for c in sorted(channels)}
+    excited = tuple(sorted({chamber for run in runs for chamber in run.excited}))
+    return DataCheck(runs, floor, _repeatability(recordings), excited)
+
+
+def check_run(recording: Recording, robot: Robot) -> RunCheck:
+    """Return the findings of one run."""
+    step = np.diff(recording.time)
+    period = float(np.median(step))
+    pauses = np.flatnonzero(step > GAP_PERIODS * period)
+    gaps = tuple((float(recording.time[k]), float(step[k])) for k in pauses)
+    span = robot.pressure_max_pa - robot.pressure_min_pa
+    excited = tuple(np.flatnonzero(np.ptp(recording.pressure_cmd, axis=0) > EXCITED_SHARE * span).tolist())
+    windows = list(_hold_windows(recording))
+    noise = {channel: _noise(values, windows) for channel, values in _sensed(recording)}
+    held = {channel: _held_share(recording, values) for channel, values in _sensed(recording)}
+    warnings = (
+        *_sampling_warnings(gaps, period),
+        *_excitation_warnings(excited, robot),
+        *_held_warnings(held),
+        *_clipping_warnings(recording),
+        *_jump_warnings(recording),
+    )
+    return RunCheck(
+        recording.name, recording.session, len(recording.time), float(np.ptp(recording.time)), period, gaps, excited,
+        noise, "holds" if windows else "differences", held, warnings,
+    )
+
+
+def _sensed(recording: Recording) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the measured channels as (steps, components)."""
+    for channel, values in recording.channels():
+        if channel not in ("time", "pressure_cmd"):
+            yield channel, values.reshape(len(values), -1)
+
+
+def _hold_windows(recording: Recording) -> Iterator[slice]:
+    """Yield the last ``HOLD_S`` of every command held at least twice that long: settled as far as it gets."""
+    time = recording.time
+    change = np.flatnonzero(np.any(np.diff(recording.pressure_cmd, axis=0) != 0.0, axis=1)) + 1
+    for start, end in zip(np.r_[0, change], np.r_[change, len(time)], strict=True):
+        if time[end - 1] - time[start] >= 2.0 * HOLD_S:
+            first = int(np.searchsorted(time, time[end - 1] - HOLD_S))
+            if end - first >= 8:
+                yield slice(first, end)
+
+
+def _noise(values: np.ndarray, windows: list[slice]) -> float:
+    """Return the standard deviation of noise: about a line within holds, or from second differences."""
+    if not windows:
+        return float(np.sqrt(np.mean(np.median(np.diff(values, n=2, axis=0) ** 2, axis=0) / 0.4549 / 6.0)))
+    variance = []
+    for window in windows:
+        k = np.arange(window.stop - window.start) - 0.5 * (window.stop - window.start - 1)
+        level = values[window] - values[window].mean(axis=0)
+        slope = k @ level / (k @ k)
+        variance.append(np.sum((level - np.outer(k, slope)) ** 2, axis=0) / (len(k) - 2))
+    return float(np.sqrt(np.mean(np.median(variance, axis=0))))
+
+
+def _held_share(recording: Recording, values: np.ndarray) -> float:
+    moving = np.any(np.diff(recording.pressure_cmd, axis=0) != 0.0, axis=1)
+    if moving.sum() < 10:
+        return 0.0
+    return float(np.mean(np.all(np.diff(values, axis=0) == 0.0, axis=1)[moving]))
+
+
+def _repeatability(recordings: RecordingSet) -> dict[str, float]:
+    """Return the rms difference over sqrt 2 between runs whose commands agree, on the shorter run's times."""
+    squares: dict[str, list[float]] = {}
+    runs = recordings.recordings
+    for i, one in enumerate(runs):
+        for other in runs[i + 1 :]:
+            count = min(len(one.time), len(other.time))
+            same_time = np.allclose(np.diff(one.time[:count]), np.diff(other.time[:count]), rtol=0.01)
+            if not same_time or not np.allclose(one.pressure_cmd[:count], other.pressure_cmd[:count], rtol=1e-6):
+                continue
+            theirs = dict(_sensed(other))
+            for channel, values in _sensed(one):
+                if channel in theirs:
+                    squares.setdefault(channel, []).append(float(np.mean((values[:count] - theirs[channel][:count]) ** 2)))
+    return {channel: float(np.sqrt(np.mean(found) / 2.0)) for channel, found in squares.items()}
+
+
+def _sampling_warnings(gaps: tuple[tuple[float, float], ...], period: float) -> Iterator[str]:
+    if gaps:
+        longest = max(gaps, key=lambda gap: gap[1])
+        yield (
+            f"{len(gaps)} gaps in the samples, the longest {longest[1]:.2f} s at t = {longest[0]:.2f} s "
+            f"(median period {1e3 * period:.1f} ms)"
+        )
+
+
+def _excitation_warnings(excited: tuple[int, ...], robot: Robot) -> Iterator[str]:
+    still = [str(i + 1) for i in range(robot.chambers) if i not in excited]
+    if still:
+        yield f"chamber {', '.join(still)} is not driven: nothing can be said about effects in it"
+
+
+def _held_warnings(held: dict[str, float]) -> Iterator[str]:
+    for channel, share in held.items():
+        if share > 0.3:
+            yield f"{channel} repeats its last value in {share:.0%} of the samples: its sensor is slower than the file"
+
+
+def _clipping_warnings(recording: Recording) -> Iterator[str]:
+    command_moves = np.any(np.diff(recording.pressure_cmd, axis=0, prepend=recording.pressure_cmd[:1]) != 0.0, axis=1)
+    for channel, values in _sensed(recording):
+        for i, series in enumerate(values.T):
+            for extreme, name in ((series.max(), "maximum"), (series.min(), "minimum")):
+                share = float(np.mean((series == extreme) & command_moves))
+                if share > CLIPPED_SHARE and np.ptp(series) > 0.0:
+                    yield f"{channel}[{i}] stays at its {name} {extreme:g} in {share:.0%} of the samples: clipped?"
+
+
+def _jump_warnings(recording: Recording) -> Iterator[str]:
+    if recording.quaternion is None:
+        return
+    cosine = np.abs(np.sum(recording.quaternion[1:] * recording.quaternion[:-1], axis=1)).clip(0.0, 1.0)
+    jumps = np.flatnonzero(2.0 * np.arccos(cosine) > JUMP_RAD)
+    if len(jumps):
+        yield (
+            f"the orientation jumps {len(jumps)} times, first at t = {recording.time[jumps[0] + 1]:.2f} s: "
+            "a marker body was mistaken for its mirror; do not trust the quaternion"
+        )

@@ -1,0 +1,123 @@
+"""What a recording's numbers must satisfy before anything is computed from them."""
+
+from pathlib import Path
+
+import numpy as np
+
+from softrl.core.errors import RecordingError
+from softrl.recordings.columns import Columns
+from softrl.robots.robot import Robot
+
+UNIT_RATIO = 20.0          # times the pressure limit: no sensor error, another unit
+REACH_LENGTHS = 5.0        # a tip farther from the base than this many lengths is in another unit
+TINY_SHARE = 5e-3          # a command that never reaches this share of the limit is in another unit
+MEASURED_MARGIN = 0.25     # measured pressures may pass the limits by this share of the range: offsets, overshoot
+SLOWEST_PERIOD_S = 5.0     # a slower median sampling period means that time is in another unit
+
+
+def require_values(path: Path, header: list[str], table: np.ndarray, columns: Columns, robot: Robot | None) -> None:
+    """Raise ``RecordingError`` for the first value of ``table`` (steps, columns) that cannot be right."""
+    _require_finite(path, header, table)
+    _require_increasing(path, header, table, columns)
+    _require_unit_quaternion(path, header, table, columns)
+    if robot is not None:
+        _require_pressure(path, header, table, columns, robot)
+        _require_reach(path, header, table, columns, robot)
+
+
+def _line(row: int) -> int:
+    return row + 2  # one for the header, one because lines count from 1
+
+
+def _require_finite(path: Path, header: list[str], table: np.ndarray) -> None:
+    bad = np.argwhere(~np.isfinite(table))
+    if len(bad):
+        row, column = bad[0]
+        raise RecordingError(
+            f"{path}, line {_line(row)}, column '{header[column]}': {table[row, column]} ({len(bad)} such values); "
+            "expected numbers; drop the rows, or the column if the channel is optional"
+        )
+
+
+def _require_increasing(path: Path, header: list[str], table: np.ndarray, columns: Columns) -> None:
+    number, factor = columns.channels["time"][0]
+    time = table[:, number]
+    step = np.diff(time)
+    if (step <= 0).any():
+        row = int(np.argmax(step <= 0)) + 1
+        raise RecordingError(
+            f"{path}, line {_line(row)}, column '{header[number]}': {time[row]:g} does not exceed {time[row - 1]:g} of the line "
+            "before; expected increasing time; sort the rows and drop repeated ones"
+        )
+    period = float(np.median(step)) * factor
+    if not 1e-6 <= period <= SLOWEST_PERIOD_S:
+        raise RecordingError(
+            f"{path}, column '{header[number]}': the median sampling period is {period:g} s; "
+            f"expected 1e-6 to {SLOWEST_PERIOD_S:g} s; is the column in another unit (time_ms)?"
+        )
+
+
+def _require_unit_quaternion(path: Path, header: list[str], table: np.ndarray, columns: Columns) -> None:
+    place = columns.channels.get("quaternion")
+    if place is None:
+        return
+    norm = np.linalg.norm(table[:, [place[i][0] for i in range(4)]], axis=1)
+    bad = np.abs(norm - 1.0) > 0.05
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise RecordingError(
+            f"{path}, line {_line(row)}, column '{header[place[0][0]]}': the quaternion has norm {norm[row]:g}; "
+            "expected 1 (order w x y z)"
+        )
+
+
+def _require_pressure(
+    path: Path, header: list[str], table: np.ndarray, columns: Columns, robot: Robot
+) -> None:
+    low, high = robot.pressure_min_pa, robot.pressure_max_pa
+    limit = max(abs(low), abs(high))
+    tiny = True
+    for channel, margin in (("pressure_cmd", 1e-3), ("pressure_meas", MEASURED_MARGIN)):
+        for number, factor in columns.channels.get(channel, {}).values():
+            pressure = table[:, number] * factor
+            slack = margin * (high - low)
+            outside = (pressure < low - slack) | (pressure > high + slack)
+            tiny = tiny and (channel != "pressure_cmd" or np.abs(pressure).max() < TINY_SHARE * limit)
+            if not outside.any():
+                continue
+            row = int(np.argmax(outside))
+            if np.abs(pressure).max() > UNIT_RATIO * limit:
+                row = int(np.argmax(np.abs(pressure)))
+                what = f"more than {UNIT_RATIO:g} times the robot's limit; is the column in another unit?"
+            else:
+                what = "clip the run, or correct robot.pressure_min_pa and pressure_max_pa if they are wrong"
+            raise RecordingError(
+                f"{path}, line {_line(row)}, column '{header[number]}': {table[row, number]:g} is {pressure[row]:g} Pa; "
+                f"expected {low:g} to {high:g} Pa for robot {robot.name}; {what}"
+            )
+    names = [header[number] for number, _ in columns.channels["pressure_cmd"].values()]
+    used = table[:, [header.index(name) for name in names]]
+    if tiny and np.abs(used).max() > 0.0:
+        raise RecordingError(
+            f"{path}, column '{names[0]}': no command exceeds {np.abs(used).max():g}, under {TINY_SHARE:.1%} of the limit "
+            f"{limit:g} Pa of robot {robot.name}; is the column in another unit?"
+        )
+
+
+def _require_reach(path: Path, header: list[str], table: np.ndarray, columns: Columns, robot: Robot) -> None:
+    place = columns.channels.get("position")
+    if place is None:
+        return
+    tip = np.stack([table[:, place[i][0]] * place[i][1] for i in range(3)], axis=1)
+    reach = np.linalg.norm(tip, axis=1)
+    row, name = int(np.argmax(reach)), header[place[0][0]]
+    if reach[row] > REACH_LENGTHS * robot.length_m:
+        raise RecordingError(
+            f"{path}, line {_line(row)}, column '{name}': the tip is {reach[row]:g} m from the base; expected at most "
+            f"{REACH_LENGTHS * robot.length_m:g} m ({REACH_LENGTHS:g} lengths of robot {robot.name}); is it in another unit?"
+        )
+    if reach[row] < robot.length_m / 50.0:
+        raise RecordingError(
+            f"{path}, column '{name}': the tip never is farther than {reach[row]:g} m from the base of a robot of "
+            f"{robot.length_m:g} m; expected positions from the base, in the unit that the column names"
+        )

@@ -1,0 +1,57 @@
+"""What a driver may send: pressures within the robot's range, changing no faster than its slew."""
+
+import numpy as np
+
+from softrl.core.errors import DriverError
+from softrl.robots.robot import Robot
+
+
+class Setpoint:
+    """The pressure last sent and the one it is on its way to; one step a period of the device.
+
+    Attributes
+    ----------
+    sent : (chambers,) Pa, zero at the start
+    goal : (chambers,) Pa, the last request within the robot's range of pressure
+    """
+
+    def __init__(self, robot: Robot, period_s: float) -> None:
+        self._robot = robot
+        self._reach_pa = robot.slew_pa_per_s * period_s
+        self.vent()
+
+    def vent(self) -> None:
+        """Forget the request: zero gauge in all chambers, at once, whatever the slew."""
+        self.sent = self.goal = np.zeros(self._robot.chambers)
+        self._unsent = False
+
+    def request(self, pressure: np.ndarray) -> np.ndarray:
+        """Return what is sent first (chambers,) Pa on the way to ``pressure``.
+
+        Raises
+        ------
+        DriverError
+            If the request has another number of chambers or is not finite: that is a fault of the caller, and
+            clipping would hide it.
+        """
+        pressure = np.asarray(pressure, dtype=float)
+        chambers = self._robot.chambers
+        if pressure.shape != (chambers,):
+            raise DriverError(f"a command of shape {pressure.shape} for {self._robot.name}; expected ({chambers},) Pa")
+        if not np.isfinite(pressure).all():
+            raise DriverError(f"a command of {pressure} Pa for {self._robot.name}; expected finite numbers")
+        self.goal = np.clip(pressure, self._robot.pressure_min_pa, self._robot.pressure_max_pa)
+        self._unsent = True
+        return self._next()
+
+    def advance(self, periods: int) -> np.ndarray:
+        """Return what is sent (sent, chambers) Pa, one row a period, until the goal is reached or time is up."""
+        rows = []
+        while len(rows) < periods and (self._unsent or not np.array_equal(self.sent, self.goal)):
+            self._unsent = False
+            self.sent = self._next()
+            rows.append(self.sent)
+        return np.array(rows).reshape(len(rows), self._robot.chambers)
+
+    def _next(self) -> np.ndarray:
+        return self.sent + np.clip(self.goal - self.sent, -self._reach_pa, self._reach_pa)

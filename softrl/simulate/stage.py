@@ -1,0 +1,114 @@
+"""Stage simulate: replay a dataset's commands through any simulator with effects and noise, and write a dataset."""
+
+import logging
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from softrl.core.errors import ConfigError
+from softrl.core.progress import progress
+from softrl.core.simulator import Simulator
+from softrl.core.tracking import Tracker
+from softrl.effects.chain import EffectChain, Plant
+from softrl.effects.replay import replay
+from softrl.recordings.recording import Recording, RecordingSet
+from softrl.recordings.write import write
+from softrl.robots.robot import Robot
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Config:
+    """Replay of recorded commands.
+
+    Attributes
+    ----------
+    dt_s : step of the simulation; samples are taken at the recording's own times
+    drive : "command", or "measured" to put the measured pressures behind the valve
+    settle_s : time under the first row before the first sample, for recordings that do not begin at rest
+    position_noise_m, orientation_noise_rad, bend_angle_noise_rad, pressure_noise_pa : standard deviation of white noise
+    out : folder of a dataset to write, or null
+    seed : of the noise
+    """
+
+    dt_s: float
+    drive: str
+    settle_s: float
+    position_noise_m: float
+    orientation_noise_rad: float
+    bend_angle_noise_rad: float
+    pressure_noise_pa: float
+    out: str | None
+    seed: int
+
+    def __post_init__(self) -> None:
+        if not self.dt_s > 0.0:
+            raise ConfigError(f"stage.dt_s={self.dt_s:g} must be positive")
+        if self.drive not in ("command", "measured"):
+            raise ConfigError(f"stage.drive={self.drive} is unknown; expected command or measured")
+        for name in ("settle_s", "position_noise_m", "orientation_noise_rad", "bend_angle_noise_rad", "pressure_noise_pa"):
+            if not getattr(self, name) >= 0.0:
+                raise ConfigError(f"stage.{name}={getattr(self, name):g} must not be negative")
+
+
+def run(
+    config: Config,
+    robot: Robot,
+    simulator: Simulator,
+    effects: EffectChain,
+    recordings: RecordingSet,
+    *,
+    tracker: Tracker,
+) -> RecordingSet:
+    """Return the recordings as the simulator would have made them, with the same runs, sessions and times."""
+    plant, started = Plant(simulator, effects), time.perf_counter()
+    streams = np.random.SeedSequence(config.seed).spawn(len(recordings.recordings))
+    simulated = []
+    for recording, stream in zip(progress(recordings.recordings, "replay"), streams, strict=True):
+        clean = replay(plant, recording, config.dt_s, config.drive, config.settle_s)
+        simulated.append(add_noise(clean, config, np.random.default_rng(stream)))
+    seconds = time.perf_counter() - started
+    names = [effect.name() for effect in effects.ordered]
+    notes = {"simulated_by": type(simulator).__name__, "effects": names, "seed": config.seed}
+    result = RecordingSet(robot_name=robot.name, recordings=tuple(simulated), notes=notes)
+    _report(recordings, result, seconds, tracker)
+    if config.out is not None:
+        write(Path(config.out), result)
+        log.info("wrote %d runs to %s", len(result.recordings), config.out)
+    return result
+
+
+def add_noise(recording: Recording, config: Config, rng: np.random.Generator) -> Recording:
+    """Return ``recording`` with white noise on its measured channels; the commands stay exact."""
+    draw = rng.standard_normal
+    noisy = {}
+    for channel, spread in (
+        ("pressure_meas", config.pressure_noise_pa),
+        ("position", config.position_noise_m),
+        ("bend_angle", config.bend_angle_noise_rad),
+        ("quaternion", 0.5 * config.orientation_noise_rad),  # half: a quaternion turns by half the angle
+    ):
+        values = getattr(recording, channel)
+        if values is not None:
+            noisy[channel] = values + spread * draw(values.shape)
+    if "quaternion" in noisy:
+        noisy["quaternion"] = noisy["quaternion"] / np.linalg.norm(noisy["quaternion"], axis=1, keepdims=True)
+    return replace(recording, **noisy)
+
+
+def _report(recorded: RecordingSet, simulated: RecordingSet, seconds: float, tracker: Tracker) -> None:
+    """Log the speed, and the difference to what was recorded, where motion was recorded."""
+    span = sum(float(np.ptp(r.time)) for r in recorded.recordings)
+    tracker.metric("replay_speed_times_real_time", span / max(seconds, 1e-9))
+    pairs = list(zip(recorded.recordings, simulated.recordings, strict=True))
+    for channel, name, scale in (("position", "tip_difference_mm", 1e3), ("bend_angle", "bend_difference_deg", 180 / np.pi)):
+        squares = [
+            ((getattr(ours, channel) - getattr(theirs, channel)) ** 2).reshape(len(theirs.time), -1).sum(axis=1)
+            for theirs, ours in pairs
+            if getattr(theirs, channel) is not None and getattr(ours, channel) is not None
+        ]
+        if squares:
+            tracker.metric(f"recorded/{name}", scale * float(np.sqrt(np.mean(np.concatenate(squares)))))

@@ -1,0 +1,125 @@
+"""The stage on a robot whose pressures are known to be off: it finds them, and the simulator then meets the robot."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+
+from softrl.calibration.holds import Holds, record_holds, settled_holds, split_holds
+from softrl.calibration.inversion import pressure_by_simulator, steady_tip
+from softrl.calibration.pressure_map import PressureMap
+from softrl.calibration.stage import Config, run
+from softrl.core.driver import Driver
+from softrl.core.errors import ConfigError, RecordingError
+from softrl.core.tracking import NullTracker
+from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.recording import Recording, RecordingSet
+from softrl.robots.robot import Robot
+
+CONF = Path(__file__).resolve().parents[2] / "conf" / "stage"
+
+
+def config(**changes: object) -> Config:
+    merged = OmegaConf.merge(
+        OmegaConf.create({"seed": 0}),
+        {"stage": OmegaConf.merge(OmegaConf.load(CONF / "calibration.yaml"), OmegaConf.load(CONF / "tiny/calibration.yaml"), changes)},
+    )
+    return Config(**OmegaConf.to_container(merged.stage, resolve=True))  # type: ignore[arg-type]
+
+
+FAST = {"runs": 8, "holds_per_run": 14, "hold_s": 2.0, "hold_min_s": 1.5, "dt_s": 0.02, "settle_s": 2.0, "hidden": 8,
+        "epochs": 1500, "members": 3, "drift_max_mm": 0.2, "residual_max_mm": 0.5}  # fmt: skip
+
+
+def test_stage_finds_the_pressures_that_acted(
+    robot: Robot, body: PccSimulator, driver: Driver, acting: Callable[[np.ndarray], np.ndarray]
+) -> None:
+    tracker = NullTracker()
+    calibration = run(config(**FAST), robot, None, body, driver, None, tracker=tracker)
+    assert not driver.connected  # type: ignore[attr-defined]
+    inside = np.random.default_rng(1).uniform(-15e3, 30e3, (50, 3))
+    error = PressureMap(calibration).real_to_sim(inside) - acting(inside)
+    assert np.sqrt(np.mean(error**2)) < 80.0, f"f_RS is off by {np.sqrt(np.mean(error**2)):.0f} Pa"
+    m = tracker.metrics
+    assert m["heldout/pressure_map_rms_kpa"] < 0.1 * m["heldout/pressure_map_identity_rms_kpa"]
+    assert m["heldout/position_hold_mm"] < 0.1 * m["heldout/uncalibrated_position_hold_mm"]
+    assert m["heldout/arc_length_hold_mm"] < m["heldout/uncalibrated_arc_length_hold_mm"]
+    assert calibration.material["chosen"] == "yeoh"
+
+
+def test_tiny_runs_with_one_seed_are_identical(robot: Robot, body: PccSimulator, driver: Driver, tmp_path: Path) -> None:
+    first, second = (run(config(), robot, None, body, driver, None, tracker=NullTracker()) for _ in range(2))
+    np.testing.assert_array_equal(first.pressure_sim, second.pressure_sim)
+    for name, weight in first.weights.items():
+        np.testing.assert_array_equal(weight, second.weights[name])
+    first.save(tmp_path / "calibration")
+    loaded = type(first).load(tmp_path / "calibration")
+    pressure = np.array([[1e3, 2e3, 3e3]])
+    np.testing.assert_array_equal(PressureMap(loaded).real_to_sim(pressure), PressureMap(first).real_to_sim(pressure))
+
+
+def test_held_out_runs_do_not_touch_training(robot: Robot, body: PccSimulator, driver: Driver) -> None:
+    """Spoiling the recorded tips of the held-out run leaves weights and scalers as they were."""
+    whole = record_of(driver, robot, body, config())
+    first = run(config(), robot, None, body, driver, whole, tracker=NullTracker())
+    held = int(np.unique(runs_of(whole)[first.heldout])[0])
+    spoilt = list(whole.recordings)
+    old = spoilt[held]
+    spoilt[held] = Recording(old.name, old.session, old.time, old.pressure_cmd, position=old.position + 1e-3)
+    second = run(config(), robot, None, body, driver, RecordingSet(robot.name, tuple(spoilt)), tracker=NullTracker())
+    assert not np.array_equal(first.pressure_sim, second.pressure_sim)
+    np.testing.assert_array_equal(first.pressure_mean, second.pressure_mean)
+    np.testing.assert_array_equal(first.correction_spread, second.correction_spread)
+    np.testing.assert_array_equal(first.weights["skip"], second.weights["skip"])
+
+
+def record_of(driver: Driver, robot: Robot, body: PccSimulator, c: Config) -> RecordingSet:
+    return record_holds(driver, robot, c.runs, c.holds_per_run, c.hold_s, c.dt_s, np.random.default_rng(0))
+
+
+def runs_of(recordings: RecordingSet) -> np.ndarray:
+    return settled_holds(recordings, 1.5, 0.3, 2e-3).run
+
+
+def test_inversion_finds_pressures_of_a_known_tip(body: PccSimulator) -> None:
+    pressure = np.array([[5e3, 20e3, -8e3], [0.0, 0.0, 0.0]])
+    tip = np.stack([steady_tip(body, row, 2.0, 0.02) for row in pressure])
+    found, miss = pressure_by_simulator(body, tip, np.full((2, 3), 1e3), 2.0, 0.02)
+    np.testing.assert_allclose(found, pressure, atol=5.0)
+    assert miss.max() < 1e-6
+
+
+def test_moving_holds_are_left_out_and_too_few_are_told() -> None:
+    time = np.arange(1, 301) * 0.02
+    creeping = np.stack([0 * time, 0 * time, 0.17 + 1e-3 * time], axis=1)
+    one = Recording("a", "s", time, np.zeros((300, 3)), position=creeping)
+    with pytest.raises(RecordingError, match="hold 0 settled holds"):
+        settled_holds(RecordingSet("triple", (one,)), 1.0, 0.5, 1e-4)
+
+
+def test_whole_runs_are_held_out_and_the_end_of_a_single_one() -> None:
+    def holds(run: list[int]) -> Holds:
+        n = len(run)
+        return Holds(np.zeros((n, 3)), np.zeros((n, 3)), np.array(run), np.arange(n))
+
+    out = split_holds(holds([0, 0, 1, 1, 2, 2]), 0.3, np.random.default_rng(0))
+    assert out.reshape(3, 2).all(axis=1).sum() == 1
+    assert out.sum() == 2
+    assert split_holds(holds([0] * 10), 0.3, np.random.default_rng(0)).tolist() == [False] * 7 + [True] * 3
+
+
+@pytest.mark.parametrize(("key", "value"), [("members", 1), ("heldout_share", 1.5), ("hold_min_s", 9.0), ("runs", 0)])
+def test_bad_values_name_the_key(key: str, value: float) -> None:
+    with pytest.raises(ConfigError, match=f"stage.*{key}={value:g}"):
+        config(**{key: value})
+
+
+def test_simulator_out_of_reach_is_told(robot: Robot, body: PccSimulator, driver: Driver) -> None:
+    recordings = record_of(driver, robot, body, config())
+    far = tuple(
+        Recording(r.name, r.session, r.time, r.pressure_cmd, position=1e3 * np.asarray(r.position)) for r in recordings.recordings
+    )
+    with pytest.raises(RecordingError, match="check frame and units"):
+        run(config(drift_max_mm=1e4), robot, None, body, driver, RecordingSet(robot.name, far), tracker=NullTracker())

@@ -1,0 +1,152 @@
+"""One contract for every driver: limits before sending, a clock that only goes on, and venting whatever happens."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from softrl.core.config import build
+from softrl.core.driver import Driver, Sample
+from softrl.core.errors import DriverError
+from softrl.effects.lag import Lag
+from softrl.pcc.simulator import PccSimulator
+from softrl.robots.robot import Robot
+from softrl.sim2real.drivers.rig import Noise
+from softrl.sim2real.drivers.stub import StubDriver
+
+PERIOD_S = 0.01
+CONF = Path(__file__).parents[2] / "conf"
+
+
+@pytest.fixture
+def tripod() -> Robot:
+    """Return the default robot."""
+    return build(yaml.safe_load((CONF / "robot" / "tripod.yaml").read_text()), Robot, "robot")
+
+
+def stub(robot: Robot) -> StubDriver:
+    """Return a stub on the lumped body, 100 samples a second of which some are lost."""
+    body = PccSimulator(
+        robot=robot, bend_at_full_pressure_rad=0.6, elongation_at_full_pressure=0.1, bending_stiffness_scale=1.0,
+        axial_stiffness_scale=1.0, damping_s=0.05, mass_scale=1.0,
+    )  # fmt: skip
+    noise = Noise(
+        position_white_mm=0.05, position_coloured_mm=0.05, colour_s=1.0, orientation_white_deg=0.02,
+        pressure_white_kpa=0.02, dropped_share=0.02,
+    )  # fmt: skip
+    return StubDriver(
+        robot=robot, body=body, hidden={"lag": Lag(fill_s=0.1, vent_s=0.2)}, noise=noise, rate_hz=1.0 / PERIOD_S,
+        physics_rate_hz=400.0, watchdog_s=1.0, vent_s=0.2, start_timeout_s=120.0, answer_timeout_s=20.0, seed=3,
+    )  # fmt: skip
+
+
+DRIVERS: dict[str, Callable[[Robot], StubDriver]] = {"stub": stub}
+
+
+@pytest.fixture(params=DRIVERS)
+def driver(request: pytest.FixtureRequest, tripod: Robot) -> Driver:
+    """Return each driver in turn."""
+    return DRIVERS[request.param](tripod)
+
+
+def run_wildly(driver: Driver, robot: Robot, steps: int = 120) -> list[Sample]:
+    """Ask for pressures far outside the limits, at random, and return what arrived."""
+    rng = np.random.default_rng(0)
+    samples: list[Sample] = []
+    for _ in range(steps):
+        driver.command(rng.uniform(-3.0, 3.0, robot.chambers) * robot.pressure_max_pa)
+        samples += driver.advance(rng.choice([0.003, 0.01, 0.05]))
+    return samples
+
+
+def test_limits_hold_for_everything_that_is_sent(driver: Driver, tripod: Robot) -> None:
+    with driver:
+        samples = run_wildly(driver, tripod)
+    sent = np.stack([s.commanded for s in samples])
+    time = np.array([s.time_s for s in samples])
+    assert sent.max() <= tripod.pressure_max_pa
+    assert sent.min() >= tripod.pressure_min_pa
+    rate = np.abs(np.diff(sent, axis=0)) / np.diff(time)[:, None]
+    assert rate.max() <= tripod.slew_pa_per_s * (1 + 1e-6), f"slew {rate.max():g} Pa/s"
+    # the law is not satisfied by never moving: the limits were reached
+    assert np.ptp(sent) > 0.9 * (tripod.pressure_max_pa - tripod.pressure_min_pa)
+
+
+def test_a_step_larger_than_one_period_of_slew_arrives_in_the_end(driver: Driver, tripod: Robot) -> None:
+    goal = np.array([30e3, -10e3, 99e3])
+    with driver:
+        first = driver.command(goal)
+        samples = driver.advance(0.5)
+    np.testing.assert_allclose(np.abs(first).max(), tripod.slew_pa_per_s * PERIOD_S)
+    np.testing.assert_array_equal(samples[-1].commanded, [30e3, -10e3, tripod.pressure_max_pa])
+
+
+def test_the_device_clock_increases_and_keeps_the_time_asked_for(driver: Driver, tripod: Robot) -> None:
+    with driver:
+        samples = [s for _ in range(37) for s in driver.advance(0.0271)]
+    time = np.array([s.time_s for s in samples])
+    assert (np.diff(time) > 0).all()
+    assert abs(time[-1] - 37 * 0.0271) < 3 * PERIOD_S
+    assert all(np.isfinite(s.position).all() for s in samples)
+    np.testing.assert_allclose([np.linalg.norm(s.quaternion) for s in samples], 1.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("bad", [np.array([1e3, np.nan, 0.0]), np.array([1e3, 0.0]), np.array([[1e3, 0.0, 0.0]])])
+def test_a_malformed_command_is_refused_and_the_robot_vented(driver: Driver, bad: np.ndarray) -> None:
+    with pytest.raises(DriverError, match="expected"), driver:
+        driver.command(np.full(3, 20e3))
+        driver.advance(0.2)
+        driver.command(bad)
+    assert not driver.samples[-1].commanded.any()
+
+
+@pytest.mark.parametrize("error", [None, ValueError, KeyboardInterrupt])
+def test_it_vents_on_exit_and_on_any_exception(driver: Driver, error: type[BaseException] | None) -> None:
+    def use() -> None:
+        with driver:
+            driver.command(np.full(3, 20e3))
+            driver.advance(0.5)
+            if error is not None:
+                raise error("from the caller")
+
+    if error is None:
+        use()
+    else:
+        with pytest.raises(error, match="from the caller"):
+            use()
+    before = next(s for s in reversed(driver.samples) if s.commanded.any())
+    after = driver.samples[-1]
+    assert after.time_s > before.time_s
+    assert not after.commanded.any()
+    assert after.pressure.max() < 0.6 * before.pressure.max()
+
+
+def test_the_watchdog_vents_a_robot_that_nobody_commands(driver: Driver) -> None:
+    with pytest.raises(DriverError, match="watchdog"), driver:
+        driver.command(np.full(3, 20e3))
+        driver.advance(3.0)
+    vented = [s.time_s for s in driver.samples if s.time_s > 0.5 and not s.commanded.any()]
+    assert 0.9 < vented[0] < 1.3
+
+
+def test_a_vented_robot_may_wait(driver: Driver) -> None:
+    with driver:
+        assert driver.advance(3.0)
+
+
+def test_use_outside_a_with_block_is_refused(driver: Driver) -> None:
+    with pytest.raises(DriverError, match="not connected"):
+        driver.command(np.zeros(3))
+    with pytest.raises(DriverError, match="not connected"):
+        driver.advance(0.1)
+
+
+def test_another_number_of_chambers_works(tripod: Robot) -> None:
+    finger = replace(tripod, name="finger", chamber_angle_deg=(-90.0,))
+    with stub(finger) as driver:
+        driver.command(np.array([20e3]))
+        samples = driver.advance(0.3)
+    assert samples[-1].commanded.shape == samples[-1].pressure.shape == (1,)

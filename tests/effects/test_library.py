@@ -1,0 +1,165 @@
+"""Laws of every effect in conf/effect: neutral is identity, pure, finite, first order in the step, visible, round trip."""
+
+import dataclasses
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from softrl.core.errors import ConfigError
+from softrl.core.simulator import Motion
+from softrl.effects import library
+from softrl.effects.chain import Plant, chain_of
+from softrl.effects.effect import BODY_PORT_ROWS, LOAD_PORT_ROWS, SITES, Effect
+from softrl.pcc.simulator import PccSimulator
+from softrl.robots.robot import Robot
+
+CONF = Path(__file__).parents[2] / "conf"
+NODES = {path.stem: yaml.safe_load(path.read_text()) for path in sorted((CONF / "effect").glob("*.yaml"))}
+NAMES = [name for name, node in NODES.items() if node and "_target_" in node]
+ROBOTS = ("tripod", "three_chamber_segment", "single_chamber_finger")
+
+
+@cache
+def simulator(robot: str = "tripod") -> PccSimulator:
+    data = yaml.safe_load((CONF / "simulator" / "pcc.yaml").read_text())
+    data.pop("_target_")
+    return PccSimulator(Robot(**yaml.safe_load((CONF / "robot" / f"{robot}.yaml").read_text())), **data)
+
+
+def configured(name: str) -> Effect:
+    return library.effect_class(name)(**{k: v for k, v in NODES[name].items() if k != "_target_"})
+
+
+def typical(name: str) -> Effect:
+    cls = library.effect_class(name)
+    return cls(**{f.name: f.metadata["typical"] for f in cls.parameter_fields()})
+
+
+def program(robot: Robot, dt_s: float, duration_s: float = 12.0) -> tuple[np.ndarray, np.ndarray]:
+    """Return a smooth program from rest that moves all chambers through most of their range, with reversals."""
+    time = dt_s * np.arange(1, round(duration_s / dt_s) + 1)
+    wave = np.sin(np.outer(time, np.array([1.0, 1.37, 0.71])[: robot.chambers])) ** 2
+    return time, 0.9 * robot.pressure_max_pa * wave * np.minimum(time / 2.0, 1.0)[:, None]
+
+
+def simulate(effects: list[Effect], dt_s: float = 0.01, robot: str = "tripod") -> Motion:
+    body = simulator(robot)
+    return Plant(body, chain_of(body.robot, effects)).simulate(*program(body.robot, dt_s))
+
+
+def example_input(effect: Effect, robot: Robot) -> np.ndarray:
+    rng = np.random.default_rng(4)
+    if effect.site == "body":
+        return rng.normal(0.0, 0.05, (BODY_PORT_ROWS, robot.chambers))
+    if effect.site == "load":
+        return rng.normal(0.0, 0.1, (LOAD_PORT_ROWS, 3))
+    if effect.site == "sensor":
+        return np.array([0.01, 0.02, 0.17, 0.96, 0.0, 0.28, 0.0])
+    return np.array([12e3, 3e3, 25e3])[: robot.chambers]
+
+
+def test_catalogue_and_configs_name_the_same_effects() -> None:
+    assert library.names() == NAMES
+    assert {library.effect_class(name).site for name in NAMES} == set(SITES)
+    with pytest.raises(ConfigError, match="'gravity_waves' is unknown"):
+        library.effect_class("gravity_waves")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_config_mirrors_the_class_and_round_trips(name: str) -> None:
+    cls = library.effect_class(name)
+    assert (CONF / "effect" / f"{name}.yaml").read_text().startswith(f"# @package effect.{name}\n")
+    assert NODES[name]["_target_"] == f"{cls.__module__}.{cls.__qualname__}"
+    effect = configured(name)
+    assert {"_target_": NODES[name]["_target_"], **dataclasses.asdict(effect)} == NODES[name]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_declared_parameters_are_consistent(name: str) -> None:
+    cls = library.effect_class(name)
+    assert cls.name() == name and cls.title
+    for field in cls.parameter_fields():
+        data = field.metadata
+        assert data["low"] <= data["neutral"] <= data["high"], field.name
+        assert data["low"] <= data["typical"] <= data["high"], field.name
+        assert not data["log"] or data["low"] > 0.0, field.name
+        for bad in (data["low"] - 1.0, data["high"] * 1.5 + 1.0):
+            with pytest.raises(ConfigError, match=field.name):
+                dataclasses.replace(cls.neutral(), **{field.name: bad})
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("name", NAMES)
+def test_neutral_is_identity(name: str, robot: str) -> None:
+    with_neutral = simulate([library.effect_class(name).neutral()], robot=robot)
+    bare = simulate([], robot=robot)
+    for channel in ("position", "quaternion", "pressure"):
+        np.testing.assert_allclose(getattr(with_neutral, channel), getattr(bare, channel), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_apply_is_pure_and_keeps_shape(name: str) -> None:
+    robot, effect = simulator().robot, typical(name)
+    state, value = effect.reset(robot), example_input(effect, robot)
+    kept_state, kept_value = state.copy(), value.copy()
+    first, second = effect.apply(robot, state, value, 0.01), effect.apply(robot, state, value, 0.01)
+    np.testing.assert_array_equal(state, kept_state)
+    np.testing.assert_array_equal(value, kept_value)
+    for one, other, shape in zip(first, second, (state.shape, value.shape), strict=True):
+        np.testing.assert_array_equal(one, other)
+        assert one.shape == shape and one.dtype == np.float64 and np.isfinite(one).all()
+
+
+@pytest.mark.parametrize("name", [n for n in NAMES if library.effect_class(n).site in ("body", "load")])
+def test_port_changes_its_state_only_on_commit(name: str) -> None:
+    robot, effect = simulator().robot, typical(name)
+    state, port = effect.reset(robot), example_input(effect, robot)
+    kept = state.copy()
+    type(effect).kernel(effect.pack(robot), state, port, 0.01, False)
+    np.testing.assert_array_equal(state, kept)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_same_input_same_output(name: str) -> None:
+    np.testing.assert_array_equal(simulate([typical(name)]).position, simulate([typical(name)]).position)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_halving_the_step_changes_the_result_in_first_order(name: str) -> None:
+    coarse, middle, fine = (simulate([typical(name)], dt).position for dt in (0.01, 0.005, 0.0025))
+    first = np.sqrt(np.mean((coarse - middle[1::2]) ** 2))
+    second = np.sqrt(np.mean((middle - fine[1::2]) ** 2))
+    assert first < 1.5e-3, f"{1e3 * first:.3f} mm between steps of 10 and 5 ms"
+    assert second < 0.7 * first, f"{1e6 * first:.2f} um, then {1e6 * second:.2f} um"
+
+
+VISIBLE = [(n, r) for n in NAMES for r in ROBOTS if (n, r) != ("crosstalk", "single_chamber_finger")]  # no neighbour
+
+
+@pytest.mark.parametrize(("name", "robot"), VISIBLE)
+def test_typical_is_visible(name: str, robot: str) -> None:
+    changed, bare = simulate([typical(name)], robot=robot), simulate([], robot=robot)
+    assert np.isfinite(changed.position).all()
+    moved = np.sqrt(np.mean(np.sum((changed.position - bare.position) ** 2, axis=1)))
+    assert moved > 2e-3 * simulator(robot).robot.length_m, f"{1e3 * moved:.3f} mm"
+
+
+BY_CHAMBER = [n for n in NAMES if "chamber" in NODES[n]]
+
+
+@pytest.mark.parametrize("name", BY_CHAMBER)
+def test_one_chamber_can_be_meant(name: str) -> None:
+    one = simulate([dataclasses.replace(typical(name), chamber=1)]).position
+    every = simulate([typical(name)]).position
+    bare = simulate([]).position
+    assert np.abs(one - bare).max() > 1e-4 and np.abs(one - every).max() > 1e-4
+    with pytest.raises(ConfigError, match="chamber=3 does not exist"):
+        simulate([dataclasses.replace(typical(name), chamber=3)])
+
+
+def test_order_of_the_list_does_not_matter() -> None:
+    effects = [typical(name) for name in ("delay", "lag", "viscoelasticity", "payload", "mount_tilt", "gain", "hysteresis")]
+    np.testing.assert_array_equal(simulate(effects).position, simulate(effects[::-1]).position)

@@ -1,0 +1,364 @@
+"""One law of physics for every effect."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+
+from softrl.core.simulator import Motion
+from softrl.effects.chain import Plant, chain_of
+from softrl.effects.contact import Contact
+from softrl.effects.crosstalk import Crosstalk
+from softrl.effects.dead_time import DeadTime
+from softrl.effects.deadband import Deadband
+from softrl.effects.delay import Delay
+from softrl.effects.drift import Drift
+from softrl.effects.effect import (
+    ADDED, ADDED_SLOPE, BODY_PORT_ROWS, ELASTIC, ELASTIC_SLOPE, FORCE, FORCE_SLOPE, GRAVITY, LOAD_PORT_ROWS, PRESSURE, RATE,
+    REST, STRAIN, TIP, TIP_VELOCITY, Effect,
+)
+from softrl.effects.frame import Frame
+from softrl.effects.friction import Friction
+from softrl.effects.gain import Gain
+from softrl.effects.hold import Hold
+from softrl.effects.hysteresis import Hysteresis
+from softrl.effects.lag import Lag
+from softrl.effects.leak import Leak
+from softrl.effects.marker_offset import MarkerOffset
+from softrl.effects.mount_tilt import MountTilt
+from softrl.effects.mullins import Mullins
+from softrl.effects.offset import Offset
+from softrl.effects.payload import Payload
+from softrl.effects.rate_limit import RateLimit
+from softrl.effects.stiffness_scale import StiffnessScale
+from softrl.effects.strain_stiffening import StrainStiffening
+from softrl.effects.supply_limit import SupplyLimit
+from softrl.effects.tether import Tether
+from softrl.effects.tube_line import TubeLine
+from softrl.effects.viscoelasticity import Viscoelasticity
+from softrl.pcc.simulator import PccSimulator
+from softrl.robots.robot import Robot
+
+CONF = Path(__file__).parents[2] / "conf"
+DT = 0.01
+STIFFNESS = 2e5   # Pa per strain of the body that the port tests imitate
+
+
+@cache
+def simulator(**changed: float) -> PccSimulator:
+    data = yaml.safe_load((CONF / "simulator" / "pcc.yaml").read_text()) | changed
+    data.pop("_target_")
+    return PccSimulator(Robot(**yaml.safe_load((CONF / "robot" / "tripod.yaml").read_text())), **data)
+
+
+ROBOT = simulator().robot
+FULL = ROBOT.pressure_max_pa
+
+
+def signal(effect: Effect, values: np.ndarray, dt_s: float = DT) -> np.ndarray:
+    return chain_of(ROBOT, [effect]).filter([effect.site], np.atleast_2d(values), dt_s)
+
+
+def step_to(pressure: float, steps: int) -> np.ndarray:
+    return np.full((steps, 3), pressure)
+
+
+def pull(effect: Effect, strain: np.ndarray, dt_s: float = DT, pressure: float = 0.0) -> np.ndarray:
+    """Return the added pressure (steps,) in chamber 0 along a path of strain from zero, every step committed."""
+    state, added, last = effect.reset(ROBOT), [], 0.0
+    for value in strain:
+        port = np.zeros((BODY_PORT_ROWS, 3))
+        port[STRAIN], port[RATE] = value, (value - last) / dt_s
+        port[ELASTIC], port[ELASTIC_SLOPE], port[REST], port[PRESSURE] = STIFFNESS * value, STIFFNESS, STIFFNESS, pressure
+        type(effect).kernel(effect.pack(ROBOT), state, port, dt_s, True)
+        added.append(port[ADDED, 0])
+        last = value
+    return np.array(added)
+
+
+def move(effects: list[Effect], pressure: np.ndarray, body: PccSimulator | None = None, **kwargs: np.ndarray) -> Motion:
+    time = DT * np.arange(1, len(pressure) + 1)
+    return Plant(body or simulator(), chain_of(ROBOT, effects)).simulate(time, pressure, **kwargs)
+
+
+def test_lag_reaches_63_percent_after_its_time_constant() -> None:
+    supplied = signal(Lag(fill_s=0.3, vent_s=0.8), np.vstack([step_to(1e4, 1000), step_to(0.0, 1000)]))[:, 0]
+    np.testing.assert_allclose(supplied[29], 1e4 * (1 - np.exp(-1)), rtol=1e-9)
+    np.testing.assert_allclose(supplied[1079], supplied[999] * np.exp(-1), rtol=1e-9)
+
+
+def test_dead_time_shifts_exactly() -> None:
+    command = np.random.default_rng(1).normal(0.0, 1e4, (300, 3))
+    np.testing.assert_allclose(signal(DeadTime(delay_s=0.07), command)[7:], command[:-7], rtol=1e-12)
+    assert not signal(DeadTime(delay_s=0.07), command)[:7].any()
+    half = signal(DeadTime(delay_s=0.075), command)[8:]
+    np.testing.assert_allclose(half, 0.5 * (command[:-8] + command[1:-7]), rtol=1e-9, atol=1e-6)
+
+
+def test_deadband_is_a_play_whose_width_is_free_of_rate() -> None:
+    band = 0.05
+    for steps in (100, 1000):
+        wave = np.concatenate([np.linspace(0, 2e4, steps), np.linspace(2e4, 0, steps)])
+        supplied = signal(Deadband(band=band), np.tile(wave[:, None], 3))[:, 0]
+        up, down = np.interp(1e4, wave[:steps], supplied[:steps]), np.interp(-1e4, -wave[steps:], supplied[steps:])
+        np.testing.assert_allclose(down - up, 2 * band * FULL, rtol=1e-6)
+
+
+def test_rate_limit_ramps_at_its_rates() -> None:
+    supplied = signal(RateLimit(rise_per_s=0.5, fall_per_s=0.25), np.vstack([step_to(FULL, 100), step_to(0.0, 100)]))[:, 0]
+    np.testing.assert_allclose(np.diff(supplied[:100]), 0.5 * FULL * DT)
+    np.testing.assert_allclose(np.diff(supplied[100:]), -0.25 * FULL * DT)
+
+
+def test_supply_limit_clips_both_ends() -> None:
+    command = np.linspace(ROBOT.pressure_min_pa, FULL, 50)[:, None] * np.ones(3)
+    supplied = signal(SupplyLimit(ceiling=0.6, floor=0.5), command)
+    np.testing.assert_array_equal(supplied, np.clip(command, 0.5 * ROBOT.pressure_min_pa, 0.6 * FULL))
+
+
+def test_tube_line_overshoots_as_a_second_order_system() -> None:
+    zeta, dt = 0.4, 1e-4
+    supplied = signal(TubeLine(period_s=0.1, damping_ratio=zeta), step_to(1.0, 20000), dt)[:, 0]
+    np.testing.assert_allclose(supplied.max() - 1.0, np.exp(-np.pi * zeta / np.sqrt(1 - zeta**2)), rtol=0.01)
+    np.testing.assert_allclose(supplied[-1], 1.0, rtol=1e-3)
+
+
+def test_leak_decays_and_settles() -> None:
+    slow = signal(Leak(leak_per_s=0.2, refill_s=1000.0), step_to(1e4, 300))[:, 0]
+    np.testing.assert_allclose(slow, 1e4 * np.exp(-0.2 * DT * np.arange(1, 301)), rtol=3e-3)
+    settled = signal(Leak(leak_per_s=0.2, refill_s=3.0), step_to(1e4, 6000))[-1]
+    np.testing.assert_allclose(settled, 1e4 / (1 + 0.2 * 3.0), rtol=1e-9)
+
+
+def test_gain_offset_crosstalk_are_linear_maps() -> None:
+    command = np.array([[1e4, 2e4, -1e4]])
+    np.testing.assert_allclose(signal(Gain(gain=0.8), command), 0.8 * command)
+    np.testing.assert_allclose(signal(Gain(gain=0.8, chamber=1), command), [[1e4, 1.6e4, -1e4]])
+    np.testing.assert_allclose(signal(Offset(offset=-0.1), command), command - 0.1 * FULL)
+    np.testing.assert_allclose(signal(Crosstalk(share=0.1), command), [[1.1e4, 2e4, -0.7e4]])
+
+
+def test_stiffness_scale_equals_a_stiffer_body() -> None:
+    pressure = 2e4 * np.sin(0.02 * np.arange(500))[:, None] ** 2 * [1.0, 0.3, 0.0]
+    body = simulator()
+    stiffer = body.with_parameters(bending_stiffness_scale=1.7, axial_stiffness_scale=1.7, damping_s=body.damping_s / 1.7)
+    np.testing.assert_allclose(
+        move([StiffnessScale(scale=1.7)], pressure).position, move([], pressure, stiffer).position, atol=1e-8
+    )
+
+
+def test_stiffness_of_one_chamber_bends_the_others_way() -> None:
+    even = np.full((600, 3), 2e4)
+    assert np.abs(move([], even).position[-1, :2]).max() < 1e-6
+    tip = move([StiffnessScale(scale=2.0, chamber=0)], even).position[-1, :2]
+    # the stiff chamber stays short, so the tip bends towards it
+    assert tip @ ROBOT.chamber_direction[0] > 0.99 * np.linalg.norm(tip) > 1e-3
+
+
+def test_strain_stiffening_doubles_at_ten_percent_and_is_odd() -> None:
+    added = pull(StrainStiffening(cubic=1.0), np.array([0.1, -0.1, 0.05]))
+    np.testing.assert_allclose(added, STIFFNESS * np.array([0.1, -0.1, 0.05 / 4]))
+
+
+def test_viscoelastic_stress_relaxes_to_the_known_modulus() -> None:
+    effect = Viscoelasticity(share_1=0.4, relaxation_1_s=2.0, share_2=0.2, relaxation_2_s=20.0)
+    strain = np.full(4000, 0.05)
+    added = pull(effect, strain)
+    time = DT * np.arange(4000)
+    expected = STIFFNESS * 0.05 * (0.4 * np.exp(-time / 2.0) + 0.2 * np.exp(-time / 20.0))
+    np.testing.assert_allclose(added, expected, rtol=3e-3)  # the first step is a ramp, not a jump
+    assert pull(effect, np.full(40, 0.05), dt_s=100.0)[-1] < 1e-6 * STIFFNESS
+
+
+def test_creep_has_the_time_constant_of_relaxation_and_share() -> None:
+    body = simulator().with_parameters(damping_s=1e-4, mass_scale=1e-3)
+    effect = Viscoelasticity(share_1=0.5, relaxation_1_s=8.0, share_2=0.0, relaxation_2_s=1.0)
+    pressure = np.full((6000, 3), 1e3) * [1.0, 0.0, 0.0]
+    tip = move([effect], pressure, body).position[:, 1]
+    final = move([], pressure, body).position[-1, 1]
+    time = DT * np.arange(1, 6001)
+    # at once 1 / (1 + share) of the bend, then an exponential approach with relaxation (1 + share)
+    expected = final * (1.0 - 0.5 / 1.5 * np.exp(-time / (8.0 * 1.5)))
+    np.testing.assert_allclose(tip[10:], expected[10:], rtol=4e-3)
+
+
+def loop_width(effect: Effect, period_s: float, dt_s: float) -> float:
+    """Return the width of the added pressure at zero strain of a settled triangle of 10 % strain."""
+    phase = np.arange(1, round(3 * period_s / dt_s) + 1) * dt_s / period_s
+    strain = 0.1 * (2.0 / np.pi) * np.arcsin(np.sin(2.0 * np.pi * phase))
+    added = pull(effect, strain, dt_s)[-round(period_s / dt_s) :]
+    last = strain[-len(added) :]
+    rising = np.gradient(last) > 0
+    near = np.abs(last) < 0.01
+    return float(added[rising & near].mean() - added[~rising & near].mean())
+
+
+def test_bouc_wen_loop_has_a_width_free_of_rate_and_step() -> None:
+    effect = Hysteresis(height=0.2, yield_strain=0.01)
+    widths = [loop_width(effect, period, period / count) for period in (0.5, 5.0, 50.0) for count in (400, 800)]
+    np.testing.assert_allclose(widths, 2 * 0.2 * FULL, rtol=2e-3)
+
+
+def test_viscous_loop_depends_on_rate_where_bouc_wen_does_not() -> None:
+    effect = Viscoelasticity(share_1=0.5, relaxation_1_s=1.0, share_2=0.0, relaxation_2_s=1.0)
+    widths = [loop_width(effect, period, period / 400) for period in (0.5, 5.0, 50.0)]
+    assert widths[1] > 1.5 * widths[0] and widths[1] > 1.5 * widths[2]
+
+
+def test_friction_loop_grows_with_pressure_not_with_rate() -> None:
+    strain = 0.05 * np.sin(np.linspace(0, 20, 2000))
+    for pressure, height in ((0.0, 0.1 * FULL), (1e4, 0.1 * FULL + 0.05 * 1e4)):
+        for dt in (0.01, 0.1):
+            added = pull(Friction(dry=0.1, loaded=0.05), strain, dt, pressure)
+            np.testing.assert_allclose([added.max(), added.min()], [height, -height], rtol=1e-3)
+
+
+def test_friction_takes_energy_at_every_step() -> None:
+    strain = 0.05 * np.random.default_rng(2).normal(size=500)
+    added = pull(Friction(dry=0.1, loaded=0.0), strain)
+    assert (added * np.diff(strain, prepend=0.0) >= 0.0).all()
+
+
+def test_mullins_acts_only_below_the_largest_strain() -> None:
+    up, down = np.linspace(0.001, 0.1, 50), np.linspace(0.099, 0.0, 50)
+    further = np.linspace(0.0, 0.15, 76)
+    added = pull(Mullins(softening=0.3, width=0.03), np.concatenate([up, down, further]))
+    np.testing.assert_allclose(added[:50], 0.0, atol=1e-9)                     # virgin
+    assert (added[51:98] < 0.0).all() and (added[102:148] < 0.0).all()         # below the maximum, on both ways
+    np.testing.assert_allclose(added[51:98][::-1], np.interp(down[1:48][::-1], further, added[100:]), atol=60.0)
+    np.testing.assert_allclose(added[152:], 0.0, atol=1e-9)                    # beyond the maximum again
+
+
+def test_drift_softens_exponentially() -> None:
+    added = pull(Drift(rate_per_s=0.004), np.full(1000, 0.05))
+    np.testing.assert_allclose(1.0 + added / (STIFFNESS * 0.05), np.exp(-0.004 * DT * np.arange(1, 1001)), rtol=1e-12)
+
+
+def test_payload_weighs_as_its_force_and_slows_the_body() -> None:
+    pressure = np.full((1500, 3), 2e4) * [1.0, 0.0, 0.0]
+    weight = 0.3 * ROBOT.mass_kg * np.array(ROBOT.gravity_m_s2)
+    loaded = move([Payload(mass=0.3)], pressure).position[-1]
+    pressed = move([], pressure, tip_force=np.tile(weight, (1500, 1))).position[-1]
+    np.testing.assert_allclose(loaded, pressed, atol=1e-7)
+    light = simulator().with_parameters(damping_s=1e-3)
+
+    def period(effects: list[Effect]) -> float:
+        tip = move(effects, pressure[:400], light).position[:, 1]
+        crossings = np.flatnonzero(np.diff(np.sign(tip - tip[-50:].mean())) != 0)
+        return float(np.mean(np.diff(crossings[:6])))
+
+    assert period([Payload(mass=0.3)]) > 1.3 * period([])
+
+
+def load_port(tip: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    port = np.zeros((LOAD_PORT_ROWS, 3))
+    port[TIP], port[TIP_VELOCITY], port[GRAVITY] = tip, velocity, [0.0, 0.0, -9.81]
+    return port
+
+
+def test_mount_tilt_turns_gravity_and_keeps_its_size() -> None:
+    for angles, expected in (((0.2, 0.0), [0, np.sin(0.2), -np.cos(0.2)]), ((0.0, 0.2), [-np.sin(0.2), 0, -np.cos(0.2)])):
+        _, port = MountTilt(*angles).apply(ROBOT, np.zeros(3), load_port(np.zeros(3), np.zeros(3)), DT)
+        np.testing.assert_allclose(port[GRAVITY], 9.81 * np.array(expected), atol=1e-12)
+
+
+def test_contact_pushes_one_way_only() -> None:
+    wall = Contact(distance=0.1, azimuth_rad=0.0, stiffness_n_per_m=500.0)
+    edge = 0.1 * ROBOT.length_m
+    for x, force in ((edge - 0.01, 0.0), (edge + 0.01, -5.0)):
+        _, port = wall.apply(ROBOT, np.zeros(1), load_port(np.array([x, 0.3, 0.1]), np.zeros(3)), DT)
+        np.testing.assert_allclose(port[FORCE], [force, 0.0, 0.0], atol=1e-12)
+
+
+def test_wall_stops_the_tip() -> None:
+    pressure = np.full((600, 3), 3e4) * [0.0, 1.0, 0.0]
+    free = move([], pressure).position[-1]
+    wall = Contact(distance=0.1, azimuth_rad=np.arctan2(free[1], free[0]), stiffness_n_per_m=1e4)
+    stopped = move([wall], pressure).position[-1]
+    normal = free[:2] / np.linalg.norm(free[:2])
+    assert free[:2] @ normal > 0.15 * ROBOT.length_m
+    assert abs(stopped[:2] @ normal - 0.1 * ROBOT.length_m) < 2e-3
+
+
+def test_tether_force_is_the_gradient_of_a_spring() -> None:
+    effect = Tether(stiffness_n_per_m=40.0, offset_x=0.1, offset_y=-0.1)
+    anchor = ROBOT.length_m * np.array([0.1, -0.1, 1.0])
+    tip = np.array([0.01, 0.02, 0.17])
+    _, port = effect.apply(ROBOT, np.zeros(1), load_port(tip, np.zeros(3)), DT)
+    np.testing.assert_allclose(port[FORCE], -40.0 * (tip - anchor))
+
+
+SLOPED = [
+    StiffnessScale(1.5), StiffnessScale(1.5, chamber=0), StrainStiffening(2.0), Viscoelasticity(0.4, 2.0, 0.2, 20.0),
+    Hysteresis(0.2, 0.02), Friction(0.1, 0.1), Mullins(0.3, 0.03), Drift(0.004),
+]
+
+
+@pytest.mark.parametrize("effect", SLOPED, ids=lambda e: e.name())
+@pytest.mark.parametrize("strain", [0.03, 0.08, 0.0203])
+def test_body_slope_is_the_derivative(effect: Effect, strain: float) -> None:
+    state, last = effect.reset(ROBOT), 0.0
+
+    def port_at(value: float, last: float) -> np.ndarray:
+        port = np.zeros((BODY_PORT_ROWS, 3))
+        port[STRAIN], port[RATE], port[PRESSURE] = value, (value - last) / DT, 1e4
+        port[ELASTIC], port[ELASTIC_SLOPE], port[REST] = STIFFNESS * value, STIFFNESS, STIFFNESS
+        return port
+
+    for value in (0.01, 0.05, 0.02):
+        type(effect).kernel(effect.pack(ROBOT), state, port_at(value, last), DT, True)
+        last = value
+    ports = [port_at(strain + nudge, last) for nudge in (-1e-7, 0.0, 1e-7)]
+    for port in ports:
+        type(effect).kernel(effect.pack(ROBOT), state, port, DT, False)
+    slope = (ports[2][ADDED, 0] - ports[0][ADDED, 0]) / 2e-7
+    np.testing.assert_allclose(ports[1][ADDED_SLOPE, 0], slope, rtol=2e-4, atol=1.0)
+
+
+@pytest.mark.parametrize("effect", [Payload(0.3), Contact(0.1, 0.5, 500.0), Tether(40.0, 0.1, 0.0)], ids=lambda e: e.name())
+def test_load_slope_is_the_derivative(effect: Effect) -> None:
+    tip, velocity = np.array([0.05, 0.03, 0.17]), np.array([0.1, -0.2, 0.05])
+    state = effect.reset(ROBOT)
+    _, middle = effect.apply(ROBOT, state, load_port(tip, velocity), DT)
+    for k in range(3):
+        nudge = 1e-6 * np.eye(3)[k]
+        forces = [
+            effect.apply(ROBOT, state, load_port(tip + sign * nudge, velocity + sign * nudge / DT), DT)[1][FORCE]
+            for sign in (-1.0, 1.0)
+        ]
+        np.testing.assert_allclose(middle[FORCE_SLOPE : FORCE_SLOPE + 3, k], (forces[1] - forces[0]) / 2e-6, rtol=1e-6, atol=1e-4)
+
+
+def poses() -> np.ndarray:
+    motion = move([], 3e4 * np.sin(0.03 * np.arange(1, 301))[:, None] ** 2 * [1.0, 0.4, 0.0])
+    return np.hstack([motion.position, motion.quaternion])
+
+
+def test_frame_is_an_isometry() -> None:
+    pose = poses()
+    turned = signal(Frame(0.1, -0.2, 0.5, 0.02, 0.0, 0.01), pose)
+    distance = np.linalg.norm(pose[:, None, :3] - pose[None, ::10, :3], axis=2)
+    np.testing.assert_allclose(np.linalg.norm(turned[:, None, :3] - turned[None, ::10, :3], axis=2), distance, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(turned[:, 3:], axis=1), 1.0)
+    relative = np.sum(pose[0, 3:] * pose[:, 3:], axis=1)
+    np.testing.assert_allclose(np.sum(turned[0, 3:] * turned[:, 3:], axis=1), relative, atol=1e-12)
+
+
+def test_delay_shifts_the_pose_and_hold_repeats_it() -> None:
+    pose = poses()
+    np.testing.assert_allclose(signal(Delay(delay_s=0.05), pose)[5:], pose[:-5], atol=1e-12)
+    np.testing.assert_allclose(signal(Delay(delay_s=0.05), pose)[:5], pose[[0]] * np.ones((5, 1)), atol=1e-12)
+    held = signal(Hold(period_s=0.05), pose)
+    np.testing.assert_array_equal(held, np.repeat(pose[::5], 5, axis=0))
+
+
+def test_marker_keeps_its_distance_and_turns_with_the_tip() -> None:
+    pose = poses()
+    marked = signal(MarkerOffset(0.1, -0.05, 0.02), pose)
+    offset = ROBOT.length_m * np.array([0.1, -0.05, 0.02])
+    expected = pose[:, :3] + Rotation.from_quat(pose[:, 3:], scalar_first=True).apply(offset)
+    np.testing.assert_allclose(marked[:, :3], expected, atol=1e-12)
+    np.testing.assert_array_equal(marked[:, 3:], pose[:, 3:])

@@ -1,0 +1,66 @@
+"""Laws of the data check: it recovers the noise that was put in, and finds gaps, holds, clipping and idle chambers."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from softrl.recordings.check import check, check_run
+from softrl.recordings.recording import Recording, RecordingSet
+from softrl.robots.robot import Robot
+
+CONF = Path(__file__).parents[2] / "conf"
+
+
+def robot_named(name: str) -> Robot:
+    return Robot(**yaml.safe_load((CONF / "robot" / f"{name}.yaml").read_text()))
+
+
+TRIPOD = robot_named("tripod")
+
+
+def run_with_noise(noise_m: float, seed: int, hold: bool = True) -> Recording:
+    rng = np.random.default_rng(seed)
+    time = 0.01 * np.arange(1, 3001)
+    wave = np.floor(time / 5.0) % 2 if hold else 0.5 + 0.5 * np.sin(time)
+    pressure = np.outer(wave, [10e3, 10e3, 0.0])
+    creep = np.cumsum(wave)[:, None] * [1e-6, 0.0, 0.0]
+    position = [0, 0, 0.1765] + 0.02 * np.outer(wave, [1, 0, 0]) + creep + rng.normal(0, noise_m, (len(time), 3))
+    return Recording(f"run{seed}", "s", time, pressure, position=position)
+
+
+def test_noise_is_recovered_from_holds_and_from_differences() -> None:
+    for hold, source in ((True, "holds"), (False, "differences")):
+        found = check_run(run_with_noise(2e-4, 1, hold), TRIPOD)
+        assert found.noise_from == source
+        assert abs(found.noise["position"] / 2e-4 - 1.0) < 0.15, found.noise
+
+
+def test_repeats_measure_the_noise_too() -> None:
+    runs = tuple(run_with_noise(3e-4, seed) for seed in (1, 2))
+    found = check(RecordingSet("tripod", runs), TRIPOD)
+    assert abs(found.repeatability["position"] / 3e-4 - 1.0) < 0.1
+    assert found.excited == (0, 1)
+    assert any("chamber 3 is not driven" in warning for warning in found.warnings)
+
+
+def test_gap_hold_and_clipping_are_reported() -> None:
+    clean = run_with_noise(1e-4, 1, hold=False)
+    assert not check_run(clean, TRIPOD).gaps
+    late = np.where(np.arange(3000) < 1000, clean.time, clean.time + 0.7)
+    found = check_run(replace(clean, time=late), TRIPOD)
+    assert len(found.gaps) == 1
+    np.testing.assert_allclose(found.gaps[0], (10.0, 0.71), atol=1e-9)
+    held = check_run(replace(clean, position=np.repeat(clean.position[::4], 4, axis=0)), TRIPOD)
+    assert abs(held.held["position"] - 0.75) < 0.02
+    clipped = np.minimum(clean.position, [0.012, 1.0, 1.0])
+    assert any("clipped" in w for w in check_run(replace(clean, position=clipped), TRIPOD).warnings)
+
+
+def test_jump_of_orientation_is_reported() -> None:
+    clean = run_with_noise(1e-4, 1)
+    pose = np.tile([1.0, 0, 0, 0], (3000, 1))
+    assert not any("jumps" in w for w in check_run(replace(clean, quaternion=pose), TRIPOD).warnings)
+    pose[1500:] = [0.7, 0.714, 0, 0]
+    assert any("jumps 1 times" in w for w in check_run(replace(clean, quaternion=pose), TRIPOD).warnings)

@@ -1,0 +1,138 @@
+"""Laws of the stage: replay reproduces its own data, keeps names and times, and noise comes from the seed alone."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from softrl.core.errors import ConfigError, RecordingError
+from softrl.core.tracking import NullTracker
+from softrl.effects.chain import EffectChain, Plant, chain_of
+from softrl.effects.delay import Delay
+from softrl.effects.lag import Lag
+from softrl.effects.replay import bend_angle, replay
+from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.program import random_steps
+from softrl.recordings.read import read
+from softrl.recordings.recording import Recording, RecordingSet
+from softrl.robots.robot import Robot
+from softrl.simulate.stage import Config, run
+
+CONF = Path(__file__).parents[2] / "conf"
+
+
+def simulator(name: str) -> PccSimulator:
+    data = yaml.safe_load((CONF / "simulator" / "pcc.yaml").read_text())
+    data.pop("_target_")
+    return PccSimulator(Robot(**yaml.safe_load((CONF / "robot" / f"{name}.yaml").read_text())), **data)
+
+
+def config(**changed: object) -> Config:
+    return Config(**(yaml.safe_load((CONF / "stage" / "simulate.yaml").read_text()) | {"seed": 0} | changed))
+
+
+def commands(robot: Robot, seed: int = 1) -> RecordingSet:
+    rng = np.random.default_rng(seed)
+    runs = []
+    for k in range(2):
+        time, pressure = random_steps(robot, 6, 1.0, 0.01, rng)
+        runs.append(Recording(f"run{k}", "s", time, pressure))
+    return RecordingSet(robot.name, tuple(runs))
+
+
+@pytest.mark.parametrize("name", ["tripod", "single_chamber_finger"])
+def test_replay_on_the_grid_is_the_simulation(name: str) -> None:
+    body = simulator(name)
+    plant = Plant(body, chain_of(body.robot, [Lag(0.1, 0.2), Delay(0.05)]))
+    recording = commands(body.robot).recordings[0]
+    motion = plant.simulate(recording.time, recording.pressure_cmd)
+    replayed = replay(plant, recording, 0.01)
+    np.testing.assert_allclose(replayed.position, motion.position, atol=1e-9)
+    np.testing.assert_allclose(replayed.quaternion, motion.quaternion, atol=1e-9)
+    np.testing.assert_allclose(replayed.pressure_meas, motion.pressure, atol=1e-3)
+    assert (replayed.bend_angle is not None) == (name == "single_chamber_finger")
+
+
+def test_replay_at_uneven_times_converges_to_the_fine_one() -> None:
+    body = simulator("tripod")
+    plant = Plant(body, chain_of(body.robot, [Lag(0.1, 0.2)]))
+    time = np.cumsum(np.random.default_rng(3).uniform(0.01, 0.05, 300))
+    recording = Recording("a", "s", time, 2e4 * np.sin(np.outer(time, [1.0, 0.7, 1.3])))
+    tips = [replay(plant, recording, dt).position for dt in (0.02, 0.01, 0.005, 0.0025)]
+    errors = [np.sqrt(np.mean((a - b) ** 2)) for a, b in zip(tips, tips[1:], strict=False)]
+    assert errors[2] < 0.7 * errors[1] < 0.6 * errors[0], errors
+
+
+def test_measured_drive_bypasses_the_valve() -> None:
+    body = simulator("tripod")
+    lagging = Plant(body, chain_of(body.robot, [Lag(0.3, 0.3)]))
+    recorded = replay(lagging, commands(body.robot).recordings[0], 0.01)
+    again = replay(lagging, recorded, 0.01, drive="measured")
+    np.testing.assert_allclose(again.position, recorded.position, atol=1e-9)
+    with pytest.raises(RecordingError, match="no measured pressure"):
+        replay(lagging, commands(body.robot).recordings[0], 0.01, drive="measured")
+
+
+def test_settling_starts_at_the_first_row() -> None:
+    body = simulator("tripod")
+    time = 0.01 * np.arange(1, 101)
+    held = Recording("a", "s", time, np.full((100, 3), 1e4) * [1.0, 0.0, 0.0])
+    plant = Plant(body, chain_of(body.robot, []))
+    assert np.ptp(replay(plant, held, 0.01).position, axis=0).max() > 1e-3
+    assert np.ptp(replay(plant, held, 0.01, settle_s=3.0).position, axis=0).max() < 1e-6
+
+
+def test_bend_angle_is_the_tips_turn() -> None:
+    finger = simulator("single_chamber_finger")
+    for angle in (-0.5, 0.0, 0.7, 2.5):
+        _, quaternion = finger.observe(finger.reset()._replace(coordinates=np.array([angle])))
+        np.testing.assert_allclose(bend_angle(finger.robot, quaternion[None]), [angle], atol=1e-12)
+
+
+def test_stage_writes_a_dataset_like_its_input(tmp_path: Path) -> None:
+    body = simulator("tripod")
+    chain = chain_of(body.robot, [Lag(0.2, 0.3)])
+    given = commands(body.robot)
+    made = run(config(out=str(tmp_path / "out")), body.robot, body, chain, given, tracker=NullTracker())
+    read_back = read(tmp_path / "out", body.robot)
+    for ours, theirs, source in zip(made.recordings, read_back.recordings, given.recordings, strict=True):
+        assert (theirs.name, theirs.session) == (source.name, source.session)
+        np.testing.assert_allclose(theirs.pressure_cmd, source.pressure_cmd, rtol=1e-8)
+        np.testing.assert_allclose(theirs.position, ours.position, atol=1e-9)
+    tracker = NullTracker()
+    run(config(), body.robot, body, chain, read_back, tracker=tracker)
+    assert tracker.metrics["recorded/tip_difference_mm"] < 1e-4
+    run(config(), body.robot, body, EffectChain(body.robot), read_back, tracker=tracker)
+    assert tracker.metrics["recorded/tip_difference_mm"] > 1.0
+
+
+def test_noise_is_seeded_and_of_the_size_asked_for() -> None:
+    body = simulator("tripod")
+    chain = EffectChain(body.robot)
+    noise = {"position_noise_m": 1e-3, "pressure_noise_pa": 200.0, "orientation_noise_rad": 0.01}
+    clean, one, same, other = (
+        run(config(**changed), body.robot, body, chain, commands(body.robot), tracker=NullTracker()).recordings[1]
+        for changed in ({}, noise, noise, noise | {"seed": 1})
+    )
+    np.testing.assert_array_equal(one.position, same.position)
+    assert np.abs(one.position - other.position).max() > 1e-4
+    np.testing.assert_allclose((one.position - clean.position).std(), 1e-3, rtol=0.1)
+    np.testing.assert_allclose((one.pressure_meas - clean.pressure_meas).std(), 200.0, rtol=0.1)
+    np.testing.assert_array_equal(one.pressure_cmd, clean.pressure_cmd)
+    turned = 2.0 * np.arccos(np.clip(np.sum(one.quaternion * clean.quaternion, axis=1), -1, 1))
+    np.testing.assert_allclose(np.sqrt(np.mean(turned**2) / 3.0), 0.01, rtol=0.1)
+
+
+def test_bad_config_is_refused() -> None:
+    for bad in ({"dt_s": 0.0}, {"drive": "wish"}, {"position_noise_m": -1.0}):
+        with pytest.raises(ConfigError, match="stage."):
+            config(**bad)
+
+
+def test_run_too_long_for_its_step_is_refused() -> None:
+    body = simulator("tripod")
+    recording = commands(body.robot).recordings[0]
+    with pytest.raises(RecordingError, match="raise dt_s"):
+        replay(Plant(body, EffectChain(body.robot)), replace(recording, time=recording.time * 1e4), 0.01)
