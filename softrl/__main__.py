@@ -9,23 +9,30 @@ from typing import Any, NoReturn
 # errors of the command line are told in one line here, not by hydra
 os.environ.setdefault("HYDRA_FULL_ERROR", "1")
 
-import hydra  # noqa: E402
-from hydra.errors import HydraException  # noqa: E402
-from omegaconf import DictConfig  # noqa: E402
-from omegaconf.errors import OmegaConfBaseException  # noqa: E402
+import hydra
+from hydra.errors import ConfigCompositionException, HydraException
+from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
 
-from softrl.core.errors import SoftrlError  # noqa: E402
+from softrl.core.errors import SoftrlError
 
 HERE = Path(__file__).resolve().parent
+NOISE = ("full_key:", "object_type=", "reference_type=", "Config search path", "provider=", "Set the environment")
+_mistakes: list[SoftrlError] = []
 CONF = next(folder for folder in (HERE / "conf", HERE.parent / "conf") if folder.is_dir())
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")
 def run(cfg: DictConfig) -> None:
-    """Run the stage that the configuration names, or the whole loop."""
+    """Run the stage that the configuration names, or the whole loop; keep a user's mistake for ``main`` to tell."""
     from softrl.loop import run_configured  # imported late: --help answers at once
 
-    run_configured(cfg)
+    try:
+        run_configured(cfg)
+    except SoftrlError as mistake:
+        if cfg.debug:
+            raise
+        _mistakes.append(mistake)  # a sweep goes on with its other points
 
 
 def main() -> None:
@@ -35,10 +42,13 @@ def main() -> None:
     error: BaseException | None = None
     try:
         run()
+        if _mistakes:
+            error = _mistakes[0]
+            _leave("; ".join(dict.fromkeys(_one_line(mistake) for mistake in _mistakes)), 2)
     except KeyboardInterrupt as interrupt:
         error = interrupt
         _leave("stopped; finished stages are kept, run the same command again to go on", 130)
-    except (SoftrlError, HydraException, OmegaConfBaseException) as mistake:
+    except (HydraException, OmegaConfBaseException) as mistake:
         error = mistake
         if "debug=true" in sys.argv:
             raise
@@ -58,7 +68,9 @@ def _spell_out(word: str) -> list[str]:
 
 def _one_line(error: Exception) -> str:
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    shown = [line for line in lines if not line.startswith(("full_key:", "object_type=", "reference_type="))]
+    if isinstance(error, ConfigCompositionException) and lines[0].startswith("Could not override"):
+        return f"{lines[0].rstrip('.')}: there is no such key; `--cfg job` prints every key of the chosen stage"
+    shown = [line for line in lines if not line.startswith(NOISE)]
     return " ".join(shown)
 
 

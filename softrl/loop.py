@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 
 def run_configured(cfg: DictConfig) -> None:
     """Run what the command line asks for: one stage, or all of them in order."""
-    chosen = HydraConfig.get()
+    chosen: Any = HydraConfig.get()
     folder, stage = Path(chosen.runtime.output_dir), chosen.runtime.choices.stage
     if stage == "all":
         finished = _run_all(list(chosen.overrides.task), folder)
@@ -32,7 +32,9 @@ def _run_all(overrides: list[str], folder: Path) -> list[Outcome]:
     """Run every stage with the same overrides; an artifact made here is the next stages' input."""
     for word in overrides:
         if word.lstrip("+~").startswith("stage."):
-            raise ConfigError(f"{word} says nothing about which stage is meant; run that stage alone: stage=<name> {word}")
+            raise ConfigError(
+                f"{word} says nothing about which stage is meant; run that stage alone: stage=<name> {word}"
+            )
     shared = [word for word in overrides if not word.startswith("stage=")]
     finished: list[Outcome] = []
     made: dict[str, str] = {}
@@ -55,7 +57,9 @@ def _plain(cfg: DictConfig) -> dict[str, Any]:
 
 def _write_summary(finished: list[Outcome], folder: Path) -> None:
     summary = {
-        "stage": "all", "run_id": finished[-1].run_id, "status": "finished",
+        "stage": "all",
+        "run_id": finished[-1].run_id,
+        "status": "finished",
         "seconds": round(sum(outcome.seconds for outcome in finished), 3),
         "inputs": {outcome.stage: outcome.run_id for outcome in finished},
         "metrics": {f"{o.stage}/{name}": value for o in finished for name, value in o.metrics.items()},

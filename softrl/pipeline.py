@@ -16,7 +16,7 @@ from softrl.assembly import Assembly, output_kinds
 from softrl.core import config as configuration
 from softrl.core import fingerprint
 from softrl.core.errors import ConfigError
-from softrl.core.store import Location, OpenRun, Store
+from softrl.core.store import Location, OpenRun, Store, write_text
 from softrl.core.sweep import PARENT_VARIABLE
 
 log = logging.getLogger(__name__)
@@ -57,24 +57,33 @@ def run_stage(stage: str, cfg: Mapping[str, Any], folder: Path, made: Mapping[st
     arguments = assembly.arguments(module.run)
     mark = fingerprint.of_values([stage, assembly.used, assembly.inputs, fingerprint.of_code(*assembly.modules)])
     if not cfg["force"] and (before := store.find({"stage": stage, "fingerprint": mark})):
-        log.info("%s: run %s did the same already and is reused (force=true runs it again)", stage, before.info.run_id[:8])
+        log.info(
+            "%s: run %s did the same already and is reused (force=true runs it again)", stage, before.info.run_id[:8]
+        )
         return _reused(store, stage, before, folder)
-    tags = {"stage": stage, "fingerprint": mark, "robot": assembly.robot_mark, "profile": cfg["profile"]["name"],
-            "git": _git_revision(), "inputs": json.dumps(assembly.inputs), "seed": str(cfg["seed"])}
+    tags = {
+        "stage": stage,
+        "fingerprint": mark,
+        "robot": assembly.robot_mark,
+        "profile": cfg["profile"]["name"],
+        "git": _git_revision(),
+        "inputs": json.dumps(assembly.inputs),
+        "seed": str(cfg["seed"]),
+    }
     log.info("%s: started", stage)
     start = time.monotonic()
-    with store.start(stage, tags, os.environ.get(PARENT_VARIABLE)) as run:
+    with store.start(stage, tags, os.environ.get(PARENT_VARIABLE), folder) as run:
         run.params(_flat(cfg))
         try:
             output = module.run(config, **arguments, tracker=run)
         except BaseException as error:
-            _write_result(run, stage, "failed", start, assembly.inputs, [], folder, error=str(error))
+            _write_result(run, stage, "failed", start, assembly.inputs, [], error=str(error))
             raise
         artifacts = {type(artifact).key(): artifact for artifact in _parts(output)}
         for name, artifact in artifacts.items():
             run.artifact(name, artifact)
-            _write_document(run, stage, artifact, folder)
-        result = _write_result(run, stage, "finished", start, assembly.inputs, list(artifacts), folder)
+            _write_document(run, stage, artifact)
+        result = _write_result(run, stage, "finished", start, assembly.inputs, list(artifacts))
     log.info("%s: finished in %.1f s, run %s", stage, result["seconds"], run.id[:8])
     return Outcome(stage, run.id, False, result["seconds"], run.metrics, folder)
 
@@ -90,38 +99,42 @@ def _parts(output: Any) -> list[Artifact]:
 
 def _reused(store: Store, stage: str, run: Any, folder: Path) -> Outcome:
     text = (store.folder(run, "result.json")).read_text()
-    _write(folder / "result.json", json.dumps(json.loads(text) | {"reused": True}, indent=1))
-    document = store.folder(run, f"{stage}.json")
-    if document.is_file():
-        _write(folder / document.name, document.read_text())
+    write_text(folder / "result.json", json.dumps(json.loads(text) | {"reused": True}, indent=1))
+    for name in (f"{stage}.json", "report.html"):
+        if (document := store.folder(run, name)).is_file():
+            write_text(folder / name, document.read_text())
     result = json.loads(text)
     return Outcome(stage, run.info.run_id, True, result["seconds"], result["metrics"], folder)
 
 
-def _write_result(run: OpenRun, stage: str, status: str, start: float, inputs: Mapping[str, str], names: list[str],
-                  folder: Path, error: str | None = None) -> dict[str, Any]:
-    result = {"stage": stage, "run_id": run.id, "status": status, "seconds": round(time.monotonic() - start, 3),
-              "inputs": dict(inputs), "metrics": run.metrics,
-              "artifacts": {name: str(run.store.folder(run.run, name)) for name in names}}
+def _write_result(
+    run: OpenRun,
+    stage: str,
+    status: str,
+    start: float,
+    inputs: Mapping[str, str],
+    names: list[str],
+    error: str | None = None,
+) -> dict[str, Any]:
+    result = {
+        "stage": stage,
+        "run_id": run.id,
+        "status": status,
+        "seconds": round(time.monotonic() - start, 3),
+        "inputs": dict(inputs),
+        "metrics": run.metrics,
+        "artifacts": {name: str(run.store.folder(run.run, name)) for name in names},
+    }
     text = json.dumps(result | ({"error": error} if error else {}), indent=1)
-    _write(folder / "result.json", text)
     run.text("result.json", text)
     return result
 
 
-def _write_document(run: OpenRun, stage: str, artifact: Artifact, folder: Path) -> None:
+def _write_document(run: OpenRun, stage: str, artifact: Artifact) -> None:
     """Write ``<stage>.json`` for an artifact that has a form for readers outside (``document()``)."""
     if hasattr(artifact, "document"):
         text = json.dumps(artifact.document(), indent=1)
-        _write(folder / f"{stage}.json", text)
         run.text(f"{stage}.json", text)
-
-
-def _write(path: Path, text: str) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    part.write_text(text)
-    part.rename(path)
 
 
 def _flat(node: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -135,6 +148,7 @@ def _flat(node: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def _git_revision() -> str:
-    done = subprocess.run(["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True,
-                          check=False)
+    done = subprocess.run(
+        ["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True, check=False
+    )
     return done.stdout.strip() or "unknown"

@@ -61,7 +61,7 @@ class Artifact:
         meta = {"kind": self.kind(), "schema": self.schema, "values": plain,
                 "array_dicts": [k for k, v in values.items() if _is_array_dict(v)]}
         (folder / META).write_text(json.dumps(meta, indent=1, default=_jsonable))
-        np.savez_compressed(folder / ARRAYS, **_arrays_of(self))
+        np.savez_compressed(folder / ARRAYS, allow_pickle=False, **_arrays_of(self))
 
     @classmethod
     def load(cls, folder: Path) -> Self:

@@ -90,8 +90,9 @@ def _value(value: Any, hint: Any, path: str, fill: Fill) -> Any:
     try:
         return TypeAdapter(hint, config={"arbitrary_types_allowed": True}).validate_python(value)
     except ValidationError as error:
-        raise ConfigError(f"{path}={value!r} has the wrong type; expected {_readable(hint)}: "
-                          f"{error.errors()[0]['msg']}") from error
+        raise ConfigError(
+            f"{path}={value!r} has the wrong type; expected {_readable(hint)}: {error.errors()[0]['msg']}"
+        ) from error
 
 
 def _readable(hint: Any) -> str:

@@ -50,8 +50,10 @@ def _imports(module: str) -> tuple[str, ...]:
         if isinstance(node, ast.Import):
             found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module and node.module.startswith(PACKAGE):
-            found += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names
-                                     if _is_module(f"{node.module}.{alias.name}"))]
+            found += [
+                node.module,
+                *(f"{node.module}.{alias.name}" for alias in node.names if _is_module(f"{node.module}.{alias.name}")),
+            ]
     return tuple(name for name in found if name.startswith(PACKAGE))
 
 

@@ -9,6 +9,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
+from urllib.parse import urlparse
+from urllib.request import url2pathname
 
 from filelock import FileLock
 
@@ -18,9 +20,9 @@ os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
 os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")
 os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
 
-from mlflow.entities import Metric, Param, Run, RunTag  # noqa: E402  (after the switches that it reads on import)
-from mlflow.tracking import MlflowClient  # noqa: E402
-from mlflow.utils.file_utils import local_file_uri_to_path  # noqa: E402
+from mlflow.entities import Metric, Param, Run, RunTag
+from mlflow.tracking import MlflowClient
+from mlflow.utils.file_utils import local_file_uri_to_path
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -66,8 +68,12 @@ class Store:
     def find(self, tags: dict[str, str]) -> Run | None:
         """Return the newest finished run that carries all ``tags``."""
         condition = " and ".join(f"tags.`softrl.{key}` = '{value}'" for key, value in tags.items())
-        runs = self.client.search_runs([self.experiment], f"attributes.status = 'FINISHED' and {condition}",
-                                       order_by=["attributes.start_time DESC"], max_results=1)
+        runs = self.client.search_runs(
+            [self.experiment],
+            f"attributes.status = 'FINISHED' and {condition}",
+            order_by=["attributes.start_time DESC"],
+            max_results=1,
+        )
         return runs[0] if runs else None
 
     def get(self, run_id: str) -> Run:
@@ -90,7 +96,7 @@ class Store:
         """Return a local folder with the artifact ``name`` of a run; local stores are read in place."""
         uri = run.info.artifact_uri
         if uri.startswith("file:") or uri.startswith("/"):
-            return Path(local_file_uri_to_path(uri)) / name
+            return Path(url2pathname(urlparse(uri).path)) / name
         cached = self._cache / run.info.run_id / name
         if not cached.exists():
             cached.parent.mkdir(parents=True, exist_ok=True)
@@ -111,25 +117,28 @@ class Store:
         dead = [run for run in running if not _alive(int(run.data.tags["softrl.pid"]))]
         for run in dead:
             self.client.set_terminated(run.info.run_id, "FAILED")
-            log.info("run %s of stage %s was killed; it is marked failed", run.info.run_id[:8],
-                     run.data.tags.get("softrl.stage"))
+            log.info(
+                "run %s of stage %s was killed; it is marked failed",
+                run.info.run_id[:8],
+                run.data.tags.get("softrl.stage"),
+            )
         return len(dead)
 
-    def start(self, name: str, tags: dict[str, str], parent: str | None) -> "OpenRun":
-        """Open a run."""
+    def start(self, name: str, tags: dict[str, str], parent: str | None, folder: Path | None = None) -> "OpenRun":
+        """Open a run; its texts are written to ``folder`` too."""
         owner = {"host": socket.gethostname(), "pid": str(os.getpid())}
         all_tags = {f"softrl.{key}": value for key, value in (tags | owner).items()}
         if parent:
             all_tags[PARENT] = parent
         run = self.client.create_run(self.experiment, run_name=name, tags=all_tags)
-        return OpenRun(self, run)
+        return OpenRun(self, run, folder)
 
 
 class OpenRun:
     """One run while its stage works: a ``Tracker`` that is finished, or marked failed, exactly once."""
 
-    def __init__(self, store: Store, run: Run) -> None:
-        self.store, self.run = store, run
+    def __init__(self, store: Store, run: Run, folder: Path | None = None) -> None:
+        self.store, self.run, self.folder = store, run, folder
         self.id: str = run.info.run_id
         self.metrics: dict[str, float] = {}
         self._buffer: list[Metric] = []
@@ -160,6 +169,8 @@ class OpenRun:
 
     def text(self, name: str, content: str) -> None:
         """Record a text file."""
+        if self.folder:
+            write_text(self.folder / name, content)
         self.store.client.log_text(self.id, content, name)
 
     def params(self, values: dict[str, Any]) -> None:
@@ -183,6 +194,14 @@ class OpenRun:
         if self._buffer:
             self.store.client.log_batch(self.id, metrics=self._buffer)
             self._buffer = []
+
+
+def write_text(path: Path, content: str) -> None:
+    """Write a file through a temporary sibling, so that no half of it is ever seen."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(path.name + ".part")
+    part.write_text(content)
+    part.rename(path)
 
 
 def _alive(pid: int) -> bool:

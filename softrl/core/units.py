@@ -33,7 +33,5 @@ def si_factor(column: str) -> float:
     """
     suffix = column.rsplit("_", 1)[-1]
     if suffix not in FACTORS:
-        raise RecordingError(
-            f"column '{column}' ends in no known unit; expected a suffix out of {', '.join(FACTORS)}"
-        )
+        raise RecordingError(f"column '{column}' ends in no known unit; expected a suffix out of {', '.join(FACTORS)}")
     return FACTORS[suffix][1]

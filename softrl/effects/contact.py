@@ -31,7 +31,8 @@ def contact_kernel(
 class Contact(Effect):
     """Elastic, frictionless plane that the tip meets: upright in the azimuth of its normal, unless ``elevation_rad`` turns it.
 
-    ``distance`` is that from the base's origin along the normal, in lengths of the robot; at 2 it is out of reach.
+    ``distance`` is that from the base's origin along the normal, in lengths of the robot; at 2 it is out of
+    reach.
     """
 
     site: ClassVar[str] = "load"
@@ -46,6 +47,10 @@ class Contact(Effect):
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (normal (3,), distance m, stiffness N/m)."""
         flat = math.cos(self.elevation_rad)
-        normal = [flat * math.cos(self.azimuth_rad), flat * math.sin(self.azimuth_rad), math.sin(self.elevation_rad)]
+        normal = [
+            flat * math.cos(self.azimuth_rad),
+            flat * math.sin(self.azimuth_rad),
+            math.sin(self.elevation_rad),
+        ]
         reach = self.distance * robot.length_m if self.distance < 2.0 else math.inf
         return np.array([*normal, reach, self.stiffness_n_per_m])

@@ -27,8 +27,8 @@ class DeadTime(Effect):
 
     Notes
     -----
-    Textbook transport delay of a line (no equation number checked). Exact for a delay of whole steps, interpolated
-    linearly between; the step must exceed delay / 4094.
+    Textbook transport delay of a line (no equation number checked). Exact for a delay of whole steps,
+    interpolated linearly between; the step must exceed delay / 4094.
     """
 
     site: ClassVar[str] = "valve"

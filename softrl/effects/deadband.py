@@ -26,8 +26,8 @@ class Deadband(Effect):
 
     Notes
     -----
-    Play operator (no equation number checked). A regulator's valves stay shut while the error is within the band, and
-    close again once it is back at the band's edge. Independent of rate and step.
+    Play operator (no equation number checked). A regulator's valves stay shut while the error is within the
+    band, and close again once it is back at the band's edge. Independent of rate and step.
     """
 
     site: ClassVar[str] = "valve"

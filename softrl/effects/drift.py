@@ -32,7 +32,8 @@ class Drift(Effect):
 
     Notes
     -----
-    Stiffness over the model's is ``exp(-rate t)`` from the start of the run; nothing is carried from run to run.
+    Stiffness over the model's is ``exp(-rate t)`` from the start of the run; nothing is carried from run to
+    run.
     """
 
     site: ClassVar[str] = "body"

@@ -5,7 +5,6 @@ from typing import ClassVar
 
 import numba as nb
 import numpy as np
-
 from scipy.spatial.transform import Rotation
 
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
@@ -17,7 +16,9 @@ def frame_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, d
     """Turn the pose by the packed matrix and quaternion, then shift the position."""
     x, y, z = value[0], value[1], value[2]
     for k in range(3):
-        value[k] = parameters[3 * k] * x + parameters[3 * k + 1] * y + parameters[3 * k + 2] * z + parameters[13 + k]
+        value[k] = (
+            parameters[3 * k] * x + parameters[3 * k + 1] * y + parameters[3 * k + 2] * z + parameters[13 + k]
+        )
     a, b, c, d = parameters[9], parameters[10], parameters[11], parameters[12]
     e, f, g, h = value[3], value[4], value[5], value[6]
     value[3], value[4] = a * e - b * f - c * g - d * h, a * f + b * e + c * h - d * g

@@ -10,7 +10,7 @@ import numpy as np
 from softrl.effects.effect import ADDED, ADDED_SLOPE, PORT_KERNEL, PRESSURE, RATE, Effect, parameter
 from softrl.robots.robot import Robot
 
-SLIP_RATE_PER_S = 1e-3      # strain rate at which friction has reached three quarters of its height
+SLIP_RATE_PER_S = 1e-3  # strain rate at which friction has reached three quarters of its height
 
 
 @nb.njit(PORT_KERNEL, cache=True)
@@ -33,8 +33,8 @@ class Friction(Effect):
 
     Notes
     -----
-    ``added = (dry + loaded |p|) tanh(rate / 1e-3 per s)`` (regularised Coulomb law, no equation number checked). Instead of
-    sticking the wall creeps at well under 1e-3 per second.
+    ``added = (dry + loaded |p|) tanh(rate / 1e-3 per s)`` (regularised Coulomb law, no equation number
+    checked). Instead of sticking the wall creeps at well under 1e-3 per second.
     """
 
     site: ClassVar[str] = "body"

@@ -3,7 +3,7 @@
 import numba as nb
 import numpy as np
 
-CAPACITY = 4096   # past values a channel: 1 s at a step of 0.25 ms
+CAPACITY = 4096  # past values a channel: 1 s at a step of 0.25 ms
 HEAD, COUNT, FIRST = 0, 1, 2
 
 

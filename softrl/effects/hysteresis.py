@@ -22,8 +22,8 @@ def hysteresis_kernel(
             continue
         way = abs(port[RATE, i]) * dt / yield_strain
         direction = 1.0 if port[RATE, i] >= 0.0 else -1.0
-        z = direction * state[i]                         # seen along the motion: it grows towards 1
-        if z < 0.0:                                      # unloading: straight until it is spent
+        z = direction * state[i]  # seen along the motion: it grows towards 1
+        if z < 0.0:  # unloading: straight until it is spent
             straight = min(way, -z)
             z, way = z + straight, way - straight
         slope = 1.0
@@ -40,13 +40,14 @@ def hysteresis_kernel(
 class Hysteresis(Effect):
     """Bouc-Wen hysteresis of exponent 1: ``added = height * z`` with z driven by strain, not by time.
 
-    ``height`` is a share of the robot's largest pressure; after a reversal ``yield_strain`` of motion spends it.
+    ``height`` is a share of the robot's largest pressure; after a reversal ``yield_strain`` of motion spends
+    it.
 
     Notes
     -----
     Bouc-Wen with n = 1 and beta = gamma = 1/2 (textbook form, no equation number checked):
-    ``dz/de = (1 - |z|) / yield_strain`` while loading and ``1 / yield_strain`` while unloading. Both have closed forms, so the
-    result does not depend on the step as long as the strain does not turn within it.
+    ``dz/de = (1 - |z|) / yield_strain`` while loading and ``1 / yield_strain`` while unloading. Both have
+    closed forms, so the result does not depend on the step as long as the strain does not turn within it.
     """
 
     site: ClassVar[str] = "body"

@@ -27,9 +27,9 @@ class Leak(Effect):
 
     Notes
     -----
-    Linear leak (no equation number checked). With slow refill the chamber decays as ``exp(-leak t)`` after each fill;
-    in the long run it settles at ``1 / (1 + leak refill)`` of the supply. Air in a sealed chamber is the limit of a
-    long refill time.
+    Linear leak (no equation number checked). With slow refill the chamber decays as ``exp(-leak t)`` after
+    each fill; in the long run it settles at ``1 / (1 + leak refill)`` of the supply. Air in a sealed chamber
+    is the limit of a long refill time.
     """
 
     site: ClassVar[str] = "chamber"

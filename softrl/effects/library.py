@@ -29,9 +29,12 @@ def effect_class(name: str) -> type[Effect]:
         raise ConfigError(f"effect '{name}' is unknown; expected one of {', '.join(names())}")
     module = importlib.import_module(f"softrl.effects.{name}")
     found = [
-        value for value in vars(module).values()
+        value
+        for value in vars(module).values()
         if isinstance(value, type) and issubclass(value, Effect) and value.__module__ == module.__name__
     ]
     if len(found) != 1 or found[0].site not in SITES:
-        raise ConfigError(f"softrl/effects/{name}.py must hold one effect at a site out of {', '.join(SITES)}")
+        raise ConfigError(
+            f"softrl/effects/{name}.py must hold one effect at a site out of {', '.join(SITES)}"
+        )
     return found[0]

@@ -16,7 +16,12 @@ def mount_tilt_kernel(
     parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool
 ) -> None:
     """Turn gravity in the base frame about x, then about y."""
-    cx, sx, cy, sy = math.cos(parameters[0]), math.sin(parameters[0]), math.cos(parameters[1]), math.sin(parameters[1])
+    cx, sx, cy, sy = (
+        math.cos(parameters[0]),
+        math.sin(parameters[0]),
+        math.cos(parameters[1]),
+        math.sin(parameters[1]),
+    )
     gx, gy, gz = port[GRAVITY, 0], port[GRAVITY, 1], port[GRAVITY, 2]
     gy, gz = cx * gy - sx * gz, sx * gy + cx * gz
     port[GRAVITY, 0], port[GRAVITY, 1], port[GRAVITY, 2] = cy * gx + sy * gz, gy, -sy * gx + cy * gz

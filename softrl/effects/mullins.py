@@ -7,7 +7,16 @@ from typing import ClassVar
 import numba as nb
 import numpy as np
 
-from softrl.effects.effect import ADDED, ADDED_SLOPE, ELASTIC, ELASTIC_SLOPE, PORT_KERNEL, STRAIN, Effect, parameter
+from softrl.effects.effect import (
+    ADDED,
+    ADDED_SLOPE,
+    ELASTIC,
+    ELASTIC_SLOPE,
+    PORT_KERNEL,
+    STRAIN,
+    Effect,
+    parameter,
+)
 
 
 @nb.njit(PORT_KERNEL, cache=True)
@@ -38,8 +47,8 @@ class Mullins(Effect):
 
     Notes
     -----
-    After the idea of pseudo-elasticity, damage by distance from the running maximum, here in strain instead of energy
-    (no equation number checked). On virgin loading it vanishes; it has no recovery.
+    After the idea of pseudo-elasticity, damage by distance from the running maximum, here in strain instead
+    of energy (no equation number checked). On virgin loading it vanishes; it has no recovery.
     """
 
     site: ClassVar[str] = "body"

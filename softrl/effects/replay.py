@@ -20,19 +20,20 @@ def replay(
     Parameters
     ----------
     plant : body with effects
-    recording : its times need not be uniform; its commands are held until their time, as in ``Simulator.simulate``
+    recording : its times need not be uniform; its commands are held until their time, as in
+        ``Simulator.simulate``
     dt_s : step of the uniform grid on which the plant is simulated, s
-    drive : "command" sends the commands through the valve; "measured" puts the measured pressure behind the valve, which
-        tests the body apart from the valve
-    settle_s : time before the first sample during which the plant is held under the first row (of the measured
-        pressure if there is one), for a recording that does not begin at rest
+    drive : "command" sends the commands through the valve; "measured" puts the measured pressure behind the
+        valve, which tests the body apart from the valve
+    settle_s : time before the first sample during which the plant is held under the first row (of the
+        measured pressure if there is one), for a recording that does not begin at rest
 
     Returns
     -------
     Recording
-        Of the same name, session, times, commands and tip force. ``pressure_meas``, ``position``, ``quaternion`` are
-        simulated; ``bend_angle`` is derived from the pose if the recording has it or the robot reports it.
-        Markers are left out.
+        Of the same name, session, times, commands and tip force. ``pressure_meas``, ``position``,
+        ``quaternion`` are simulated; ``bend_angle`` is derived from the pose if the recording has it or the
+        robot reports it. Markers are left out.
 
     Notes
     -----
@@ -40,7 +41,9 @@ def replay(
     """
     robot = plant.chain.robot
     time, first = _grid(recording, dt_s, settle_s)
-    row = np.searchsorted(recording.time, time - 1e-3 * dt_s, side="left")  # equal times may differ in a last digit
+    row = np.searchsorted(
+        recording.time, time - 1e-3 * dt_s, side="left"
+    )  # equal times may differ in a last digit
     row = row.clip(max=len(recording.time) - 1)
     driving = _driving(recording, drive)
     pressure = driving[row]
@@ -99,7 +102,9 @@ def _driving(recording: Recording, drive: str) -> np.ndarray:
 def _behind_valve(plant: Plant, drive: str) -> Plant:
     if drive == "command":
         return plant
-    return Plant(plant.simulator, EffectChain(plant.chain.robot, plant.chain.at("chamber", "body", "load", "sensor")))
+    return Plant(
+        plant.simulator, EffectChain(plant.chain.robot, plant.chain.at("chamber", "body", "load", "sensor"))
+    )
 
 
 def _sampled(wanted: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:

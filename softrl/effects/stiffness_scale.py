@@ -7,7 +7,15 @@ import numba as nb
 import numpy as np
 
 from softrl.effects.effect import (
-    ADDED, ADDED_SLOPE, ELASTIC, ELASTIC_SLOPE, PORT_KERNEL, REST, STRAIN, Effect, parameter,
+    ADDED,
+    ADDED_SLOPE,
+    ELASTIC,
+    ELASTIC_SLOPE,
+    PORT_KERNEL,
+    REST,
+    STRAIN,
+    Effect,
+    parameter,
 )
 
 
@@ -32,9 +40,10 @@ class StiffnessScale(Effect):
 
     Notes
     -----
-    For all chambers this scales the elastic forces exactly. One chamber gets a linear spring along its own elongation,
-    ``(scale - 1)`` times its stiffness at rest, which keeps the body's stiffness symmetric: it stores energy and gives
-    it back. A scale far below 1 in one chamber can make the sum indefinite; the bounds stay clear of that.
+    For all chambers this scales the elastic forces exactly. One chamber gets a linear spring along its own
+    elongation, ``(scale - 1)`` times its stiffness at rest, which keeps the body's stiffness symmetric: it
+    stores energy and gives it back. A scale far below 1 in one chamber can make the sum indefinite; the
+    bounds stay clear of that.
     """
 
     site: ClassVar[str] = "body"

@@ -30,8 +30,8 @@ class TubeLine(Effect):
 
     Notes
     -----
-    Lumped inertance, resistance and compliance of a line (no equation number checked). Long narrow tubes have a tail
-    of fractional order, which this does not have.
+    Lumped inertance, resistance and compliance of a line (no equation number checked). Long narrow tubes have
+    a tail of fractional order, which this does not have.
     """
 
     site: ClassVar[str] = "valve"

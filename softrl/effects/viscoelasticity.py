@@ -41,9 +41,9 @@ class Viscoelasticity(Effect):
     Notes
     -----
     Linear viscoelasticity in the form of a recursion for the overstress of each Maxwell branch (standard in
-    finite-element texts; no equation number checked). The long-term stiffness is the model's; at once the wall resists
-    ``1 + share_1 + share_2`` times as much. Under a constant pressure one branch creeps with the time constant
-    ``relaxation (1 + share)``.
+    finite-element texts; no equation number checked). The long-term stiffness is the model's; at once the
+    wall resists ``1 + share_1 + share_2`` times as much. Under a constant pressure one branch creeps with the
+    time constant ``relaxation (1 + share)``.
     """
 
     site: ClassVar[str] = "body"

@@ -27,7 +27,8 @@ def draw_cuts(mesh: Mesh, angle_deg: float, height_m: float) -> Figure:
     across.set(xlabel="x (mm)", ylabel="y (mm)", title=f"across the robot, z = {1e3 * height_m:.1f} mm")
     names = {"base, fixed": RIGID[BASE], "plate, rigid": RIGID[PLATE], "ribs, rigid": RIGID[FIRST_RIB],
              "layers": LAYER_SHADES[0]}  # fmt: skip
-    along.legend(handles=[Patch(facecolor=c, edgecolor="k", label=n) for n, c in names.items()], loc="lower right", fontsize=8)
+    handles = [Patch(facecolor=colour, edgecolor="k", label=name) for name, colour in names.items()]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     return figure
 
 

@@ -1,47 +1,56 @@
-"""The coarse sample of the tripod that the repository holds, and how it is written."""
+"""The coarse meshes of the tripod that the repository holds, so that a first run need not mesh."""
 
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 from softrl.core.errors import ConfigError, MeshError
 from softrl.mesh.geometry import TripodGeometry
-from softrl.mesh.tetrahedra import Tetrahedra, tidy
+from softrl.mesh.tetrahedra import Tetrahedra, TetrahedraSettings, tidy
 
-SAMPLE = Path(__file__).resolve().parents[2] / "assets" / "tripod" / "sample_mesh.npz"
+SAMPLES = Path(__file__).resolve().parents[2] / "assets" / "tripod"
+PATTERN = "sample_mesh*.npz"
 
 
-def read_sample(geometry: TripodGeometry, path: Path = SAMPLE) -> Tetrahedra:
-    """Return the sample's tetrahedra.
+def read_sample(geometry: TripodGeometry, settings: TetrahedraSettings, folder: Path = SAMPLES) -> Tetrahedra:
+    """Return the tetrahedra of the sample that was made of ``geometry`` with ``settings``.
 
     Raises
     ------
     ConfigError
-        If ``geometry`` is not what the sample was made of, so that a changed measure is never without effect.
+        If no sample was made so: a changed measure must not stay without effect.
     """
-    if not path.is_file():
-        raise MeshError(f"the sample {path} is missing; generate the mesh instead: stage.source=generate")
-    with np.load(path, allow_pickle=False) as data:
-        made_of = dict(zip(data["geometry_names"].tolist(), data["geometry_values"].tolist(), strict=True))
-        solid = tidy(data["points"], data["tetrahedra"])
-    for field in fields(geometry):
-        value, sampled = getattr(geometry, field.name), made_of.get(field.name)
-        if sampled is None or not np.isclose(value, sampled, rtol=1e-9):
-            raise ConfigError(
-                f"stage.geometry.{field.name}={value:g}, but the sample mesh was made with {sampled}; "
-                "use stage.source=generate for other measures"
-            )
-    return solid
+    paths = sorted(folder.glob(PATTERN))
+    if not paths:
+        raise MeshError(f"{folder} holds no {PATTERN}; generate the mesh instead: stage.source=generate")
+    wanted, changed = _recipe(geometry, settings), []
+    for path in paths:
+        with np.load(path, allow_pickle=False) as data:
+            made_of = dict(zip(data["recipe_names"].tolist(), data["recipe_values"].tolist(), strict=True))
+            differing = [key for key, value in wanted.items() if not np.isclose(value, made_of.get(key, np.nan))]
+            if not differing:
+                return tidy(data["points"], data["tetrahedra"])
+        changed.append((len(differing), differing[0], made_of.get(differing[0])))
+    _, key, sampled = min(changed, key=lambda c: c[0])
+    raise ConfigError(
+        f"stage.{key}={wanted[key]:g}, but the nearest sample mesh was made with {sampled}; "
+        "use stage.source=generate for other measures"
+    )
 
 
-def write_sample(solid: Tetrahedra, geometry: TripodGeometry, path: Path = SAMPLE) -> None:
-    """Write ``solid`` as the sample of ``geometry``; points rounded to a tenth of a micrometre."""
-    measures = asdict(geometry)
+def write_sample(solid: Tetrahedra, geometry: TripodGeometry, settings: TetrahedraSettings, path: Path) -> None:
+    """Write ``solid`` as a sample together with its recipe; points are rounded to a tenth of a micrometre."""
+    recipe = _recipe(geometry, settings)
     np.savez_compressed(
         path,
         points=np.round(solid.points, 7),
         tetrahedra=solid.corners.astype(np.int32),
-        geometry_names=np.array(list(measures)),
-        geometry_values=np.array(list(measures.values()), float),
+        recipe_names=np.array(list(recipe)),
+        recipe_values=np.array(list(recipe.values()), float),
     )
+
+
+def _recipe(geometry: TripodGeometry, settings: TetrahedraSettings) -> dict[str, float]:
+    measures = {f"geometry.{key}": value for key, value in asdict(geometry).items()}
+    return measures | {f"tetrahedra.{key}": value for key, value in asdict(settings).items()}

@@ -30,7 +30,7 @@ class Config:
 
     Attributes
     ----------
-    source : ``sample`` (the committed coarse tripod), ``generate`` (the tripod by ``geometry``), or the path of
+    source : ``sample`` (a committed coarse tripod), ``generate`` (the tripod by ``geometry``), or the path of
         a volume mesh or closed surface in a format of meshio
     unit_m : length in m of one unit in the files of ``source`` and ``cavity_surfaces``
     cavity_surfaces : files with the surfaces of single cavities, if ``source`` shows the outside only
@@ -73,7 +73,7 @@ def run(config: Config, robot: Robot, *, tracker: Tracker) -> Mesh:
 
 def _solid(config: Config, robot: Robot) -> Tetrahedra:
     if config.source == SAMPLE:
-        return read_sample(config.geometry)
+        return read_sample(config.geometry, config.tetrahedra)
     if config.source == GENERATE:
         return tetrahedralize(build_tripod(config.geometry, robot), config.tetrahedra)
     body = read_mesh(Path(config.source), config.unit_m, robot)

@@ -1,7 +1,8 @@
 """Constant-curvature body: closed-form kinematics and implicit Euler, compiled, effects acting inside each step.
 
-Coordinates of the body are ``(b_x, b_y, epsilon)``: bend angle towards +x and +y in rad, and elongation of the backbone
-relative to its length at rest. The robot moves in the columns of a basis of them (one column for a single chamber).
+Coordinates of the body are ``(b_x, b_y, epsilon)``: bend angle towards +x and +y in rad, and elongation of
+the backbone relative to its length at rest. The robot moves in the columns of a basis of them (one column for
+a single chamber).
 """
 
 import math
@@ -11,15 +12,27 @@ import numba as nb
 import numpy as np
 
 from softrl.effects.effect import (
-    ADDED, BODY_PORT_ROWS, ELASTIC, ELASTIC_SLOPE, FORCE, GRAVITY, LOAD_PORT_ROWS, PRESSURE, RATE, REST, STRAIN, TIP,
+    ADDED,
+    BODY_PORT_ROWS,
+    ELASTIC,
+    ELASTIC_SLOPE,
+    FORCE,
+    GRAVITY,
+    LOAD_PORT_ROWS,
+    PRESSURE,
+    RATE,
+    REST,
+    STRAIN,
+    TIP,
     TIP_VELOCITY,
 )
 
-TOLERANCE = 1e-10           # rad or strain: a tenth of a nanometre at the tip of most robots
+TOLERANCE = 1e-10  # rad or strain: a tenth of a nanometre at the tip of most robots
+ACCEPTED = 1e-7  # at a kink of friction or contact: 20 nm at the tip of a robot of 0.2 m
 MAX_ITERATIONS = 60
-SERIES_BELOW = 0.25         # squared bend angle under which the series beat the closed forms
-NUDGE = 1e-7                # of a coordinate, for the Jacobian by differences
-SHORTEST = 1e-4             # share of a Newton step below which it is taken as it is
+SERIES_BELOW = 0.25  # squared bend angle under which the series beat the closed forms
+NUDGE = 1e-7  # of a coordinate, for the Jacobian by differences
+SHORTEST = 1e-4  # share of a Newton step below which it is taken as it is
 
 # columns of the work array that one step fills
 _LAST, _VELOCITY, _TRIAL, _RESIDUAL, _STEP, _OTHER, _NEXT = range(7)
@@ -29,8 +42,8 @@ _LAST, _VELOCITY, _TRIAL, _RESIDUAL, _STEP, _OTHER, _NEXT = range(7)
 def shape_functions(x: float) -> tuple[float, float, float, float, float, float]:
     """Return f, g, F and their derivatives by the bend angle over the bend angle, at squared bend angle ``x``.
 
-    ``f = (1 - cos b) / b^2``, ``g = sin b / b``, ``F = (b - sin b) / b^3``: all are entire functions of ``b^2``, which
-    the power series show; the closed forms lose digits near zero.
+    ``f = (1 - cos b) / b^2``, ``g = sin b / b``, ``F = (b - sin b) / b^3``: all are entire functions of
+    ``b^2``, which the power series show; the closed forms lose digits near zero.
     """
     if x < SERIES_BELOW:
         f = 0.5 + x * (-1 / 24 + x * (1 / 720 + x * (-1 / 40320 + x * (1 / 3628800 - x / 479001600))))
@@ -60,8 +73,18 @@ def tip_pose(body: np.ndarray, length: float, position: np.ndarray, quaternion: 
 
 @nb.njit(cache=True)
 def _residual(
-    y: np.ndarray, out: np.ndarray, work: np.ndarray, dt: float, pressure: np.ndarray, tip_force: np.ndarray,
-    model: Any, hooks: Any, ports: Any, strains: np.ndarray, tips: np.ndarray, commit: bool,
+    y: np.ndarray,
+    out: np.ndarray,
+    work: np.ndarray,
+    dt: float,
+    pressure: np.ndarray,
+    tip_force: np.ndarray,
+    model: Any,
+    hooks: Any,
+    ports: Any,
+    strains: np.ndarray,
+    tips: np.ndarray,
+    commit: bool,
 ) -> None:
     """Fill ``out`` (m,) with inertia + damping + elasticity + effects - pressure - loads at trial ``y``, in J."""
     basis, stiffness, damping, mass, push, to_strain, to_elastic, slope, rest, scalars, gravity = model
@@ -102,8 +125,12 @@ def _residual(
     for i in range(m):
         moved = y[i] - work[_LAST, i]
         out[i] = (
-            stiffness[i] * y[i] + damping[i] * moved / dt + mass[i] * (moved / dt - work[_VELOCITY, i]) / dt
-            - basis[0, i] * q0 - basis[1, i] * q1 - basis[2, i] * q2
+            stiffness[i] * y[i]
+            + damping[i] * moved / dt
+            + mass[i] * (moved / dt - work[_VELOCITY, i]) / dt
+            - basis[0, i] * q0
+            - basis[1, i] * q1
+            - basis[2, i] * q2
         )
         for c in range(len(pressure)):
             out[i] -= push[i, c] * pressure[c]
@@ -158,25 +185,37 @@ def _newton_step(inverse: np.ndarray, residual: np.ndarray, step: np.ndarray) ->
 
 @nb.njit(cache=True)
 def solve_step(
-    work: np.ndarray, jacobian: np.ndarray, inverse: np.ndarray, dt: float, pressure: np.ndarray, tip_force: np.ndarray,
-    model: Any, hooks: Any, ports: Any, strains: np.ndarray, tips: np.ndarray,
+    work: np.ndarray,
+    jacobian: np.ndarray,
+    inverse: np.ndarray,
+    dt: float,
+    pressure: np.ndarray,
+    tip_force: np.ndarray,
+    model: Any,
+    hooks: Any,
+    ports: Any,
+    strains: np.ndarray,
+    tips: np.ndarray,
 ) -> bool:
     """Solve one implicit step for ``work[_TRIAL]``; return whether it converged.
 
-    Newton with a Jacobian by differences that is kept from step to step and made anew when it converges slowly; a fresh
-    one that overshoots (friction and contact have kinks) is followed over a shorter way, until the next step is smaller.
+    Newton with a Jacobian by differences that is kept from step to step and made anew when it converges
+    slowly; a fresh one that overshoots (friction and contact have kinks) is followed over a shorter way,
+    until the next step is smaller.
     """
     trial, residual, step, other = work[_TRIAL], work[_RESIDUAL], work[_STEP], work[_OTHER]
     m = len(trial)
     _residual(trial, residual, work, dt, pressure, tip_force, model, hooks, ports, strains, tips, False)
-    stale = inverse[0, 0] == 0.0
+    stale, size = inverse[0, 0] == 0.0, np.inf
     for _ in range(MAX_ITERATIONS):
         fresh = stale
         if stale:
             for j in range(m):
                 kept = trial[j]
                 trial[j] = kept + NUDGE
-                _residual(trial, other, work, dt, pressure, tip_force, model, hooks, ports, strains, tips, False)
+                _residual(
+                    trial, other, work, dt, pressure, tip_force, model, hooks, ports, strains, tips, False
+                )
                 trial[j] = kept
                 for i in range(m):
                     jacobian[i, j] = (other[i] - residual[i]) / NUDGE
@@ -202,13 +241,22 @@ def solve_step(
         stale = share == 0.0 or after > 0.2 * size
         if share > 0.0:
             residual[:] = other
-    return False
+        if 0.0 < share < SHORTEST and size < ACCEPTED:
+            return True  # at the very kink, where no slope leads on
+    return size < ACCEPTED
 
 
 @nb.njit(cache=True)
 def run_kernel(
-    y: np.ndarray, velocity: np.ndarray, dt: float, pressure: np.ndarray, tip_force: np.ndarray, model: Any, hooks: Any,
-    position: np.ndarray, quaternion: np.ndarray,
+    y: np.ndarray,
+    velocity: np.ndarray,
+    dt: float,
+    pressure: np.ndarray,
+    tip_force: np.ndarray,
+    model: Any,
+    hooks: Any,
+    position: np.ndarray,
+    quaternion: np.ndarray,
 ) -> int:
     """Advance ``y`` and ``velocity`` (m,) in place over every row of ``pressure``; return the steps that failed.
 
@@ -235,7 +283,9 @@ def run_kernel(
         for i in range(m):
             work[_LAST, i], work[_VELOCITY, i] = y[i], velocity[i]
             work[_TRIAL, i] = y[i] + dt * velocity[i]
-        if not solve_step(work, jacobian, inverse, dt, pressure[k], tip_force[k], model, hooks, ports, strains, tips):
+        if not solve_step(
+            work, jacobian, inverse, dt, pressure[k], tip_force[k], model, hooks, ports, strains, tips
+        ):
             failed += 1
             inverse[0, 0] = 0.0
         for i in range(m):
@@ -243,7 +293,18 @@ def run_kernel(
             y[i] = work[_TRIAL, i]
         if with_effects:
             _residual(
-                y, work[_RESIDUAL], work, dt, pressure[k], tip_force[k], model, hooks, ports, strains, tips, True
+                y,
+                work[_RESIDUAL],
+                work,
+                dt,
+                pressure[k],
+                tip_force[k],
+                model,
+                hooks,
+                ports,
+                strains,
+                tips,
+                True,
             )
             strains[0] = strains[1]
             tips[0] = tips[1]

@@ -15,7 +15,7 @@ from softrl.effects.effect import PORT_KERNEL
 from softrl.pcc.kernel import run_kernel, tip_pose
 from softrl.robots.robot import Robot
 
-QUASI_STATIC_S = 1e12       # one implicit step of this length is an equilibrium
+QUASI_STATIC_S = 1e12  # one implicit step of this length is an equilibrium
 _PORT = nb.types.FunctionType(PORT_KERNEL)
 
 
@@ -34,19 +34,21 @@ class PccSimulator:
     ----------
     robot : chambers, geometry, mass, gravity; its axis must be +z
     bend_at_full_pressure_rad : bend under ``robot.pressure_max_pa`` in one chamber at stiffness scale 1
-    elongation_at_full_pressure : elongation under ``robot.pressure_max_pa`` in all chambers at stiffness scale 1
+    elongation_at_full_pressure : elongation under ``robot.pressure_max_pa`` in all chambers at stiffness
+        scale 1
     bending_stiffness_scale, axial_stiffness_scale : of the stiffnesses that follow from the two numbers above
     damping_s : damping over stiffness: the time constant with which a massless body settles
     mass_scale : of ``robot.mass_kg``
 
     Notes
     -----
-    Constant-curvature kinematics as in the reviews of continuum robots (no equation number checked). A chamber at
-    direction ``d`` and radius ``r`` elongates by ``e = epsilon - (r / L) b.d``, and its pressure does the work
-    ``p A L de``, so that it bends the tip away from itself. Inertia is that of an evenly loaded, slightly bent backbone
-    (``m L^2 / 20`` in bending, ``m L^2 / 3`` along) and is held constant: centrifugal terms are left out. Gravity and
-    tip force act through the exact maps of centre of mass and tip. The length at rest already includes the axial weight.
-    A robot with one chamber bends in its plane and does not elongate.
+    Constant-curvature kinematics as in the reviews of continuum robots (no equation number checked). A
+    chamber at direction ``d`` and radius ``r`` elongates by ``e = epsilon - (r / L) b.d``, and its pressure
+    does the work ``p A L de``, so that it bends the tip away from itself. Inertia is that of an evenly
+    loaded, slightly bent backbone (``m L^2 / 20`` in bending, ``m L^2 / 3`` along) and is held constant:
+    centrifugal terms are left out. Gravity and tip force act through the exact maps of centre of mass and
+    tip. The length at rest already includes the axial weight. A robot with one chamber bends in its plane and
+    does not elongate.
     """
 
     robot: Robot
@@ -59,9 +61,13 @@ class PccSimulator:
 
     def __post_init__(self) -> None:
         if self.robot.axis != "+z":
-            raise ConfigError(f"robot.axis={self.robot.axis}: simulator pcc needs +z; turn chambers and gravity instead")
+            raise ConfigError(
+                f"robot.axis={self.robot.axis}: simulator pcc needs +z; turn chambers and gravity instead"
+            )
         if self.robot.pressure_max_pa <= 0.0:
-            raise ConfigError(f"robot.pressure_max_pa={self.robot.pressure_max_pa:g} must be positive for simulator pcc")
+            raise ConfigError(
+                f"robot.pressure_max_pa={self.robot.pressure_max_pa:g} must be positive for simulator pcc"
+            )
         for name in ("bend_at_full_pressure_rad", "elongation_at_full_pressure", *self._tunable):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise ConfigError(f"simulator.{name}={getattr(self, name):g} must be positive")
@@ -80,7 +86,9 @@ class PccSimulator:
         """Return a copy with some tunable parameters replaced."""
         unknown = set(values) - set(self._tunable)
         if unknown:
-            raise ConfigError(f"simulator pcc has no parameter {', '.join(sorted(unknown))}; it has {', '.join(self._tunable)}")
+            raise ConfigError(
+                f"simulator pcc has no parameter {', '.join(sorted(unknown))}; it has {', '.join(self._tunable)}"
+            )
         return replace(self, **values)
 
     @property
@@ -88,9 +96,13 @@ class PccSimulator:
         """(3,) J: of b_x, b_y (per rad^2) and elongation."""
         r = self.robot
         bending = r.pressure_max_pa * r.chamber_area_m2 * r.chamber_radius_m / self.bend_at_full_pressure_rad
-        axial = r.chambers * r.pressure_max_pa * r.chamber_area_m2 * r.length_m / self.elongation_at_full_pressure
+        axial = (
+            r.chambers * r.pressure_max_pa * r.chamber_area_m2 * r.length_m / self.elongation_at_full_pressure
+        )
         return np.array([bending, bending, axial]) * [
-            self.bending_stiffness_scale, self.bending_stiffness_scale, self.axial_stiffness_scale
+            self.bending_stiffness_scale,
+            self.bending_stiffness_scale,
+            self.axial_stiffness_scale,
         ]
 
     @cached_property
@@ -118,8 +130,17 @@ class PccSimulator:
         axial_weight = mass * gravity[2] * length / 2.0
         scalars = np.array([length, mass, axial_weight])
         return (
-            basis, stiffness, self.damping_s * stiffness, inertia, np.ascontiguousarray(push), to_strain, to_elastic,
-            slope, rest, scalars, gravity,
+            basis,
+            stiffness,
+            self.damping_s * stiffness,
+            inertia,
+            np.ascontiguousarray(push),
+            to_strain,
+            to_elastic,
+            slope,
+            rest,
+            scalars,
+            gravity,
         )
 
     def _equilibrium(self, hooks: tuple[Any, ...], pressure: np.ndarray | None = None) -> np.ndarray:
@@ -127,13 +148,29 @@ class PccSimulator:
         order = 1 if self.robot.chambers == 1 else 3
         loads_only = (*_no_hooks()[:3], *hooks[3:])
         y = np.zeros(order)
-        held = np.zeros((1, self.robot.chambers)) if pressure is None else np.atleast_2d(pressure).astype(float)
-        self._run(y, np.zeros(order), QUASI_STATIC_S, held, np.zeros((1, 3)), self._model_about(np.zeros(order)), loads_only)
+        held = (
+            np.zeros((1, self.robot.chambers)) if pressure is None else np.atleast_2d(pressure).astype(float)
+        )
+        self._run(
+            y,
+            np.zeros(order),
+            QUASI_STATIC_S,
+            held,
+            np.zeros((1, 3)),
+            self._model_about(np.zeros(order)),
+            loads_only,
+        )
         return y
 
     def _run(
-        self, y: np.ndarray, velocity: np.ndarray, dt_s: float, pressure: np.ndarray, tip_force: np.ndarray,
-        model: tuple[Any, ...], hooks: tuple[Any, ...],
+        self,
+        y: np.ndarray,
+        velocity: np.ndarray,
+        dt_s: float,
+        pressure: np.ndarray,
+        tip_force: np.ndarray,
+        model: tuple[Any, ...],
+        hooks: tuple[Any, ...],
     ) -> tuple[np.ndarray, np.ndarray]:
         """Advance ``y`` and ``velocity`` in place; return positions (steps, 3) and quaternions (steps, 4)."""
         position, quaternion = np.empty((len(pressure), 3)), np.empty((len(pressure), 4))
@@ -190,13 +227,16 @@ class PccSimulator:
     ) -> Motion:
         """Return the motion from rest under ``pressure`` (steps, chambers), each row held until its time.
 
-        Rest is the equilibrium under gravity and the load effects; strains that body effects see count from there.
+        Rest is the equilibrium under gravity and the load effects; strains that body effects see count from
+        there.
         """
         hooks = _typed(body, load) if body or load else _no_hooks()
         model = self._model_about(self._equilibrium(hooks)) if load else self._model
         y, velocity = model[8].copy(), np.zeros_like(model[8])
         held = np.ascontiguousarray(pressure, dtype=float)
-        force = np.zeros((len(time), 3)) if tip_force is None else np.ascontiguousarray(tip_force, dtype=float)
+        force = (
+            np.zeros((len(time), 3)) if tip_force is None else np.ascontiguousarray(tip_force, dtype=float)
+        )
         position, quaternion = self._run(y, velocity, float(time[1] - time[0]), held, force, model, hooks)
         return Motion(np.asarray(time, dtype=float), position, quaternion, held)
 

@@ -461,7 +461,7 @@ def run_kernel(
                 inertia[i, j] = free + drag
                 right[i] += free * (start[j] + dt * velocity[j]) + drag * start[j]
         for i in range(r):
-            y[i] = start[i] + dt * velocity[i] if dt < 1.0 else start[i]
+            y[i] = start[i] + dt * velocity[i]
         done, before, share = False, np.inf, 1.0
         for iteration in range(MAX_ITERATIONS):
             fill_potential(y, tables, values, point, gradient, hessian)
@@ -478,8 +478,8 @@ def run_kernel(
                 for j in range(r):
                     gradient[i] += inertia[i, j] * y[j]
                 along += gradient[i] * direction[i] if iteration > 0 else 0.0
-            # the last step went too far if the slope along it has not fallen: go back by half
-            if iteration > 0 and abs(along) > 0.9 * before and share > 0.01:
+            # the last step went too far if the slope along it has turned round: go back by half
+            if iteration > 0 and along < -0.9 * before and share > 0.01:
                 share *= 0.5
                 for i in range(r):
                     y[i] = trial[i] - share * direction[i]

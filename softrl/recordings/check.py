@@ -8,11 +8,11 @@ import numpy as np
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.robots.robot import Robot
 
-GAP_PERIODS = 5.0          # a pause of more than this many median periods is a gap
-HOLD_S = 1.0               # a command unchanged for twice this long ends in a window of this length at rest
-EXCITED_SHARE = 0.02       # a chamber that moves less than this share of the pressure range is not excited
-CLIPPED_SHARE = 0.02       # this share of samples at one extreme value is clipping, unless the command holds there
-JUMP_RAD = 0.5             # an orientation that turns farther than this between samples has jumped
+GAP_PERIODS = 5.0  # a pause of more than this many median periods is a gap
+HOLD_S = 1.0  # a command unchanged for twice this long ends in a window of this length at rest
+EXCITED_SHARE = 0.02  # a chamber that moves less than this share of the pressure range is not excited
+CLIPPED_SHARE = 0.02  # this share of samples at one extreme value is clipping, unless the command holds there
+JUMP_RAD = 0.5  # an orientation that turns farther than this between samples has jumped
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,8 @@ class DataCheck:
     ----------
     runs : one entry a run
     noise_floor : channel -> median of the runs' noise, SI units: no model can be expected to fit better
-    repeatability : channel -> rms difference between runs of equal commands over sqrt 2, SI units; empty without repeats
+    repeatability : channel -> rms difference between runs of equal commands over sqrt 2, SI units; empty
+        without repeats
     excited : chambers that move in any run
     """
 
@@ -95,8 +96,17 @@ def check_run(recording: Recording, robot: Robot) -> RunCheck:
         *_jump_warnings(recording),
     )
     return RunCheck(
-        recording.name, recording.session, len(recording.time), float(np.ptp(recording.time)), period, gaps, excited,
-        noise, "holds" if windows else "differences", held, warnings,
+        recording.name,
+        recording.session,
+        len(recording.time),
+        float(np.ptp(recording.time)),
+        period,
+        gaps,
+        excited,
+        noise,
+        "holds" if windows else "differences",
+        held,
+        warnings,
     )
 
 
@@ -146,12 +156,16 @@ def _repeatability(recordings: RecordingSet) -> dict[str, float]:
         for other in runs[i + 1 :]:
             count = min(len(one.time), len(other.time))
             same_time = np.allclose(np.diff(one.time[:count]), np.diff(other.time[:count]), rtol=0.01)
-            if not same_time or not np.allclose(one.pressure_cmd[:count], other.pressure_cmd[:count], rtol=1e-6):
+            if not same_time or not np.allclose(
+                one.pressure_cmd[:count], other.pressure_cmd[:count], rtol=1e-6
+            ):
                 continue
             theirs = dict(_sensed(other))
             for channel, values in _sensed(one):
                 if channel in theirs:
-                    squares.setdefault(channel, []).append(float(np.mean((values[:count] - theirs[channel][:count]) ** 2)))
+                    squares.setdefault(channel, []).append(
+                        float(np.mean((values[:count] - theirs[channel][:count]) ** 2))
+                    )
     return {channel: float(np.sqrt(np.mean(found) / 2.0)) for channel, found in squares.items()}
 
 
@@ -177,7 +191,9 @@ def _held_warnings(held: dict[str, float]) -> Iterator[str]:
 
 
 def _clipping_warnings(recording: Recording) -> Iterator[str]:
-    command_moves = np.any(np.diff(recording.pressure_cmd, axis=0, prepend=recording.pressure_cmd[:1]) != 0.0, axis=1)
+    command_moves = np.any(
+        np.diff(recording.pressure_cmd, axis=0, prepend=recording.pressure_cmd[:1]) != 0.0, axis=1
+    )
     for channel, values in _sensed(recording):
         for i, series in enumerate(values.T):
             for extreme, name in ((series.max(), "maximum"), (series.min(), "minimum")):

@@ -1,7 +1,7 @@
 """Pressure programs that tell effects apart, and the loop that records a robot under one.
 
-A program is a pair (time (steps,) s, pressure (steps, chambers) Pa): each row is held until its time. Every program
-stays within the robot's limits of pressure and slew.
+A program is a pair (time (steps,) s, pressure (steps, chambers) Pa): each row is held until its time. Every
+program stays within the robot's limits of pressure and slew.
 """
 
 from collections.abc import Sequence
@@ -30,11 +30,17 @@ def random_steps(robot: Robot, count: int, hold_s: float, dt_s: float, rng: np.r
 
 
 def multisine(
-    robot: Robot, duration_s: float, band_hz: tuple[float, float], share: float, dt_s: float, rng: np.random.Generator
+    robot: Robot,
+    duration_s: float,
+    band_hz: tuple[float, float],
+    share: float,
+    dt_s: float,
+    rng: np.random.Generator,
 ) -> Program:
     """Return tones spread over ``band_hz`` with random phases, in ``share`` of the pressure range, from rest.
 
-    Chambers take turns on the harmonics of ``1 / duration_s``, so that each line in a spectrum belongs to one chamber.
+    Chambers take turns on the harmonics of ``1 / duration_s``, so that each line in a spectrum belongs to one
+    chamber.
     """
     _require_share(share)
     time = dt_s * np.arange(1, round(duration_s / dt_s) + 1)
@@ -50,10 +56,13 @@ def multisine(
     return _program(robot, pressure * np.minimum(time / min(2.0, 0.1 * duration_s), 1.0)[:, None], dt_s)
 
 
-def triangles(robot: Robot, chamber: int, peak_pa: float, periods_s: Sequence[float], cycles: int, dt_s: float) -> Program:
+def triangles(
+    robot: Robot, chamber: int, peak_pa: float, periods_s: Sequence[float], cycles: int, dt_s: float
+) -> Program:
     """Return ``cycles`` triangles of one chamber at each period: the same path at several rates.
 
-    A loop whose width stays when the rate falls is rate-independent hysteresis; one that changes is viscosity or lag.
+    A loop whose width stays when the rate falls is rate-independent hysteresis; one that changes is viscosity
+    or lag.
     """
     waves = [np.tile(_triangle(round(period / dt_s)), cycles) for period in periods_s]
     return _program(robot, _one_chamber(robot, chamber, peak_pa * np.concatenate(waves)), dt_s)
@@ -77,7 +86,9 @@ def limited(robot: Robot, pressure: np.ndarray, dt_s: float) -> np.ndarray:
     return sent
 
 
-def record(driver: Driver, robot: Robot, time: np.ndarray, pressure: np.ndarray, name: str, session: str) -> Recording:
+def record(
+    driver: Driver, robot: Robot, time: np.ndarray, pressure: np.ndarray, name: str, session: str
+) -> Recording:
     """Return what a connected ``driver`` reports while it runs a program, on the device's own clock.
 
     Parameters
@@ -135,7 +146,9 @@ def _triangle(steps: int) -> np.ndarray:
 
 def _one_chamber(robot: Robot, chamber: int, wave: np.ndarray) -> np.ndarray:
     if not 0 <= chamber < robot.chambers:
-        raise ConfigError(f"chamber={chamber} does not exist; robot {robot.name} has chambers 0..{robot.chambers - 1}")
+        raise ConfigError(
+            f"chamber={chamber} does not exist; robot {robot.name} has chambers 0..{robot.chambers - 1}"
+        )
     pressure = np.zeros((len(wave), robot.chambers))
     pressure[:, chamber] = wave
     return pressure

@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 
 from softrl.core.errors import RecordingError
-from softrl.recordings.columns import Columns, match_columns
+from softrl.recordings.columns import match_columns
 from softrl.recordings.frame import continuous_quaternion, rotate, rotation_between, turn
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.validate import require_values
@@ -52,10 +52,11 @@ def read(folder: Path | str, robot: Robot | None) -> RecordingSet:
 
     Notes
     -----
-    A session may say ``axis: +y``, the direction of the backbone at rest in the frame of that session's files. Its
-    positions, forces, markers and orientations are then turned by the shortest rotation that brings this axis onto
-    ``robot.axis`` (+z without a robot). That fixes the axis only: a turn about the backbone between two sessions
-    remains, and is what the ``frame`` effect (or a registration by session) describes.
+    A session may say ``axis: +y``, the direction of the backbone at rest in the frame of that session's
+    files. Its positions, forces, markers and orientations are then turned by the shortest rotation that
+    brings this axis onto ``robot.axis`` (+z without a robot). That fixes the axis only: a turn about the
+    backbone between two sessions remains, and is what the ``frame`` effect (or a registration by session)
+    describes.
     """
     folder = Path(folder)
     head, sessions = _dataset(folder)
@@ -77,7 +78,9 @@ def read(folder: Path | str, robot: Robot | None) -> RecordingSet:
 def _dataset(folder: Path) -> tuple[dict[str, Any], list[Session]]:
     path = folder / DATASET
     if not folder.is_dir():
-        raise RecordingError(f"{folder} is no folder; expected a dataset folder with {DATASET} and one CSV a run")
+        raise RecordingError(
+            f"{folder} is no folder; expected a dataset folder with {DATASET} and one CSV a run"
+        )
     if not path.is_file():
         raise RecordingError(f"{path} is missing; expected a file with at least the line 'robot: <name>'")
     text = path.read_text()
@@ -87,7 +90,9 @@ def _dataset(folder: Path) -> tuple[dict[str, Any], list[Session]]:
     except yaml.YAMLError as error:
         raise RecordingError(f"{path} is no YAML: {' '.join(str(error).split())}") from error
     if not isinstance(names, dict) or not isinstance(names.get("robot"), str):
-        raise RecordingError(f"{path}: key 'robot' is missing; expected the name of the robot, as in conf/robot")
+        raise RecordingError(
+            f"{path}: key 'robot' is missing; expected the name of the robot, as in conf/robot"
+        )
     notes = {key: value for key, value in typed.items() if key not in ("robot", "sessions", "units", "frame")}
     return {"robot": names["robot"], "notes": notes}, _sessions(names.get("sessions"), folder)
 
@@ -98,12 +103,16 @@ def _sessions(entry: Any, folder: Path) -> list[Session]:
     if entry is None or entry == "":
         return [Session(run, (run,)) for run in present]
     if not isinstance(entry, dict):
-        raise RecordingError(f"{path}: sessions must map a name to {{runs: [...]}}, got {type(entry).__name__}")
+        raise RecordingError(
+            f"{path}: sessions must map a name to {{runs: [...]}}, got {type(entry).__name__}"
+        )
     sessions = [_session(name, value, path) for name, value in entry.items()]
     named = [run for session in sessions for run in session.runs]
     for run in named:
         if named.count(run) > 1:
-            raise RecordingError(f"{path}: run '{run}' is named {named.count(run)} times; each run has one session")
+            raise RecordingError(
+                f"{path}: run '{run}' is named {named.count(run)} times; each run has one session"
+            )
         if run not in present:
             raise RecordingError(
                 f"{path}: run '{run}' is named, but {folder / f'{run}.csv'} does not exist; "
@@ -118,7 +127,9 @@ def _sessions(entry: Any, folder: Path) -> list[Session]:
 def _session(name: str, value: Any, path: Path) -> Session:
     value = {"runs": value} if isinstance(value, list) else value
     if not isinstance(value, dict) or not isinstance(value.get("runs"), list) or not value["runs"]:
-        raise RecordingError(f"{path}: session '{name}' needs 'runs: [...]' with at least one run, got {value!r}")
+        raise RecordingError(
+            f"{path}: session '{name}' needs 'runs: [...]' with at least one run, got {value!r}"
+        )
     axis = value.get("axis")
     if axis is not None and axis not in AXES:
         raise RecordingError(f"{path}: session '{name}' has axis '{axis}'; expected one of {', '.join(AXES)}")
@@ -158,7 +169,9 @@ def _require_equal_width(path: Path, header: list[str], lines: list[str]) -> Non
     for number, line in enumerate(lines[1:], start=2):
         width = line.count(",") + 1
         if width != len(header) and line.strip():
-            raise RecordingError(f"{path}, line {number}: {width} values for {len(header)} columns; add or remove values")
+            raise RecordingError(
+                f"{path}, line {number}: {width} values for {len(header)} columns; add or remove values"
+            )
 
 
 def _bad_cell(path: Path, header: list[str], lines: list[str]) -> str:

@@ -20,7 +20,8 @@ class Recording:
     ----------
     name, session : the run, and the session (day, mounting) that it belongs to
     time : (steps,) s, increasing, not necessarily uniform
-    pressure_cmd : (steps, chambers) Pa, what was commanded (``robot.command_to_pa`` times the command channel)
+    pressure_cmd : (steps, chambers) Pa, what was commanded (``robot.command_to_pa`` times the command
+        channel)
     pressure_meas : (steps, chambers) Pa gauge at the chamber
     position : (steps, 3) m, tip in the base frame
     quaternion : (steps, 4) w x y z
@@ -75,7 +76,9 @@ class RecordingSet(Artifact):
                     )
                 if not np.isfinite(values).all():
                     bad = int((~np.isfinite(values)).sum())
-                    raise ArtifactError(f"run {recording.name}: {channel} holds {bad} values that are not finite")
+                    raise ArtifactError(
+                        f"run {recording.name}: {channel} holds {bad} values that are not finite"
+                    )
 
     def write(self, folder: Path) -> None:
         """Write a dataset folder, with the artifact's own record beside it."""

@@ -9,7 +9,9 @@ from softrl.core.errors import ConfigError, RecordingError
 from softrl.recordings.recording import Recording, RecordingSet
 
 
-def split(recordings: RecordingSet, heldout_share: float, seed: int, by: str = "auto") -> tuple[RecordingSet, RecordingSet]:
+def split(
+    recordings: RecordingSet, heldout_share: float, seed: int, by: str = "auto"
+) -> tuple[RecordingSet, RecordingSet]:
     """Return (training, heldout) with whole groups drawn at random to the held-out side.
 
     Parameters

@@ -8,14 +8,18 @@ from softrl.core.errors import RecordingError
 from softrl.recordings.columns import Columns
 from softrl.robots.robot import Robot
 
-UNIT_RATIO = 20.0          # times the pressure limit: no sensor error, another unit
-REACH_LENGTHS = 5.0        # a tip farther from the base than this many lengths is in another unit
-TINY_SHARE = 5e-3          # a command that never reaches this share of the limit is in another unit
-MEASURED_MARGIN = 0.25     # measured pressures may pass the limits by this share of the range: offsets, overshoot
-SLOWEST_PERIOD_S = 5.0     # a slower median sampling period means that time is in another unit
+UNIT_RATIO = 20.0  # times the pressure limit: no sensor error, another unit
+REACH_LENGTHS = 5.0  # a tip farther from the base than this many lengths is in another unit
+TINY_SHARE = 5e-3  # a command that never reaches this share of the limit is in another unit
+MEASURED_MARGIN = (
+    0.25  # measured pressures may pass the limits by this share of the range: offsets, overshoot
+)
+SLOWEST_PERIOD_S = 5.0  # a slower median sampling period means that time is in another unit
 
 
-def require_values(path: Path, header: list[str], table: np.ndarray, columns: Columns, robot: Robot | None) -> None:
+def require_values(
+    path: Path, header: list[str], table: np.ndarray, columns: Columns, robot: Robot | None
+) -> None:
     """Raise ``RecordingError`` for the first value of ``table`` (steps, columns) that cannot be right."""
     _require_finite(path, header, table)
     _require_increasing(path, header, table, columns)

@@ -11,7 +11,13 @@ from softrl.core.units import si_factor
 from softrl.recordings.recording import Recording, RecordingSet
 
 DATASET = "dataset.yaml"
-UNITS = {"time": "s", "pressure": "kPa gauge", "position": "mm", "orientation": "quaternion w x y z", "angle": "deg"}
+UNITS = {
+    "time": "s",
+    "pressure": "kPa gauge",
+    "position": "mm",
+    "orientation": "quaternion w x y z",
+    "angle": "deg",
+}
 
 
 def write(folder: Path | str, recordings: RecordingSet) -> None:
@@ -34,7 +40,10 @@ def _description(recordings: RecordingSet) -> dict[str, object]:
     notes = dict(recordings.notes)
     extras = notes.pop("session_notes", {})
     sessions = {
-        session: {"runs": [r.name for r in recordings.recordings if r.session == session], **extras.get(session, {})}
+        session: {
+            "runs": [r.name for r in recordings.recordings if r.session == session],
+            **extras.get(session, {}),
+        }
         for session in recordings.sessions()
     }
     return {"robot": recordings.robot_name, "frame": "base", "units": UNITS, "sessions": sessions} | notes
@@ -42,7 +51,9 @@ def _description(recordings: RecordingSet) -> dict[str, object]:
 
 def _write_run(path: Path, recording: Recording) -> None:
     header, columns = zip(*_columns(recording), strict=True)
-    np.savetxt(path, np.stack(columns, axis=1), fmt="%.9g", delimiter=",", header=",".join(header), comments="")
+    np.savetxt(
+        path, np.stack(columns, axis=1), fmt="%.9g", delimiter=",", header=",".join(header), comments=""
+    )
 
 
 def _columns(recording: Recording) -> Iterator[tuple[str, np.ndarray]]:

@@ -29,7 +29,8 @@ class Config:
     dt_s : step of the simulation; samples are taken at the recording's own times
     drive : "command", or "measured" to put the measured pressures behind the valve
     settle_s : time under the first row before the first sample, for recordings that do not begin at rest
-    position_noise_m, orientation_noise_rad, bend_angle_noise_rad, pressure_noise_pa : standard deviation of white noise
+    position_noise_m, orientation_noise_rad, bend_angle_noise_rad, pressure_noise_pa : standard deviation of
+        white noise
     out : folder of a dataset to write, or null
     seed : of the noise
     """
@@ -49,7 +50,13 @@ class Config:
             raise ConfigError(f"stage.dt_s={self.dt_s:g} must be positive")
         if self.drive not in ("command", "measured"):
             raise ConfigError(f"stage.drive={self.drive} is unknown; expected command or measured")
-        for name in ("settle_s", "position_noise_m", "orientation_noise_rad", "bend_angle_noise_rad", "pressure_noise_pa"):
+        for name in (
+            "settle_s",
+            "position_noise_m",
+            "orientation_noise_rad",
+            "bend_angle_noise_rad",
+            "pressure_noise_pa",
+        ):
             if not getattr(self, name) >= 0.0:
                 raise ConfigError(f"stage.{name}={getattr(self, name):g} must not be negative")
 
@@ -104,9 +111,14 @@ def _report(recorded: RecordingSet, simulated: RecordingSet, seconds: float, tra
     span = sum(float(np.ptp(r.time)) for r in recorded.recordings)
     tracker.metric("replay_speed_times_real_time", span / max(seconds, 1e-9))
     pairs = list(zip(recorded.recordings, simulated.recordings, strict=True))
-    for channel, name, scale in (("position", "tip_difference_mm", 1e3), ("bend_angle", "bend_difference_deg", 180 / np.pi)):
+    for channel, name, scale in (
+        ("position", "tip_difference_mm", 1e3),
+        ("bend_angle", "bend_difference_deg", 180 / np.pi),
+    ):
         squares = [
-            ((getattr(ours, channel) - getattr(theirs, channel)) ** 2).reshape(len(theirs.time), -1).sum(axis=1)
+            ((getattr(ours, channel) - getattr(theirs, channel)) ** 2)
+            .reshape(len(theirs.time), -1)
+            .sum(axis=1)
             for theirs, ours in pairs
             if getattr(theirs, channel) is not None and getattr(ours, channel) is not None
         ]

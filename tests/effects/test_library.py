@@ -136,7 +136,9 @@ def test_halving_the_step_changes_the_result_in_first_order(name: str) -> None:
     assert second < 0.7 * first, f"{1e6 * first:.2f} um, then {1e6 * second:.2f} um"
 
 
-VISIBLE = [(n, r) for n in NAMES for r in ROBOTS if (n, r) != ("crosstalk", "single_chamber_finger")]  # no neighbour
+VISIBLE = [
+    (n, r) for n in NAMES for r in ROBOTS if (n, r) != ("crosstalk", "single_chamber_finger")
+]  # no neighbour
 
 
 @pytest.mark.parametrize(("name", "robot"), VISIBLE)
@@ -161,5 +163,8 @@ def test_one_chamber_can_be_meant(name: str) -> None:
 
 
 def test_order_of_the_list_does_not_matter() -> None:
-    effects = [typical(name) for name in ("delay", "lag", "viscoelasticity", "payload", "mount_tilt", "gain", "hysteresis")]
+    effects = [
+        typical(name)
+        for name in ("delay", "lag", "viscoelasticity", "payload", "mount_tilt", "gain", "hysteresis")
+    ]
     np.testing.assert_array_equal(simulate(effects).position, simulate(effects[::-1]).position)

@@ -17,8 +17,22 @@ from softrl.effects.deadband import Deadband
 from softrl.effects.delay import Delay
 from softrl.effects.drift import Drift
 from softrl.effects.effect import (
-    ADDED, ADDED_SLOPE, BODY_PORT_ROWS, ELASTIC, ELASTIC_SLOPE, FORCE, FORCE_SLOPE, GRAVITY, LOAD_PORT_ROWS, PRESSURE, RATE,
-    REST, STRAIN, TIP, TIP_VELOCITY, Effect,
+    ADDED,
+    ADDED_SLOPE,
+    BODY_PORT_ROWS,
+    ELASTIC,
+    ELASTIC_SLOPE,
+    FORCE,
+    FORCE_SLOPE,
+    GRAVITY,
+    LOAD_PORT_ROWS,
+    PRESSURE,
+    RATE,
+    REST,
+    STRAIN,
+    TIP,
+    TIP_VELOCITY,
+    Effect,
 )
 from softrl.effects.frame import Frame
 from softrl.effects.friction import Friction
@@ -44,7 +58,7 @@ from softrl.robots.robot import Robot
 
 CONF = Path(__file__).parents[2] / "conf"
 DT = 0.01
-STIFFNESS = 2e5   # Pa per strain of the body that the port tests imitate
+STIFFNESS = 2e5  # Pa per strain of the body that the port tests imitate
 
 
 @cache
@@ -72,14 +86,21 @@ def pull(effect: Effect, strain: np.ndarray, dt_s: float = DT, pressure: float =
     for value in strain:
         port = np.zeros((BODY_PORT_ROWS, 3))
         port[STRAIN], port[RATE] = value, (value - last) / dt_s
-        port[ELASTIC], port[ELASTIC_SLOPE], port[REST], port[PRESSURE] = STIFFNESS * value, STIFFNESS, STIFFNESS, pressure
+        port[ELASTIC], port[ELASTIC_SLOPE], port[REST], port[PRESSURE] = (
+            STIFFNESS * value,
+            STIFFNESS,
+            STIFFNESS,
+            pressure,
+        )
         type(effect).kernel(effect.pack(ROBOT), state, port, dt_s, True)
         added.append(port[ADDED, 0])
         last = value
     return np.array(added)
 
 
-def move(effects: list[Effect], pressure: np.ndarray, body: PccSimulator | None = None, **kwargs: np.ndarray) -> Motion:
+def move(
+    effects: list[Effect], pressure: np.ndarray, body: PccSimulator | None = None, **kwargs: np.ndarray
+) -> Motion:
     time = DT * np.arange(1, len(pressure) + 1)
     return Plant(body or simulator(), chain_of(ROBOT, effects)).simulate(time, pressure, **kwargs)
 
@@ -103,12 +124,17 @@ def test_deadband_is_a_play_whose_width_is_free_of_rate() -> None:
     for steps in (100, 1000):
         wave = np.concatenate([np.linspace(0, 2e4, steps), np.linspace(2e4, 0, steps)])
         supplied = signal(Deadband(band=band), np.tile(wave[:, None], 3))[:, 0]
-        up, down = np.interp(1e4, wave[:steps], supplied[:steps]), np.interp(-1e4, -wave[steps:], supplied[steps:])
+        up, down = (
+            np.interp(1e4, wave[:steps], supplied[:steps]),
+            np.interp(-1e4, -wave[steps:], supplied[steps:]),
+        )
         np.testing.assert_allclose(down - up, 2 * band * FULL, rtol=1e-6)
 
 
 def test_rate_limit_ramps_at_its_rates() -> None:
-    supplied = signal(RateLimit(rise_per_s=0.5, fall_per_s=0.25), np.vstack([step_to(FULL, 100), step_to(0.0, 100)]))[:, 0]
+    supplied = signal(
+        RateLimit(rise_per_s=0.5, fall_per_s=0.25), np.vstack([step_to(FULL, 100), step_to(0.0, 100)])
+    )[:, 0]
     np.testing.assert_allclose(np.diff(supplied[:100]), 0.5 * FULL * DT)
     np.testing.assert_allclose(np.diff(supplied[100:]), -0.25 * FULL * DT)
 
@@ -144,7 +170,9 @@ def test_gain_offset_crosstalk_are_linear_maps() -> None:
 def test_stiffness_scale_equals_a_stiffer_body() -> None:
     pressure = 2e4 * np.sin(0.02 * np.arange(500))[:, None] ** 2 * [1.0, 0.3, 0.0]
     body = simulator()
-    stiffer = body.with_parameters(bending_stiffness_scale=1.7, axial_stiffness_scale=1.7, damping_s=body.damping_s / 1.7)
+    stiffer = body.with_parameters(
+        bending_stiffness_scale=1.7, axial_stiffness_scale=1.7, damping_s=body.damping_s / 1.7
+    )
     np.testing.assert_allclose(
         move([StiffnessScale(scale=1.7)], pressure).position, move([], pressure, stiffer).position, atol=1e-8
     )
@@ -198,7 +226,9 @@ def loop_width(effect: Effect, period_s: float, dt_s: float) -> float:
 
 def test_bouc_wen_loop_has_a_width_free_of_rate_and_step() -> None:
     effect = Hysteresis(height=0.2, yield_strain=0.01)
-    widths = [loop_width(effect, period, period / count) for period in (0.5, 5.0, 50.0) for count in (400, 800)]
+    widths = [
+        loop_width(effect, period, period / count) for period in (0.5, 5.0, 50.0) for count in (400, 800)
+    ]
     np.testing.assert_allclose(widths, 2 * 0.2 * FULL, rtol=2e-3)
 
 
@@ -226,15 +256,19 @@ def test_mullins_acts_only_below_the_largest_strain() -> None:
     up, down = np.linspace(0.001, 0.1, 50), np.linspace(0.099, 0.0, 50)
     further = np.linspace(0.0, 0.15, 76)
     added = pull(Mullins(softening=0.3, width=0.03), np.concatenate([up, down, further]))
-    np.testing.assert_allclose(added[:50], 0.0, atol=1e-9)                     # virgin
-    assert (added[51:98] < 0.0).all() and (added[102:148] < 0.0).all()         # below the maximum, on both ways
-    np.testing.assert_allclose(added[51:98][::-1], np.interp(down[1:48][::-1], further, added[100:]), atol=60.0)
-    np.testing.assert_allclose(added[152:], 0.0, atol=1e-9)                    # beyond the maximum again
+    np.testing.assert_allclose(added[:50], 0.0, atol=1e-9)  # virgin
+    assert (added[51:98] < 0.0).all() and (added[102:148] < 0.0).all()  # below the maximum, on both ways
+    np.testing.assert_allclose(
+        added[51:98][::-1], np.interp(down[1:48][::-1], further, added[100:]), atol=60.0
+    )
+    np.testing.assert_allclose(added[152:], 0.0, atol=1e-9)  # beyond the maximum again
 
 
 def test_drift_softens_exponentially() -> None:
     added = pull(Drift(rate_per_s=0.004), np.full(1000, 0.05))
-    np.testing.assert_allclose(1.0 + added / (STIFFNESS * 0.05), np.exp(-0.004 * DT * np.arange(1, 1001)), rtol=1e-12)
+    np.testing.assert_allclose(
+        1.0 + added / (STIFFNESS * 0.05), np.exp(-0.004 * DT * np.arange(1, 1001)), rtol=1e-12
+    )
 
 
 def test_payload_weighs_as_its_force_and_slows_the_body() -> None:
@@ -260,7 +294,10 @@ def load_port(tip: np.ndarray, velocity: np.ndarray) -> np.ndarray:
 
 
 def test_mount_tilt_turns_gravity_and_keeps_its_size() -> None:
-    for angles, expected in (((0.2, 0.0), [0, np.sin(0.2), -np.cos(0.2)]), ((0.0, 0.2), [-np.sin(0.2), 0, -np.cos(0.2)])):
+    for angles, expected in (
+        ((0.2, 0.0), [0, np.sin(0.2), -np.cos(0.2)]),
+        ((0.0, 0.2), [-np.sin(0.2), 0, -np.cos(0.2)]),
+    ):
         _, port = MountTilt(*angles).apply(ROBOT, np.zeros(3), load_port(np.zeros(3), np.zeros(3)), DT)
         np.testing.assert_allclose(port[GRAVITY], 9.81 * np.array(expected), atol=1e-12)
 
@@ -292,8 +329,14 @@ def test_tether_force_is_the_gradient_of_a_spring() -> None:
 
 
 SLOPED = [
-    StiffnessScale(1.5), StiffnessScale(1.5, chamber=0), StrainStiffening(2.0), Viscoelasticity(0.4, 2.0, 0.2, 20.0),
-    Hysteresis(0.2, 0.02), Friction(0.1, 0.1), Mullins(0.3, 0.03), Drift(0.004),
+    StiffnessScale(1.5),
+    StiffnessScale(1.5, chamber=0),
+    StrainStiffening(2.0),
+    Viscoelasticity(0.4, 2.0, 0.2, 20.0),
+    Hysteresis(0.2, 0.02),
+    Friction(0.1, 0.1),
+    Mullins(0.3, 0.03),
+    Drift(0.004),
 ]
 
 
@@ -318,7 +361,9 @@ def test_body_slope_is_the_derivative(effect: Effect, strain: float) -> None:
     np.testing.assert_allclose(ports[1][ADDED_SLOPE, 0], slope, rtol=2e-4, atol=1.0)
 
 
-@pytest.mark.parametrize("effect", [Payload(0.3), Contact(0.1, 0.5, 500.0), Tether(40.0, 0.1, 0.0)], ids=lambda e: e.name())
+@pytest.mark.parametrize(
+    "effect", [Payload(0.3), Contact(0.1, 0.5, 500.0), Tether(40.0, 0.1, 0.0)], ids=lambda e: e.name()
+)
 def test_load_slope_is_the_derivative(effect: Effect) -> None:
     tip, velocity = np.array([0.05, 0.03, 0.17]), np.array([0.1, -0.2, 0.05])
     state = effect.reset(ROBOT)
@@ -326,10 +371,14 @@ def test_load_slope_is_the_derivative(effect: Effect) -> None:
     for k in range(3):
         nudge = 1e-6 * np.eye(3)[k]
         forces = [
-            effect.apply(ROBOT, state, load_port(tip + sign * nudge, velocity + sign * nudge / DT), DT)[1][FORCE]
+            effect.apply(ROBOT, state, load_port(tip + sign * nudge, velocity + sign * nudge / DT), DT)[1][
+                FORCE
+            ]
             for sign in (-1.0, 1.0)
         ]
-        np.testing.assert_allclose(middle[FORCE_SLOPE : FORCE_SLOPE + 3, k], (forces[1] - forces[0]) / 2e-6, rtol=1e-6, atol=1e-4)
+        np.testing.assert_allclose(
+            middle[FORCE_SLOPE : FORCE_SLOPE + 3, k], (forces[1] - forces[0]) / 2e-6, rtol=1e-6, atol=1e-4
+        )
 
 
 def poses() -> np.ndarray:
@@ -341,7 +390,9 @@ def test_frame_is_an_isometry() -> None:
     pose = poses()
     turned = signal(Frame(0.1, -0.2, 0.5, 0.02, 0.0, 0.01), pose)
     distance = np.linalg.norm(pose[:, None, :3] - pose[None, ::10, :3], axis=2)
-    np.testing.assert_allclose(np.linalg.norm(turned[:, None, :3] - turned[None, ::10, :3], axis=2), distance, atol=1e-12)
+    np.testing.assert_allclose(
+        np.linalg.norm(turned[:, None, :3] - turned[None, ::10, :3], axis=2), distance, atol=1e-12
+    )
     np.testing.assert_allclose(np.linalg.norm(turned[:, 3:], axis=1), 1.0)
     relative = np.sum(pose[0, 3:] * pose[:, 3:], axis=1)
     np.testing.assert_allclose(np.sum(turned[0, 3:] * turned[:, 3:], axis=1), relative, atol=1e-12)

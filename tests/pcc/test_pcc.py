@@ -45,7 +45,9 @@ def test_shape_functions_match_their_integrals(x: float) -> None:
     # f = int (1-s) cos(b s), g = int cos(b s), F = int (1-s)^2 / 2 cos(b s), all over 0..1
     even = np.cos(b * s)
     f, g, h, df, dg, dh = shape_functions(x)
-    np.testing.assert_allclose([f, g, h], [weight @ ((1 - s) * even), weight @ even, weight @ ((1 - s) ** 2 / 2 * even)], rtol=1e-12)
+    np.testing.assert_allclose(
+        [f, g, h], [weight @ ((1 - s) * even), weight @ even, weight @ ((1 - s) ** 2 / 2 * even)], rtol=1e-12
+    )
     odd = -(s**2) * np.sinc(b * s / np.pi)  # derivative of cos(b s) by b, over b
     expected = [weight @ ((1 - s) * odd), weight @ odd, weight @ ((1 - s) ** 2 / 2 * odd)]
     np.testing.assert_allclose([df, dg, dh], expected, rtol=1e-10)
@@ -60,7 +62,8 @@ def test_tip_is_the_end_of_the_integrated_backbone(bend: tuple[float, float]) ->
     np.testing.assert_allclose(position, 0.22 * tangent.mean(axis=0), atol=1e-9)
     np.testing.assert_allclose(
         Rotation.from_quat(quaternion, scalar_first=True).as_matrix(),
-        Rotation.from_rotvec([-bend[1], bend[0], 0.0]).as_matrix(), atol=1e-12,
+        Rotation.from_rotvec([-bend[1], bend[0], 0.0]).as_matrix(),
+        atol=1e-12,
     )
 
 
@@ -102,11 +105,15 @@ def test_energy_decays_after_release() -> None:
     zero = np.zeros(3)
     state = body.equilibrium(np.array([3e4, 0.0, 1e4]))
     rest = body.reset().coordinates
-    inertia = body.mass_scale * body.robot.mass_kg * body.robot.length_m**2 * np.array([1 / 20, 1 / 20, 1 / 3])
+    inertia = (
+        body.mass_scale * body.robot.mass_kg * body.robot.length_m**2 * np.array([1 / 20, 1 / 20, 1 / 3])
+    )
     energy = []
     for _ in range(900):
         kinetic = 0.5 * inertia @ state.velocity**2
-        energy.append(kinetic + potential(body, state.coordinates, zero, zero) - potential(body, rest, zero, zero))
+        energy.append(
+            kinetic + potential(body, state.coordinates, zero, zero) - potential(body, rest, zero, zero)
+        )
         state = body.step(state, zero, 2e-3)
     energy = np.array(energy)
     assert (np.diff(energy) < 1e-7 * energy[0]).all(), np.diff(energy).max()
@@ -150,7 +157,10 @@ def test_full_pressure_bends_and_elongates_as_configured() -> None:
     np.testing.assert_allclose(np.hypot(q[0], q[1]), 0.45, rtol=1e-9)
     q = body.equilibrium(np.full(3, full)).coordinates
     np.testing.assert_allclose(q, [0.0, 0.0, 0.08], atol=1e-9)
-    finger = simulator(replace(robot_named("single_chamber_finger"), gravity_m_s2=(0.0, 0.0, 0.0)), bend_at_full_pressure_rad=2.6)
+    finger = simulator(
+        replace(robot_named("single_chamber_finger"), gravity_m_s2=(0.0, 0.0, 0.0)),
+        bend_at_full_pressure_rad=2.6,
+    )
     state = finger.equilibrium(np.array([finger.robot.pressure_max_pa]))
     np.testing.assert_allclose(state.coordinates, [2.6], rtol=1e-9)
     assert finger.observe(state)[0][0] > 0.0  # its chamber lies towards -x
@@ -160,8 +170,11 @@ def test_units_scale_as_they_must() -> None:
     """Lengths times 2 at equal density, modulus and pressure: angles stay, times double (gravity scaled away)."""
     robot = replace(robot_named("tripod"), gravity_m_s2=(0.0, 0.0, 0.0))
     larger = replace(
-        robot, length_m=2 * robot.length_m, chamber_radius_m=2 * robot.chamber_radius_m,
-        chamber_area_m2=4 * robot.chamber_area_m2, mass_kg=8 * robot.mass_kg,
+        robot,
+        length_m=2 * robot.length_m,
+        chamber_radius_m=2 * robot.chamber_radius_m,
+        chamber_area_m2=4 * robot.chamber_area_m2,
+        mass_kg=8 * robot.mass_kg,
     )
     time = 0.002 * np.arange(1, 501)
     pressure = 2e4 * np.sin(8.0 * time)[:, None] * [1.0, 0.2, -0.3]
@@ -209,7 +222,10 @@ def test_rest_of_an_upright_robot_is_its_length() -> None:
 def test_parameters_are_replaced_and_checked() -> None:
     body = simulator()
     softer = body.with_parameters(bending_stiffness_scale=0.5)
-    assert softer.parameters["bending_stiffness_scale"] == 0.5 and body.parameters["bending_stiffness_scale"] == 1.0
+    assert (
+        softer.parameters["bending_stiffness_scale"] == 0.5
+        and body.parameters["bending_stiffness_scale"] == 1.0
+    )
     assert np.isclose(softer.stiffness[0], 0.5 * body.stiffness[0])
     assert "axial_stiffness_scale" not in simulator(robot_named("single_chamber_finger")).parameters
     with pytest.raises(ConfigError, match="no parameter youngs"):

@@ -46,7 +46,9 @@ def example_set(robot: Robot, seed: int = 3) -> RecordingSet:
                 temperature=rng.normal(22.0, 1.0, len(time)) if k == 2 else None,
             )
         )
-    return RecordingSet(robot.name, tuple(runs), {"what": "an example", "session_notes": {"b": {"what": "more"}}})
+    return RecordingSet(
+        robot.name, tuple(runs), {"what": "an example", "session_notes": {"b": {"what": "more"}}}
+    )
 
 
 def assert_same(one: RecordingSet, other: RecordingSet) -> None:
@@ -84,7 +86,12 @@ def test_session_axis_becomes_the_robots_axis(axis: str, tripod: Robot, tmp_path
     along["xyz".index(axis[1])] = -tripod.length_m if axis[0] == "-" else tripod.length_m
     time = 0.01 * np.arange(1.0, 6.0)
     still = Recording(
-        "run", "s", time, np.full((5, 3), 1e4), position=np.tile(along, (5, 1)), quaternion=np.tile([1.0, 0, 0, 0], (5, 1))
+        "run",
+        "s",
+        time,
+        np.full((5, 3), 1e4),
+        position=np.tile(along, (5, 1)),
+        quaternion=np.tile([1.0, 0, 0, 0], (5, 1)),
     )
     write(tmp_path, RecordingSet("tripod", (still,)))
     text = (tmp_path / "dataset.yaml").read_text().replace("  s:\n", f"  s:\n    axis: '{axis}'\n")
@@ -103,7 +110,9 @@ def test_dataset_without_sessions_has_one_a_run(tripod: Robot, tmp_path: Path) -
 def test_other_command_is_scaled(tmp_path: Path) -> None:
     finger = robot_named("single_chamber_finger")
     (tmp_path / "dataset.yaml").write_text("robot: single_chamber_finger\n")
-    (tmp_path / "a.csv").write_text("time_ms,pump_pwm_cmd,p1_meas_kpa,bend_angle_deg\n0,0,0.0,0\n30,100,2.5,90\n")
+    (tmp_path / "a.csv").write_text(
+        "time_ms,pump_pwm_cmd,p1_meas_kpa,bend_angle_deg\n0,0,0.0,0\n30,100,2.5,90\n"
+    )
     run = read(tmp_path, finger).recordings[0]
     np.testing.assert_allclose(run.time, [0.0, 0.03])
     np.testing.assert_allclose(run.pressure_cmd, [[0.0], [100.0 * finger.command_to_pa]])
@@ -120,27 +129,49 @@ ROWS = "0.01,5,0,0,0,0,176\n0.02,5,1,0,0,0,176\n0.03,5,2,0,1,0,176\n"
         (GOOD.replace("p3_cmd_kpa", "p3_cmd_kelvin"), ROWS, ["line 1", "p3_cmd_kelvin", "no unit of Pa"]),
         (GOOD.replace("tip_z_mm", "tip_w_mm"), ROWS, ["line 1", "unknown column 'tip_w_mm'", "tip_x_mm"]),
         (GOOD.replace("tip_z_mm", "temp_c"), ROWS, ["line 1", "position needs 3", "tip_x_mm, tip_y_mm"]),
-        (GOOD.replace("p3_cmd_kpa", "temp_c"), ROWS, ["pressure_cmd needs 3", "tripod", "p1_cmd_kpa, p2_cmd_kpa"]),
+        (
+            GOOD.replace("p3_cmd_kpa", "temp_c"),
+            ROWS,
+            ["pressure_cmd needs 3", "tripod", "p1_cmd_kpa, p2_cmd_kpa"],
+        ),
         (GOOD.replace("p3_cmd_kpa", "p2_cmd_kpa"), ROWS, ["p2_cmd_kpa", "second time"]),
         (GOOD.replace("time_s,", "temp_c,"), ROWS, ["'time_s' is missing"]),
         (GOOD.replace("_cmd", "_meas"), ROWS, ["'p1_cmd_kpa' is missing"]),
-        (GOOD.replace("p1_cmd_kpa", "valve_cmd"), ROWS, ["unknown column 'valve_cmd'", "robot.command=pressure"]),
+        (
+            GOOD.replace("p1_cmd_kpa", "valve_cmd"),
+            ROWS,
+            ["unknown column 'valve_cmd'", "robot.command=pressure"],
+        ),
         (GOOD, ROWS.replace("0.02,5,1", "0.02,nan,1"), ["line 3", "'p1_cmd_kpa'", "nan"]),
         (GOOD, ROWS.replace("0.02,5,1", "0.02,five,1"), ["line 3", "'p1_cmd_kpa'", "'five' is no number"]),
         (GOOD, ROWS.replace("0.02,5,1", "0.02,,1"), ["line 3", "'p1_cmd_kpa'", "'' is no number"]),
         (GOOD, ROWS.replace("0.02,5,1", "0.02,5,1,7"), ["line 3", "8 values for 7 columns"]),
         (GOOD, ROWS.replace("0.03", "0.02"), ["line 4", "'time_s'", "0.02 does not exceed 0.02"]),
-        (GOOD, ROWS.replace("0.0", "10.0").replace("10.03", "4000"), ["'time_s'", "sampling period", "time_ms"]),
-        (GOOD, ROWS.replace(",5,2", ",5,40"), ["line 4", "'p2_cmd_kpa'", "40000 Pa", "-20000 to 35000 Pa", "clip"]),
+        (
+            GOOD,
+            ROWS.replace("0.0", "10.0").replace("10.03", "4000"),
+            ["'time_s'", "sampling period", "time_ms"],
+        ),
+        (
+            GOOD,
+            ROWS.replace(",5,2", ",5,40"),
+            ["line 4", "'p2_cmd_kpa'", "40000 Pa", "-20000 to 35000 Pa", "clip"],
+        ),
         (GOOD, ROWS.replace(",5,", ",5000,"), ["line 2", "'p1_cmd_kpa'", "20 times", "another unit"]),
         (GOOD.replace("cmd_kpa", "cmd_pa"), ROWS, ["'p1_cmd_pa'", "another unit"]),
-        (GOOD.replace("x_mm", "x_m").replace("y_mm", "y_m").replace("z_mm", "z_m"), ROWS, ["'tip_x_m'", "176", "another unit"]),
+        (
+            GOOD.replace("x_mm", "x_m").replace("y_mm", "y_m").replace("z_mm", "z_m"),
+            ROWS,
+            ["'tip_x_m'", "176", "another unit"],
+        ),
         (GOOD, ROWS.replace("176", "0.176"), ["'tip_x_mm'", "never is farther"]),
         (GOOD, "", ["holds 0 samples"]),
         ("", "", ["is empty"]),
     ],
 )
-def test_bad_file_is_refused_in_one_line(header: str, rows: str, expected: list[str], tripod: Robot, tmp_path: Path) -> None:
+def test_bad_file_is_refused_in_one_line(
+    header: str, rows: str, expected: list[str], tripod: Robot, tmp_path: Path
+) -> None:
     (tmp_path / "dataset.yaml").write_text("robot: tripod\n")
     (tmp_path / "a.csv").write_text(header + rows)
     with pytest.raises(RecordingError) as caught:
@@ -165,7 +196,9 @@ def test_bad_file_is_refused_in_one_line(header: str, rows: str, expected: list[
         ("robot: tripod\nsessions: [a]\n", ["sessions must map"]),
     ],
 )
-def test_bad_dataset_is_refused_in_one_line(text: str | None, expected: list[str], tripod: Robot, tmp_path: Path) -> None:
+def test_bad_dataset_is_refused_in_one_line(
+    text: str | None, expected: list[str], tripod: Robot, tmp_path: Path
+) -> None:
     (tmp_path / "a.csv").write_text(GOOD + ROWS)
     if text is not None:
         (tmp_path / "dataset.yaml").write_text(text)

@@ -10,7 +10,9 @@ from softrl.recordings.split import select, split
 
 def example(sessions: list[str]) -> RecordingSet:
     time = np.array([0.0, 0.1])
-    return RecordingSet("r", tuple(Recording(f"run{k}", s, time, np.zeros((2, 1))) for k, s in enumerate(sessions)))
+    return RecordingSet(
+        "r", tuple(Recording(f"run{k}", s, time, np.zeros((2, 1))) for k, s in enumerate(sessions))
+    )
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -39,6 +41,10 @@ def test_one_run_cannot_be_split() -> None:
 
 
 def test_select_takes_sessions_and_runs() -> None:
-    assert [r.name for r in select(example(["a", "a", "b", "c"]), ["a", "run3"]).recordings] == ["run0", "run1", "run3"]
+    assert [r.name for r in select(example(["a", "a", "b", "c"]), ["a", "run3"]).recordings] == [
+        "run0",
+        "run1",
+        "run3",
+    ]
     with pytest.raises(RecordingError, match="no run or session 'z'"):
         select(example(["a"]), ["z"])

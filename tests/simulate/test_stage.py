@@ -113,7 +113,9 @@ def test_noise_is_seeded_and_of_the_size_asked_for() -> None:
     chain = EffectChain(body.robot)
     noise = {"position_noise_m": 1e-3, "pressure_noise_pa": 200.0, "orientation_noise_rad": 0.01}
     clean, one, same, other = (
-        run(config(**changed), body.robot, body, chain, commands(body.robot), tracker=NullTracker()).recordings[1]
+        run(
+            config(**changed), body.robot, body, chain, commands(body.robot), tracker=NullTracker()
+        ).recordings[1]
         for changed in ({}, noise, noise, noise | {"seed": 1})
     )
     np.testing.assert_array_equal(one.position, same.position)

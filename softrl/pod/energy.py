@@ -1,0 +1,98 @@
+"""The condensed elastic energy W(z): a polynomial fitted to values, gradients and Hessians of equilibria.
+
+At an equilibrium the gradient of W is the load and its Hessian is the inverse of the compliance, so one equilibrium of
+``r`` coordinates gives ``1 + r + r (r + 1) / 2`` equations.
+"""
+
+import logging
+from typing import NamedTuple
+
+import numpy as np
+
+from softrl.pod.polynomial import basis
+from softrl.pod.symmetry import Equilibria
+
+log = logging.getLogger(__name__)
+CHUNK = 64
+
+
+class Weights(NamedTuple):
+    """Weight of an equation about a value and about a Hessian, relative to one about a gradient."""
+
+    value: float
+    hessian: float
+
+
+class Normal(NamedTuple):
+    """Least squares accumulated: ``matrix`` (k, k) and ``right`` (k,) over all monomials of degree 2 and higher."""
+
+    matrix: np.ndarray
+    right: np.ndarray
+
+
+def frame_of(samples: Equilibria) -> np.ndarray:
+    """Return the frame (r, r): each coordinate over its largest value, all samples in the unit ball, rest the origin.
+
+    Notes
+    -----
+    Volumes and tip nearly depend on each other, so the samples are thin in some directions of it; whitening those would
+    condition the fit better, but inertia and weight push the body far along them in units of the samples' thickness, where
+    high powers of a whitened coordinate run wild. In this frame they stay small.
+    """
+    largest = np.abs(samples.coordinate).max(axis=0)
+    radius = np.linalg.norm(samples.coordinate / largest, axis=1).max()
+    return np.diag(radius * largest)
+
+
+def accumulate(samples: Equilibria, frame: np.ndarray, degree: int, weights: Weights) -> Normal:
+    """Return the normal equations of ``samples`` for W up to ``degree`` in y.
+
+    Equations are put in units of coordinates by the compliance, ``C (dW/dz - load) = 0`` and ``C W'' C - C = 0``, each
+    coordinate over its spread and each load over its spread: W is then fitted for the motion that it predicts.
+    """
+    r = len(frame)
+    inverse = np.linalg.inv(frame)
+    table = basis(r, degree)
+    kept = slice(r + 1, None)
+    size = table.monomials - r - 1
+    normal = Normal(np.zeros((size, size)), np.zeros(size))
+    spread = samples.coordinate.std(axis=0)
+    load_spread = np.abs(samples.load).max(axis=0)
+    unit = max(samples.energy.std(), np.abs(samples.energy).max() * 1e-6)
+    rows_of, columns_of = np.triu_indices(r)
+    pair_weight = weights.hessian * load_spread[:, None] / spread
+    pair_weight = np.sqrt(pair_weight**2 + np.where(np.eye(r, dtype=bool), 0.0, pair_weight.T**2))
+    for first in range(0, len(samples.load), CHUNK):
+        part = samples.rows(slice(first, first + CHUNK))
+        points = part.coordinate @ inverse.T
+        to_coordinate = part.compliance @ inverse.T                   # dz/dload times dy/dz': maps dW/dy to dz
+        gradient = (to_coordinate / spread[:, None]) @ table.gradient_rows(points)[..., kept]
+        move = np.einsum("sij,sj->si", part.compliance, part.load) / spread
+        _add(normal, gradient.reshape(-1, size), move.ravel())
+        _add(normal, table.values(points)[:, kept] * (weights.value / unit), part.energy * (weights.value / unit))
+        bent = np.einsum("ski,sijm->skjm", to_coordinate, table.hessian_rows(points)[..., kept], optimize=True)
+        bent = np.einsum("skjm,slj->sklm", bent, to_coordinate, optimize=True)[:, rows_of, columns_of]
+        scale = pair_weight[rows_of, columns_of]
+        _add(
+            normal, (bent * scale[:, None]).reshape(-1, size),
+            (part.compliance[:, rows_of, columns_of] * scale).ravel(),
+        )
+    return normal
+
+
+def _add(normal: Normal, rows: np.ndarray, right: np.ndarray) -> None:
+    normal.matrix[...] += rows.T @ rows
+    normal.right[...] += rows.T @ right
+
+
+def solve(normal: Normal, order: int, degree: int, ridge: float) -> np.ndarray:
+    """Return the coefficients (monomials,) J of W of ``degree`` from equations accumulated to that degree or higher.
+
+    ``ridge`` is relative to the squared length of each column.
+    """
+    size = basis(order, degree).monomials - order - 1
+    matrix, right = normal.matrix[:size, :size], normal.right[:size]
+    scale = np.sqrt(np.diag(matrix))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    scaled = matrix / scale / scale[:, None] + ridge * np.eye(size)
+    return np.r_[np.zeros(order + 1), np.linalg.solve(scaled, right / scale) / scale]

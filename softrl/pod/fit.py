@@ -1,0 +1,180 @@
+"""From equilibria to a reduced model: degree, ridge and symmetry are chosen by cross-validation."""
+
+import logging
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from softrl.artifacts.reduced_model import ReducedModel
+from softrl.artifacts.snapshots import Snapshots
+from softrl.core.errors import ConfigError
+from softrl.pod.basis import PodBasis
+from softrl.pod.energy import Normal, Weights, accumulate, frame_of, solve
+from softrl.pod.maps import best_degree, fit_map, root_targets
+from softrl.pod.rom import elastic_hessian_at_rest, static_points, tables_of
+from softrl.pod.symmetry import KINDS, Equilibria, reflected, symmetries
+from softrl.robots.robot import Robot
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How the maps are fitted.
+
+    Attributes
+    ----------
+    energy_degree_max, map_degree_max, root_degree_max : highest degree tried for the energy, for centre of mass and
+        rotation, and for the roots of mass and stiffness
+    ridges : ridges tried for the energy, relative
+    weights : of values and Hessians against gradients
+    folds : parts of the cross-validation
+    """
+
+    energy_degree_max: int
+    map_degree_max: int
+    root_degree_max: int
+    ridges: tuple[float, ...]
+    weights: Weights
+    folds: int
+
+
+class Choice(NamedTuple):
+    """A candidate energy, with the rms error m of the tip at equilibria that its fit did not see."""
+
+    symmetry: str
+    degree: int
+    ridge: float
+    tip_error_m: float
+
+
+def fit_model(
+    settings: FitSettings, robot: Robot, snapshots: Snapshots, samples: Equilibria, pod: PodBasis,
+    rng: np.random.Generator,
+) -> tuple[ReducedModel, list[Choice]]:
+    """Return the reduced model of the equilibria ``samples``, and every energy that was tried, best first."""
+    if len(samples.load) < 2 * settings.folds:
+        raise ConfigError(
+            f"{len(samples.load)} equilibria are too few for stage.folds={settings.folds}; run stage=fem with more"
+        )
+    fold = rng.permutation(np.arange(len(samples.load)) % settings.folds)
+    frame = frame_of(samples)
+    draft = _draft(robot, snapshots, samples, pod, frame)
+    kinds = _kinds(robot)
+    normals = {kind: _fold_normals(settings, robot, samples, frame, fold, kind) for kind in kinds}
+    choices = _tried(settings, draft, samples, fold, normals)
+    best = choices[0]
+    log.info(
+        "energy of degree %d, ridge %g, symmetries %s: tip %.3f mm in cross-validation over %d equilibria",
+        best.degree, best.ridge, best.symmetry, 1e3 * best.tip_error_m, len(samples.load),
+    )
+    energy = solve(_sum(normals[best.symmetry]), draft.order, best.degree, best.ridge)
+    maps = _fit_maps(settings, robot, samples, frame, fold, best.symmetry)
+    return replace(draft, energy=energy, symmetry=best.symmetry, **maps), choices
+
+
+def linear_model(model: ReducedModel) -> ReducedModel:
+    """Return the baseline: ``model`` linearised at rest, with constant mass and damping."""
+    r = model.order
+    few = 1 + r + r * (r + 1) // 2
+    return replace(
+        model, energy=model.energy[:few].copy(), mass_root=model.mass_root[:, :1].copy(),
+        stiffness_root=model.stiffness_root[:, :1].copy(), centre_of_mass=model.centre_of_mass[:, : 1 + r].copy(),
+        rotation=model.rotation[:, : 1 + r].copy(),
+    )
+
+
+def _kinds(robot: Robot) -> list[str]:
+    """Return the kinds of symmetry that differ for this robot; symmetries are about z."""
+    if robot.axis not in ("+z", "-z"):
+        return ["none"]
+    counts: dict[int, str] = {}
+    for kind in KINDS:
+        counts.setdefault(len(symmetries(robot.chamber_direction, kind)), kind)
+    return list(counts.values())
+
+
+def _draft(
+    robot: Robot, snapshots: Snapshots, samples: Equilibria, pod: PodBasis, frame: np.ndarray
+) -> ReducedModel:
+    """Return the model before its maps are fitted."""
+    r = len(frame)
+    return ReducedModel(
+        frame=frame, energy=np.zeros(1 + r), mass_root=np.eye(r).reshape(-1, 1), stiffness_root=np.zeros((r * r, 1)),
+        centre_of_mass=np.zeros((3, 1 + r)), rotation=np.zeros((3, 1)),
+        rest_tip=snapshots.rest_tip, rest_volume=snapshots.rest_volume, mass=snapshots.mass,
+        gravity_m_s2=np.array(robot.gravity_m_s2, dtype=float),
+        pressure_min_pa=robot.pressure_min_pa, pressure_max_pa=robot.pressure_max_pa,
+        load_low=samples.load.min(axis=0), load_high=samples.load.max(axis=0),
+        rayleigh_mass_per_s=snapshots.rayleigh_mass_per_s, rayleigh_stiffness_s=snapshots.rayleigh_stiffness_s,
+        youngs_modulus_pa=snapshots.youngs_modulus_pa, symmetry="none",
+        modes=pod.modes.astype(np.float32), singular_values=pod.singular_values, robot_name=snapshots.robot_name,
+    )
+
+
+def _fold_normals(
+    settings: FitSettings, robot: Robot, samples: Equilibria, frame: np.ndarray, fold: np.ndarray, kind: str
+) -> list[Normal]:
+    """Return the equations of each fold apart: those of all folds but one are the sum less that one."""
+    operations = symmetries(robot.chamber_direction, kind)
+    return [
+        accumulate(
+            reflected(samples.rows(fold == part), operations), frame, settings.energy_degree_max, settings.weights
+        )
+        for part in range(settings.folds)
+    ]
+
+
+def _sum(normals: list[Normal]) -> Normal:
+    return Normal(sum(n.matrix for n in normals), sum(n.right for n in normals))  # type: ignore[arg-type]
+
+
+def _tried(
+    settings: FitSettings, draft: ReducedModel, samples: Equilibria, fold: np.ndarray, normals: dict[str, list[Normal]]
+) -> list[Choice]:
+    """Return all candidates by rising error of the tip in cross-validation."""
+    choices = []
+    for kind, parts in normals.items():
+        total = _sum(parts)
+        seen = [Normal(total.matrix - part.matrix, total.right - part.right) for part in parts]
+        for degree in range(2, settings.energy_degree_max + 1):
+            for ridge in settings.ridges:
+                squares = 0.0
+                for part, normal in enumerate(seen):
+                    energy = solve(normal, draft.order, degree, ridge)
+                    squares += _squared_tip_errors(replace(draft, energy=energy), samples.rows(fold == part)).sum()
+                choices.append(Choice(kind, degree, ridge, float(np.sqrt(squares / len(fold)))))
+    return sorted(choices, key=lambda choice: choice.tip_error_m)
+
+
+def _squared_tip_errors(model: ReducedModel, samples: Equilibria) -> np.ndarray:
+    """Return the squared tip errors (S,) m^2; an equilibrium that is not found counts as the whole motion."""
+    n = model.chambers
+    if np.linalg.eigvalsh(elastic_hessian_at_rest(model)).min() <= 0.0:
+        return np.full(len(samples.load), np.inf)
+    points, failed = static_points(tables_of(model, np.zeros(3)), samples.load)
+    errors = (((points @ model.frame.T) - samples.coordinate)[:, n:] ** 2).sum(axis=1)
+    return np.where(failed, np.maximum(errors, (samples.coordinate[:, n:] ** 2).sum(axis=1)), errors)
+
+
+def _fit_maps(
+    settings: FitSettings, robot: Robot, samples: Equilibria, frame: np.ndarray, fold: np.ndarray, kind: str
+) -> dict[str, np.ndarray]:
+    """Return the coefficients of all maps besides the energy."""
+    operations = symmetries(robot.chamber_direction, kind)
+    images = reflected(samples, operations)
+    folds = np.tile(fold, len(operations))
+    points = np.linalg.solve(frame, images.coordinate.T).T
+    maps = {}
+    for name, matrices in (("mass_root", images.mass), ("stiffness_root", images.stiffness)):
+        in_frame = frame.T @ matrices @ frame
+        targets = root_targets(in_frame, np.linalg.cholesky(in_frame.mean(axis=0)))
+        degree = best_degree(points, targets, folds, settings.root_degree_max, through_origin=False)
+        maps[name] = fit_map(points, targets, degree, through_origin=False)
+        log.info("%s of degree %d", name, degree)
+    for name, targets in (("centre_of_mass", images.centre_of_mass), ("rotation", images.rotation)):
+        degree = best_degree(points, targets, folds, settings.map_degree_max, through_origin=True)
+        maps[name] = fit_map(points, targets, degree, through_origin=True)
+        log.info("%s of degree %d", name, degree)
+    return maps

@@ -1,0 +1,55 @@
+"""Polynomial maps of the reduced coordinates: roots of mass and stiffness, centre of mass, rotation of the tip."""
+
+import numpy as np
+
+from softrl.pod.polynomial import basis, count, degree_of
+
+RIDGE = 1e-9
+
+
+def fit_map(points: np.ndarray, targets: np.ndarray, degree: int, through_origin: bool) -> np.ndarray:
+    """Return coefficients (columns, monomials) of polynomials of ``degree`` from ``points`` (S, r) to ``targets`` (S, columns).
+
+    ``through_origin`` leaves out the constant term: the map of rest is zero.
+    """
+    rows = basis(points.shape[1], degree).values(points)
+    skip = 1 if through_origin else 0
+    scale = np.linalg.norm(rows, axis=0) + 1e-300
+    scaled = (rows / scale)[:, skip:]
+    normal = scaled.T @ scaled + RIDGE * np.eye(scaled.shape[1])
+    found = np.linalg.solve(normal, scaled.T @ targets) / scale[skip:, None]
+    return np.pad(found.T, ((0, 0), (skip, 0)))
+
+
+def evaluate(coefficients: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return the polynomials ``coefficients`` (columns, monomials) at ``points`` (S, r), (S, columns)."""
+    r = points.shape[1]
+    return basis(r, degree_of(r, coefficients.shape[1])).values(points) @ coefficients.T
+
+
+def best_degree(points: np.ndarray, targets: np.ndarray, fold: np.ndarray, degree_max: int, through_origin: bool) -> int:
+    """Return the degree up to ``degree_max`` whose error over folds that the fit did not see is smallest.
+
+    ``fold`` (S,) numbers the part of each sample. A degree with more monomials than samples is not tried.
+    """
+    errors = {}
+    for degree in range(1 if through_origin else 0, degree_max + 1):
+        if errors and count(points.shape[1], degree) > 0.7 * len(points):
+            break
+        left = np.empty_like(targets)
+        for part in np.unique(fold):
+            seen = fold != part
+            left[~seen] = evaluate(fit_map(points[seen], targets[seen], degree, through_origin), points[~seen])
+        errors[degree] = float(((left - targets) ** 2).mean())
+    return min(errors, key=lambda degree: errors[degree])
+
+
+def root_targets(matrices: np.ndarray, factor: np.ndarray) -> np.ndarray:
+    """Return (S, r r): S L' of every positive matrix, with L the Cholesky ``factor`` (r, r) of their mean.
+
+    S is the symmetric root of L^-1 M L^-T, so that ``(S L')' (S L') = M``; S is near the identity and smooth.
+    """
+    inverse = np.linalg.inv(factor)
+    values, vectors = np.linalg.eigh(inverse @ matrices @ inverse.T)
+    roots = np.einsum("sik,sk,sjk->sij", vectors, np.sqrt(values.clip(min=0.0)), vectors)
+    return (roots @ factor.T).reshape(len(matrices), -1)

@@ -1,0 +1,209 @@
+"""The energy ROM from Python: equilibria, inverse statics, trajectories, energies."""
+
+from typing import Any
+
+import numba as nb
+import numpy as np
+from numba.typed import List
+
+from softrl.artifacts.reduced_model import ReducedModel
+from softrl.core.errors import SolverError
+from softrl.effects.effect import PORT_KERNEL
+from softrl.pod.inverse import solve_pressures
+from softrl.pod.kernel import Tables, run_kernel, tip_pose
+from softrl.pod.polynomial import basis, degree_of
+
+QUASI_STATIC_S = 1e6        # one implicit step of this length is an equilibrium
+LOAD_STEPS = 4              # an equilibrium is approached in this many equal steps of the load
+PORT = nb.types.FunctionType(PORT_KERNEL)
+
+
+def tables_of(
+    model: ReducedModel, gravity_m_s2: np.ndarray | None = None, youngs_modulus_scale: float = 1.0,
+    damping_scale: float = 1.0, mass_scale: float = 1.0,
+) -> Tables:
+    """Return the kernels' tables of ``model``.
+
+    Parameters
+    ----------
+    gravity_m_s2 : (3,) in the base frame; the model's own if None
+    youngs_modulus_scale : of the elastic energy and of the stiffness that damps
+    damping_scale : of both Rayleigh coefficients
+    mass_scale : of inertia and weight
+    """
+    gravity = np.array(model.gravity_m_s2 if gravity_m_s2 is None else gravity_m_s2, dtype=float)
+    r, n = model.order, model.chambers
+    mass = mass_scale * model.mass
+    weight = gradient_of(model.centre_of_mass, r)            # (r, 3, k)
+    potential = youngs_modulus_scale * model.energy
+    drop = mass * gravity @ model.centre_of_mass
+    potential[: len(drop)] -= drop
+    full = basis(r, max(degree_of(r, len(model.energy)), 2))
+    inverse = np.linalg.inv(model.frame)
+    quadratic = youngs_modulus_scale * elastic_hessian_at_rest(model)
+    compliance = np.linalg.inv(inverse.T @ quadratic @ inverse)
+    return Tables(
+        *map(np.ascontiguousarray, (
+            model.frame, inverse, full.parent, full.variable, full.degrees.astype(float),
+            full.derivative(potential), full.hessian(potential), quadratic, model.mass_root, model.stiffness_root,
+            mass * weight.transpose(1, 0, 2), model.rotation, model.rest_volume, model.rest_tip,
+            np.diag(np.linalg.inv(compliance[:n, :n])) * model.rest_volume, gravity,
+            np.array([
+                mass_scale, damping_scale * mass_scale * model.rayleigh_mass_per_s,
+                damping_scale * youngs_modulus_scale * model.rayleigh_stiffness_s,
+            ]),
+        ))
+    )
+
+
+def gradient_of(coefficients: np.ndarray, order: int) -> np.ndarray:
+    """Return the gradient (order, ..., monomials) of polynomials ``coefficients`` (..., monomials)."""
+    return basis(order, degree_of(order, coefficients.shape[-1])).derivative(coefficients)
+
+
+def elastic_hessian_at_rest(model: ReducedModel) -> np.ndarray:
+    """Return the Hessian (r, r) of the elastic energy by y at rest, J."""
+    r = model.order
+    hessian = basis(r, 2).hessian(model.energy[: basis(r, 2).monomials])[:, 0]
+    full = np.zeros((r, r))
+    full[np.triu_indices(r)] = hessian
+    return full + np.triu(full, 1).T
+
+
+def typed_hooks(body: Any = (), load: Any = ()) -> tuple[Any, ...]:
+    """Return kernels, parameters and states of the body's, then of the load's hooks, as the compiled code takes them."""
+    lists: list[Any] = []
+    for hooks in (body, load):
+        kernels = List.empty_list(PORT)
+        parameters, states = List.empty_list(nb.float64[::1]), List.empty_list(nb.float64[::1])
+        for hook in hooks:
+            kernels.append(hook.kernel)
+            parameters.append(hook.parameters)
+            states.append(hook.state)
+        lists += [kernels, parameters, states]
+    return tuple(lists)
+
+
+_NO_HOOKS: list[tuple[Any, ...]] = []
+
+
+def no_hooks() -> tuple[Any, ...]:
+    """Return the empty hooks, made once: typed lists are slow to build."""
+    if not _NO_HOOKS:
+        _NO_HOOKS.append(typed_hooks())
+    return _NO_HOOKS[0]
+
+
+_EMPTY = (np.empty((0, 3)), np.empty((0, 4)))
+
+
+def static_coordinates(
+    model: ReducedModel, loads: np.ndarray, gravity_m_s2: np.ndarray | None = None
+) -> np.ndarray:
+    """Return the coordinates z (S, n + 3) m^3 and m at rest under ``loads`` (S, n + 3) Pa and N.
+
+    Weight acts besides the loads: that of ``gravity_m_s2``, or of the model's own gravity if None.
+
+    Raises
+    ------
+    SolverError
+        If an equilibrium is not found.
+    """
+    found, failed = static_points(tables_of(model, gravity_m_s2), loads)
+    if failed.any():
+        first = np.array2string(loads[int(np.argmax(failed))], precision=4)
+        raise SolverError(
+            f"{int(failed.sum())} of {len(loads)} equilibria of the reduced model were not found, the first under {first} "
+            "(Pa, N); keep the loads within the range of the snapshots"
+        )
+    return found @ model.frame.T
+
+
+def static_points(tables: Tables, loads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the equilibria y (S, r) under ``loads`` (S, r), and which of them (S,) were not found."""
+    r = len(tables.frame)
+    found, failed = np.empty((len(loads), r)), np.zeros(len(loads), dtype=bool)
+    ramp = np.linspace(0.0, 1.0, LOAD_STEPS + 1)[1:, None]
+    for s, load in enumerate(np.asarray(loads, dtype=float)):
+        y, velocity = np.zeros(r), np.zeros(r)
+        path = np.empty((LOAD_STEPS, r))
+        run_kernel(
+            y, velocity, np.zeros(r), QUASI_STATIC_S, np.ascontiguousarray(ramp * load), tables, no_hooks(), path, *_EMPTY
+        )
+        again = y.copy()
+        missed, _ = run_kernel(
+            again, np.zeros(r), np.zeros(r), QUASI_STATIC_S, load[None].copy(), tables, no_hooks(), path[:0], *_EMPTY
+        )
+        found[s], failed[s] = again, missed > 0 or not np.isfinite(again).all()
+    return found, failed
+
+
+def tip_poses(model: ReducedModel, coordinate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return tip positions (S, 3) m and quaternions (S, 4) w x y z at coordinates z (S, n + 3)."""
+    tables = tables_of(model)
+    position, quaternion = np.empty((len(coordinate), 3)), np.empty((len(coordinate), 4))
+    values, point = np.empty(len(tables.parent)), np.empty(model.order)
+    for k, y in enumerate(coordinate @ tables.inverse.T):
+        tip_pose(y, tables, values, point, position[k], quaternion[k])
+    return position, quaternion
+
+
+def pressure_for_tip(
+    model: ReducedModel, tip: np.ndarray, gravity_m_s2: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pressures (S, n) Pa that bring the tip nearest to ``tip`` (S, 3) m, and the distance left (S,) m.
+
+    Pressures stay within the robot's limits. Gauss-Newton on the distance, along the compliance of each equilibrium; the
+    model's own gravity acts unless another is given.
+    """
+    tables = tables_of(model, gravity_m_s2)
+    limits = np.array([model.pressure_min_pa, model.pressure_max_pa])
+    goal = np.ascontiguousarray(tip, dtype=float) - model.rest_tip
+    pressure, distance = np.empty((len(goal), model.chambers)), np.empty(len(goal))
+    solve_pressures(goal, limits, tables, no_hooks(), QUASI_STATIC_S, pressure, distance)
+    if not np.isfinite(distance).all():
+        raise SolverError(f"inverse statics diverged for {int((~np.isfinite(distance)).sum())} of {len(goal)} tips")
+    return pressure, distance
+
+
+def roll(
+    model: ReducedModel, dt_s: float, loads: np.ndarray, start: np.ndarray | None = None,
+    velocity: np.ndarray | None = None, gravity_m_s2: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return trajectories z (B, T, n + 3) m^3 and m under ``loads`` (B, T, n + 3) Pa and N, held over each step.
+
+    Parameters
+    ----------
+    start, velocity : (B, n + 3) z and its rate before the first step; zero if None
+    gravity_m_s2 : (3,); the model's own if None
+    """
+    tables = tables_of(model, gravity_m_s2)
+    batch, steps, r = loads.shape
+    path = np.empty((batch, steps, r))
+    first = np.zeros((batch, r)) if start is None else start @ tables.inverse.T
+    rate = np.zeros((batch, r)) if velocity is None else velocity @ tables.inverse.T
+    held = np.ascontiguousarray(loads, dtype=float)
+    failed = 0
+    for b in range(batch):
+        missed, _ = run_kernel(
+            first[b].copy(), rate[b].copy(), np.zeros(r), dt_s, held[b], tables, no_hooks(), path[b], *_EMPTY
+        )
+        failed += missed
+    if failed > 0.01 * batch * steps or not np.isfinite(path).all():
+        raise SolverError(f"reduced model: {failed} of {batch * steps} steps of {dt_s:g} s did not converge")
+    return path @ model.frame.T
+
+
+def mechanical_energy(
+    model: ReducedModel, coordinate: np.ndarray, velocity: np.ndarray, gravity_m_s2: np.ndarray | None = None
+) -> np.ndarray:
+    """Return kinetic, elastic and weight's energy (S,) J at z and its rate (S, n + 3), within the samples' ball."""
+    r = model.order
+    inverse = np.linalg.inv(model.frame)
+    y, rate = coordinate @ inverse.T, velocity @ inverse.T
+    values = basis(r, degree_of(r, len(model.energy))).values(y)
+    gravity = np.asarray(model.gravity_m_s2 if gravity_m_s2 is None else gravity_m_s2, dtype=float)
+    height = values[:, : model.centre_of_mass.shape[1]] @ model.centre_of_mass.T
+    root = values[:, : model.mass_root.shape[1]] @ model.mass_root.T
+    moving = np.einsum("sij,sj->si", root.reshape(-1, r, r), rate)
+    return 0.5 * (moving**2).sum(axis=1) + values @ model.energy - model.mass * height @ gravity

@@ -1,0 +1,207 @@
+"""The reduced body as a Simulator: the default body of everything downstream."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from softrl.artifacts.reduced_model import ReducedModel
+from softrl.core.errors import ArtifactError, ConfigError, SolverError
+from softrl.core.simulator import Hook, Motion
+from softrl.pod.kernel import Tables, run_kernel, tip_pose
+from softrl.pod.rom import LOAD_STEPS, QUASI_STATIC_S, no_hooks, tables_of, typed_hooks
+from softrl.robots.robot import Robot
+
+log = logging.getLogger(__name__)
+
+TUNABLE = ("youngs_modulus_scale", "damping_scale", "mass_scale")
+FAILED_SHARE = 0.01
+FARTHER = 1.2               # a body that leaves the samples is reported again when it goes this much farther
+_reported: dict[str, float] = {}
+
+
+class RomState(NamedTuple):
+    """Coordinates z (n + 3,), chambers' volumes then tip relative to stress-free rest, m^3 and m; their velocity."""
+
+    coordinates: np.ndarray
+    velocity: np.ndarray
+
+
+@dataclass(frozen=True)
+class RomSimulator:
+    """The energy ROM in ``n + 3`` coordinates with weight, implemented as a Simulator.
+
+    Attributes
+    ----------
+    robot : chambers and gravity
+    reduced_model : made by stage=pod from this robot's snapshots
+    youngs_modulus_scale : of the elastic energy, and of the stiffness in the damping
+    damping_scale : of the Rayleigh damping
+    mass_scale : of inertia and weight
+
+    Notes
+    -----
+    Implicit Euler, see ``pod.kernel``. A chamber's strain is ``(V - V_rest) / V_stressfree``; its elastic pressure is
+    ``dW/dV`` less the weight's share, zero at rest. An added pressure resists the volume itself, so it enters the step
+    exactly. ``ELASTIC_SLOPE`` holds the other volumes and leaves the tip free.
+    """
+
+    robot: Robot
+    reduced_model: ReducedModel
+    youngs_modulus_scale: float
+    damping_scale: float
+    mass_scale: float
+
+    def __post_init__(self) -> None:
+        for name in TUNABLE:
+            value, least = getattr(self, name), 0.0
+            if not np.isfinite(value) or value < least or (value == least and name != "damping_scale"):
+                raise ConfigError(f"simulator.{name}={value:g} must be positive")
+        if self.reduced_model.chambers != self.robot.chambers:
+            raise ArtifactError(
+                f"the ReducedModel of {self.reduced_model.robot_name} has {self.reduced_model.chambers} chambers, robot "
+                f"{self.robot.name} has {self.robot.chambers}; run stage=pod for this robot"
+            )
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Tunable physical parameters, factors on the reduced model's own."""
+        return {name: getattr(self, name) for name in TUNABLE}
+
+    def with_parameters(self, **values: float) -> "RomSimulator":
+        """Return a copy with some tunable parameters replaced."""
+        unknown = set(values) - set(TUNABLE)
+        if unknown:
+            raise ConfigError(f"simulator rom has no parameter {', '.join(sorted(unknown))}; it has {', '.join(TUNABLE)}")
+        return replace(self, **values)
+
+    @cached_property
+    def _tables(self) -> Tables:
+        return tables_of(self.reduced_model, np.array(self.robot.gravity_m_s2), **self.parameters)
+
+    @cached_property
+    def _rest(self) -> np.ndarray:
+        """The equilibrium y (r,) under weight alone."""
+        return self._equilibrium(no_hooks())
+
+    def _equilibrium(self, hooks: tuple[Any, ...], pressure: np.ndarray | None = None) -> np.ndarray:
+        """Return the equilibrium y (r,) under weight, load effects and ``pressure`` (n,) Pa."""
+        r, n = self.reduced_model.order, self.robot.chambers
+        loads_only = (*no_hooks()[:3], *hooks[3:])
+        load = np.zeros((LOAD_STEPS, r))
+        if pressure is not None:
+            load[:, :n] = np.linspace(0.0, 1.0, LOAD_STEPS + 1)[1:, None] * pressure
+        y = np.zeros(r)
+        for _ in range(LOAD_STEPS):
+            before = y.copy()
+            self._run(y, np.zeros(r), np.zeros(r), QUASI_STATIC_S, load, loads_only, 0)
+            load[:] = load[-1]
+            if np.abs(y - before).max() < 1e-8:
+                break
+        return y
+
+    def _run(
+        self, y: np.ndarray, velocity: np.ndarray, rest: np.ndarray, dt_s: float, load: np.ndarray,
+        hooks: tuple[Any, ...], poses: int,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Advance ``y`` and ``velocity`` in place; return ``poses`` positions (., 3) and quaternions (., 4)."""
+        position, quaternion = np.empty((poses, 3)), np.empty((poses, 4))
+        path = np.empty((0, len(y)))
+        failed, farthest = run_kernel(y, velocity, rest, dt_s, load, self._tables, hooks, path, position, quaternion)
+        if failed > FAILED_SHARE * len(load) or not np.isfinite(y).all():
+            raise SolverError(
+                f"simulator rom: {failed} of {len(load)} steps of {dt_s:g} s did not converge; "
+                "try a smaller dt_s, pressures within the snapshots' range, or weaker effects"
+            )
+        self._report(farthest)
+        return position, quaternion
+
+    def _report(self, farthest: float) -> None:
+        """Warn when the body goes where the model has no samples, and again only when it goes much farther."""
+        name = self.reduced_model.robot_name
+        if farthest > max(1.0, FARTHER * _reported.get(name, 0.0)):
+            _reported[name] = farthest
+            log.warning(
+                "reduced model of %s: the body went to %.2f times the reach of its snapshots; beyond 1 the energy is "
+                "extrapolated (quadratic, bounded stiffness), so trust the motion less", name, farthest,
+            )
+
+    def _loads(self, pressure: np.ndarray, tip_force: np.ndarray | None) -> np.ndarray:
+        """Return the loads (steps, n + 3) Pa and N."""
+        n = self.robot.chambers
+        held = np.asarray(pressure, dtype=float).reshape(-1, n)
+        load = np.zeros((len(held), n + 3))
+        load[:, :n] = held
+        if tip_force is not None:
+            load[:, n:] = np.asarray(tip_force, dtype=float).reshape(-1, 3)
+        return load
+
+    def equilibrium(self, pressure: np.ndarray) -> RomState:
+        """Return the state at rest under ``pressure`` (n,) Pa and weight."""
+        z = self.reduced_model.frame @ self._equilibrium(no_hooks(), np.asarray(pressure, dtype=float))
+        return RomState(z, np.zeros_like(z))
+
+    def reset(self, rng: np.random.Generator | None = None) -> RomState:
+        """Return the state at rest under zero pressure and weight; ``rng`` is unused."""
+        z = self.reduced_model.frame @ self._rest
+        return RomState(z, np.zeros_like(z))
+
+    def step(
+        self,
+        state: RomState,
+        pressure: np.ndarray,
+        dt_s: float,
+        tip_force: np.ndarray | None = None,
+        body: Sequence[Hook] = (),
+        load: Sequence[Hook] = (),
+    ) -> RomState:
+        """Return the state after ``dt_s`` under ``pressure`` (n,) Pa and ``tip_force`` (3,) N.
+
+        Strains that body effects see count from the equilibrium under weight alone.
+        """
+        tables = self._tables
+        y, velocity = tables.inverse @ state.coordinates, tables.inverse @ state.velocity
+        self._run(y, velocity, self._rest, float(dt_s), self._loads(pressure, tip_force), _running(body, load), 0)
+        return RomState(tables.frame @ y, tables.frame @ velocity)
+
+    def observe(self, state: RomState) -> tuple[np.ndarray, np.ndarray]:
+        """Return tip position (3,) m and quaternion (4,) w x y z."""
+        tables = self._tables
+        position, quaternion = np.empty(3), np.empty(4)
+        values, point = np.empty(len(tables.parent)), np.empty(len(tables.frame))
+        tip_pose(tables.inverse @ state.coordinates, tables, values, point, position, quaternion)
+        return position, quaternion
+
+    def simulate(
+        self,
+        time: np.ndarray,
+        pressure: np.ndarray,
+        tip_force: np.ndarray | None = None,
+        body: Sequence[Hook] = (),
+        load: Sequence[Hook] = (),
+    ) -> Motion:
+        """Return the motion from rest under ``pressure`` (steps, n), each row held until its time.
+
+        Rest is the equilibrium under weight and the load effects; strains that body effects see count from there.
+        """
+        hooks = typed_hooks(body, load) if body or load else no_hooks()
+        rest = self._equilibrium(hooks) if load else self._rest
+        held = self._loads(pressure, tip_force)
+        y, velocity = rest.copy(), np.zeros_like(rest)
+        position, quaternion = self._run(y, velocity, rest, float(time[1] - time[0]), held, hooks, len(held))
+        return Motion(np.asarray(time, dtype=float), position, quaternion, held[:, : self.robot.chambers].copy())
+
+
+_RUNNING: list[Any] = []
+
+
+def _running(body: Sequence[Hook], load: Sequence[Hook]) -> tuple[Any, ...]:
+    """Return the typed hooks of a caller who steps: the same sequences as in the call before are typed once."""
+    if not (body or load):
+        return no_hooks()
+    if not _RUNNING or _RUNNING[0] is not body or _RUNNING[1] is not load:
+        _RUNNING[:] = [body, load, typed_hooks(body, load)]
+    return _RUNNING[2]

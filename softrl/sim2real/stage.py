@@ -1,0 +1,118 @@
+"""The policy on the robot: rollouts of shapes, and sessions that a diagnosis can learn from."""
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+
+from softrl.artifacts.calibration import Calibration
+from softrl.artifacts.policy import Policy
+from softrl.artifacts.surrogate import Surrogate
+from softrl.core.driver import Driver
+from softrl.core.errors import ConfigError
+from softrl.core.progress import progress
+from softrl.core.tracking import Tracker
+from softrl.recordings.recording import RecordingSet
+from softrl.robots.robot import Robot
+from softrl.sim2real.controller import ModelController, PolicyController
+from softrl.sim2real.figures import draw_rollouts, draw_session
+from softrl.sim2real.filter import moving_average
+from softrl.sim2real.identification import Identification, record_sessions
+from softrl.sim2real.rollout import Controller, Pace, Rollout, follow
+
+log = logging.getLogger(__name__)
+SHAPES = ("circle", "star", "figure_eight")
+RUN_NOTES = {
+    "policy": "policy on the tip's position, through the surrogate's joints and the pressure calibration",
+    "open_loop": "inverse of the surrogate without feedback and without the pressure calibration",
+    "identification": "pressure program sent directly: steps, multisine, triangles at several rates, staircase; rests between",
+}
+
+
+@dataclass(frozen=True)
+class Config:
+    """Rollouts and identification sessions on a robot.
+
+    Attributes
+    ----------
+    command_rate_hz : rate at which rollouts send pressures
+    average_window : commands in the moving average before the driver
+    shape_steps : targets along one shape
+    approach_steps : commands at the first target before a rollout counts
+    identification : the programs sent directly
+    seed : of the programs; the driver's noise has its own
+    """
+
+    command_rate_hz: float
+    average_window: int
+    shape_steps: int
+    approach_steps: int
+    identification: Identification
+    seed: int
+
+    def __post_init__(self) -> None:
+        for name in ("command_rate_hz", "average_window", "shape_steps"):
+            if getattr(self, name) <= 0:
+                raise ConfigError(f"stage.{name}={getattr(self, name):g} must be positive")
+        if self.approach_steps < 0:
+            raise ConfigError(f"stage.approach_steps={self.approach_steps} must not be negative")
+
+
+def run(
+    config: Config,
+    robot: Robot,
+    policy: Policy,
+    surrogate: Surrogate,
+    calibration: Calibration,
+    driver: Driver,
+    *,
+    tracker: Tracker,
+) -> RecordingSet:
+    """Return all that was recorded while the policy followed shapes and while programs were sent directly."""
+    rollouts = {
+        shape: _follow_shape(config, robot, policy, surrogate, calibration, driver, shape)
+        for shape in progress(SHAPES, "rollouts")
+    }
+    sessions = list(
+        progress(
+            record_sessions(driver, robot, config.identification, np.random.default_rng(config.seed)),
+            "identification", config.identification.sessions,
+        )
+    )  # fmt: skip
+    _report(rollouts, config.average_window, tracker)
+    tracker.figure("rollouts", draw_rollouts(rollouts))
+    tracker.figure("identification", draw_session(sessions[0]))
+    recordings = (*(r.recording for runs in rollouts.values() for r in runs.values()), *sessions)
+    tracker.metric("samples", sum(len(r.time) for r in recordings))
+    tracker.metric("recorded_s", sum(float(np.ptp(r.time)) for r in recordings))
+    notes = {r.name: next(text for kind, text in RUN_NOTES.items() if kind in r.name) for r in recordings}
+    return RecordingSet(robot_name=robot.name, recordings=recordings, notes={"run_notes": notes})
+
+
+def _follow_shape(
+    config: Config, robot: Robot, policy: Policy, surrogate: Surrogate, calibration: Calibration, driver: Driver,
+    shape: str,
+) -> dict[str, Rollout]:
+    """Return the rollouts of one shape by controller; each starts from rest, both belong to one session."""
+    target = shape_targets(shape, config.shape_steps)
+    controllers: dict[str, Controller] = {
+        "policy": PolicyController(policy, surrogate, calibration, target),
+        "open_loop": ModelController(surrogate, target),
+    }
+    pace = Pace(1.0 / config.command_rate_hz, config.average_window, config.approach_steps)
+    return {
+        name: follow(driver, robot, controller, target, pace, f"{shape}_{name}", shape)
+        for name, controller in controllers.items()
+    }
+
+
+def _report(rollouts: dict[str, dict[str, Rollout]], window: int, tracker: Tracker) -> None:
+    """Log each shape's error beside that of the open loop, and against what the moving average asked for."""
+    for shape, runs in rollouts.items():
+        averaged = moving_average(runs["policy"].target, window)
+        tracker.metric(f"{shape}_mm", 1e3 * runs["policy"].error_m(runs["policy"].target))
+        tracker.metric(f"{shape}_to_average_mm", 1e3 * runs["policy"].error_m(averaged))
+        tracker.metric(f"{shape}_open_loop_mm", 1e3 * runs["open_loop"].error_m(runs["open_loop"].target))
+        log.info("%s: %.2f mm rms", shape, 1e3 * runs["policy"].error_m(runs["policy"].target))
+    decisions = np.concatenate([runs["policy"].decision_s for runs in rollouts.values()])
+    tracker.metric("inference_hz", 1.0 / float(np.mean(decisions)))

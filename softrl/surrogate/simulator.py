@@ -1,0 +1,271 @@
+"""The chain in PyBullet: joint springs as explicit torques, velocity motors as dampers, soft contact."""
+
+import math
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pybullet as bullet
+from scipy.linalg import eigh
+
+from softrl.artifacts.surrogate import Surrogate
+from softrl.core.errors import ArtifactError, ConfigError, SolverError
+from softrl.core.simulator import Hook, Motion
+from softrl.robots.robot import Robot
+from softrl.surrogate.maps import PressureToJoints
+
+RATE_HZ = 240.0            # never slower than this
+PHASE_PER_STEP = 1.0       # rad of the fastest joint mode per step; explicit springs are stable below 2
+MOTOR_FORCE = 1e6          # N or N m: a damper that never saturates
+HALF_EXTENT_M = 0.2        # of the box whose upper face is the contact plane
+BOX_THICKNESS_M = 0.05
+TIP = "tip"
+
+
+class SurrogateState(NamedTuple):
+    """Single joints ``coordinates`` (3 gaps,) rad, rad, m and their ``velocity`` (3 gaps,)."""
+
+    coordinates: np.ndarray
+    velocity: np.ndarray
+
+
+class World:
+    """One chain in one PyBullet server of its own, without weight: the commands contain it."""
+
+    def __init__(self, surrogate: Surrogate, stiffness_scale: float, damping_rate_per_s: float, mass_scale: float) -> None:
+        self._client = bullet.connect(bullet.DIRECT)
+        if self._client < 0:
+            raise SolverError("PyBullet gave no server; it allows a limited number per process, close other simulators")
+        self._surrogate = surrogate
+        self.body = self._load(surrogate.urdf)
+        names = [self._joint_name(i) for i in range(bullet.getNumJoints(self.body, physicsClientId=self._client))]
+        self.tip = names.index("tip_mount")
+        self.joints = [i for i, name in enumerate(names) if i != self.tip]
+        self.stiffness = stiffness_scale * np.tile(surrogate.joint_stiffness, surrogate.gaps)
+        self._damping_rate = damping_rate_per_s
+        self._plane: int | None = None
+        self._settle_dynamics(mass_scale)
+        self.rate_hz = self._stable_rate()
+
+    def close(self) -> None:
+        """Give the server back."""
+        if self._client >= 0:
+            bullet.disconnect(physicsClientId=self._client)
+            self._client = -1
+
+    def __del__(self) -> None:
+        if getattr(self, "_client", -1) >= 0 and bullet.isConnected(self._client):
+            self.close()
+
+    def _load(self, urdf: str) -> int:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "surrogate.urdf"
+            path.write_text(urdf)
+            return int(bullet.loadURDF(str(path), useFixedBase=True, physicsClientId=self._client))
+
+    def _joint_name(self, index: int) -> str:
+        return bullet.getJointInfo(self.body, index, physicsClientId=self._client)[1].decode()
+
+    def _settle_dynamics(self, mass_scale: float) -> None:
+        client = self._client
+        for link in range(-1, bullet.getNumJoints(self.body, physicsClientId=client)):
+            mass, _, inertia = bullet.getDynamicsInfo(self.body, link, physicsClientId=client)[:3]
+            bullet.changeDynamics(
+                self.body, link, mass=mass * mass_scale, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0,
+                localInertiaDiagonal=[mass_scale * i for i in inertia], physicsClientId=client,
+            )  # fmt: skip
+
+    def _stable_rate(self) -> float:
+        """Return the slowest rate, a multiple of 240 Hz, at which the fastest joint mode is followed."""
+        mass = np.array(bullet.calculateMassMatrix(self.body, [0.0] * len(self.joints), physicsClientId=self._client))
+        fastest = math.sqrt(float(eigh(np.diag(self.stiffness), mass, eigvals_only=True)[-1]))
+        return RATE_HZ * max(1, math.ceil(fastest / (PHASE_PER_STEP * RATE_HZ)))
+
+    def place_plane(self, normal: np.ndarray, point: np.ndarray, friction: float) -> None:
+        """Put a plane before the tip's sphere so that the tip's centre touches at ``point`` (3,) m, facing ``normal`` (3,)."""
+        client, s = self._client, self._surrogate
+        radius = bullet.getCollisionShapeData(self.body, self.tip, physicsClientId=client)[0][3][0]
+        shape = bullet.createCollisionShape(
+            bullet.GEOM_BOX, halfExtents=[HALF_EXTENT_M, HALF_EXTENT_M, BOX_THICKNESS_M], physicsClientId=client
+        )
+        centre = np.asarray(point) - (BOX_THICKNESS_M + radius) * np.asarray(normal)
+        self._plane = bullet.createMultiBody(
+            0.0, shape, basePosition=centre.tolist(), baseOrientation=_turn_to(normal), physicsClientId=client
+        )
+        bullet.changeDynamics(
+            self._plane, -1, lateralFriction=friction, contactStiffness=s.contact_stiffness_n_per_m,
+            contactDamping=s.contact_damping_n_s_per_m, physicsClientId=client,
+        )  # fmt: skip
+        bullet.changeDynamics(self.body, self.tip, lateralFriction=1.0, physicsClientId=client)
+        for link in range(-1, self.tip):  # only the tip's sphere touches; the discs are for looks and for other users
+            bullet.setCollisionFilterPair(self.body, self._plane, link, -1, 0, physicsClientId=client)
+
+    def advance(self, state: SurrogateState, theta: np.ndarray, dt_s: float, force: np.ndarray | None) -> SurrogateState:
+        """Return the state after ``dt_s`` under the grouped command ``theta`` (3,) and a tip force (3,) N."""
+        client, body, joints = self._client, self.body, self.joints
+        steps = max(1, math.ceil(dt_s * self.rate_hz - 1e-9))
+        step_s = dt_s / steps
+        command = np.tile(theta, len(joints) // 3)
+        for joint, value, speed in zip(joints, state.coordinates, state.velocity, strict=True):
+            bullet.resetJointState(body, joint, value, speed, physicsClientId=client)
+        bullet.setTimeStep(step_s, physicsClientId=client)
+        # a motor towards rest takes this share of a joint's speed away in every step
+        gain = -math.expm1(-self._damping_rate * step_s)
+        bullet.setJointMotorControlArray(
+            body, joints, bullet.VELOCITY_CONTROL, targetVelocities=[0.0] * len(joints),
+            velocityGains=[gain] * len(joints), forces=[MOTOR_FORCE] * len(joints), physicsClientId=client,
+        )  # fmt: skip
+        q, velocity = state.coordinates, state.velocity
+        for _ in range(steps):
+            torque = self.stiffness * (command - q)
+            bullet.setJointMotorControlArray(
+                body, joints, bullet.TORQUE_CONTROL, forces=torque.tolist(), physicsClientId=client
+            )
+            if force is not None:
+                at = bullet.getLinkState(body, self.tip, computeForwardKinematics=1, physicsClientId=client)[4]
+                bullet.applyExternalForce(
+                    body, self.tip, list(map(float, force)), at, bullet.WORLD_FRAME, physicsClientId=client
+                )
+            bullet.stepSimulation(physicsClientId=client)
+            read = bullet.getJointStates(body, joints, physicsClientId=client)
+            q, velocity = np.array([r[0] for r in read]), np.array([r[1] for r in read])
+        if not np.isfinite(q).all():
+            raise SolverError(f"simulator surrogate diverged at {1 / step_s:.0f} Hz; a smaller dt_s or softer joints help")
+        return SurrogateState(q, velocity)
+
+    def pose(self, state: SurrogateState) -> tuple[np.ndarray, np.ndarray]:
+        """Return tip (3,) m and quaternion (4,) w x y z at ``state``."""
+        for joint, value in zip(self.joints, state.coordinates, strict=True):
+            bullet.resetJointState(self.body, joint, value, physicsClientId=self._client)
+        read = bullet.getLinkState(self.body, self.tip, computeForwardKinematics=1, physicsClientId=self._client)
+        x, y, z, w = read[5]
+        return np.array(read[4]), np.array([w, x, y, z]) * (1.0 if w >= 0.0 else -1.0)
+
+    def contact_force(self) -> float:
+        """Return the normal force in N of the plane on the tip in the last step."""
+        if self._plane is None:
+            return 0.0
+        points = bullet.getContactPoints(self.body, self._plane, physicsClientId=self._client)
+        return float(sum(p[9] for p in points))
+
+
+def _turn_to(normal: np.ndarray) -> list[float]:
+    """Return the quaternion x y z w that turns +z to ``normal``."""
+    n = np.asarray(normal, dtype=float)
+    if n[2] < -1.0 + 1e-12:
+        return [1.0, 0.0, 0.0, 0.0]
+    q = np.array([-n[1], n[0], 0.0, 1.0 + n[2]])
+    return (q / np.linalg.norm(q)).tolist()
+
+
+@dataclass(frozen=True)
+class SurrogateSimulator:
+    """The surrogate as a body: pressure in, f_SP gives the joints' targets, PyBullet moves the links.
+
+    Attributes
+    ----------
+    robot, surrogate : of the same name
+    youngs_modulus_scale : softer or stiffer body: pressures bend it the inverse of this, springs yield likewise
+    damping_rate_per_s : rate at which the dampers take speed away from every joint
+    mass_scale : of the links' mass
+
+    Notes
+    -----
+    The targets follow the pressure at once, the links follow the targets. Effects that act inside a body's equations of
+    motion need its strains, which a chain of rigid links does not have: they are refused.
+    """
+
+    robot: Robot
+    surrogate: Surrogate
+    youngs_modulus_scale: float
+    damping_rate_per_s: float
+    mass_scale: float
+    _maps: PressureToJoints = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.surrogate.robot_name != self.robot.name:
+            raise ArtifactError(
+                f"the surrogate is of robot {self.surrogate.robot_name}, but robot={self.robot.name}; rerun stage=surrogate"
+            )
+        for name, value in self.parameters.items():
+            if not (np.isfinite(value) and value > 0.0):
+                raise ConfigError(f"simulator.{name}={value:g} must be positive")
+        object.__setattr__(self, "_maps", PressureToJoints(self.surrogate))
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Tunable physical parameters."""
+        return {n: getattr(self, n) for n in ("youngs_modulus_scale", "damping_rate_per_s", "mass_scale")}
+
+    def with_parameters(self, **values: float) -> "SurrogateSimulator":
+        """Return a copy with some tunable parameters replaced."""
+        unknown = set(values) - set(self.parameters)
+        if unknown:
+            raise ConfigError(
+                f"simulator surrogate has no parameter {', '.join(sorted(unknown))}; it has {', '.join(self.parameters)}"
+            )
+        return replace(self, **values)
+
+    @cached_property
+    def world(self) -> World:
+        """The PyBullet server, started when first needed."""
+        return World(self.surrogate, self.youngs_modulus_scale, self.damping_rate_per_s, self.mass_scale)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "world"}
+
+    def joint_targets(self, pressure: np.ndarray) -> np.ndarray:
+        """Return theta (B, 3) that the springs pull to under ``pressure`` (B, n) Pa."""
+        return self._maps.joints(np.atleast_2d(pressure) / self.youngs_modulus_scale)
+
+    def reset(self, rng: np.random.Generator | None = None) -> SurrogateState:
+        """Return the state at rest under zero pressure; ``rng`` is unused."""
+        rest = np.tile(self.joint_targets(np.zeros(self.robot.chambers))[0], self.surrogate.gaps)
+        return SurrogateState(rest, np.zeros_like(rest))
+
+    def step(
+        self,
+        state: SurrogateState,
+        pressure: np.ndarray,
+        dt_s: float,
+        tip_force: np.ndarray | None = None,
+        body: Sequence[Hook] = (),
+        load: Sequence[Hook] = (),
+    ) -> SurrogateState:
+        """Return the state after ``dt_s`` under ``pressure`` (chambers,) Pa and ``tip_force`` (3,) N."""
+        _refuse(body, load)
+        return self.world.advance(state, self.joint_targets(pressure)[0], dt_s, tip_force)
+
+    def observe(self, state: SurrogateState) -> tuple[np.ndarray, np.ndarray]:
+        """Return tip position (3,) m and quaternion (4,) w x y z."""
+        return self.world.pose(state)
+
+    def simulate(
+        self,
+        time: np.ndarray,
+        pressure: np.ndarray,
+        tip_force: np.ndarray | None = None,
+        body: Sequence[Hook] = (),
+        load: Sequence[Hook] = (),
+    ) -> Motion:
+        """Return the motion from rest under ``pressure`` (steps, chambers), each row held until its time."""
+        _refuse(body, load)
+        dt_s, state = float(time[1] - time[0]), self.reset()
+        position, quaternion = np.empty((len(time), 3)), np.empty((len(time), 4))
+        targets = self.joint_targets(pressure)
+        for k, theta in enumerate(targets):
+            state = self.world.advance(state, theta, dt_s, None if tip_force is None else tip_force[k])
+            position[k], quaternion[k] = self.world.pose(state)
+        return Motion(np.asarray(time, dtype=float), position, quaternion, np.array(pressure, dtype=float))
+
+
+def _refuse(body: Sequence[Hook], load: Sequence[Hook]) -> None:
+    if body or load:
+        raise ConfigError(
+            "simulator=surrogate takes no effects at the sites body and load: rigid links have no strains; "
+            "choose simulator=rom or simulator=pcc, or effects at valve, chamber and sensor"
+        )

@@ -1,0 +1,53 @@
+"""Every configuration composes, spells every field of its class, and is built without a run."""
+
+import importlib
+import typing
+from pathlib import Path
+
+import hydra
+import pytest
+from omegaconf import OmegaConf
+
+from softrl.core.config import build, constructor_hints, target_class
+from softrl.pipeline import EXTRA, STAGES
+
+CONF = Path(__file__).resolve().parents[2] / "conf"
+GROUPS = ("robot", "simulator", "task", "agent", "driver", "effect")
+OPTIONS = [f"{group}={path.stem}" for group in GROUPS for path in sorted((CONF / group).glob("*.yaml"))]
+
+
+def composed(*overrides: str) -> dict[str, typing.Any]:
+    with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
+        node = OmegaConf.to_container(hydra.compose("config", list(overrides)), resolve=True)
+    assert isinstance(node, dict)
+    return node
+
+
+@pytest.mark.parametrize("profile", ["tiny", "quick", "paper"])
+@pytest.mark.parametrize("stage", STAGES + EXTRA)
+def test_stage_config_mirrors_its_class(stage: str, profile: str) -> None:
+    node = composed(f"stage={stage}", f"profile={profile}")["stage"]
+    config = importlib.import_module(f"softrl.{stage}.stage").Config
+    required = {name for name, (_, needed) in constructor_hints(config).items()}
+    assert set(node) == required
+    build(node, config, "stage")
+
+
+@pytest.mark.parametrize("option", OPTIONS)
+def test_option_composes_and_names_a_class_of_ours(option: str) -> None:
+    node = composed("stage=mesh", option)
+    group = option.split("=")[0]
+    chosen = node[group]
+    if group == "robot":
+        return
+    for value in chosen.values() if group == "effect" else [chosen]:
+        if isinstance(value, dict) and "_target_" in value:
+            keys = set(value) - {"_target_"}
+            assert keys <= set(constructor_hints(target_class(value, option)))
+
+
+def test_profiles_only_override_known_keys() -> None:
+    for profile in ("tiny", "paper"):
+        for path in (CONF / "stage" / profile).glob("*.yaml"):
+            base = OmegaConf.load(CONF / "stage" / path.name)
+            assert set(OmegaConf.load(path)) <= set(base), path

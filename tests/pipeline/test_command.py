@@ -1,0 +1,146 @@
+"""The command line as a user meets it: errors in one line, reuse, resume, sweeps, and the loop in miniature."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from softrl.core.store import Location, Store
+from softrl.pipeline import STAGES
+
+
+def softrl(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "softrl", *words], cwd=folder, capture_output=True, text=True, check=False, timeout=600
+    )
+
+
+def results(folder: Path) -> list[dict]:
+    return [json.loads(path.read_text()) for path in sorted(folder.rglob("result.json"))]
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["stage=mesh", "stage.unitm=3"], "stage.unitm"),
+        (["stage=mesh", "+stage.unitm=3"], "did you mean unit_m?"),
+        (["stage=mesh", "stage.unit_m=abc"], "expected float"),
+        (["stage=mesh", "robot.mass_kg=-1"], "robot.mass_kg=-1"),
+        (["stage=nothing"], "stage/nothing"),
+        (["stage=all", "stage.unit_m=1"], "run that stage alone"),
+        (["stage=pod"], "run stage=fem first"),
+        (["stage=pod", "inputs.snapshots=run:0"], "run:0 is not in this tracking store"),
+        (["stage=simulate", "simulator=pcc", "recordings=nowhere"], "nowhere is no folder"),
+    ],
+)
+def test_a_mistake_is_one_line_and_status_2(tmp_path: Path, words: list[str], says: str) -> None:
+    done = softrl(tmp_path, *words)
+    assert done.returncode == 2
+    lines = [line for line in done.stderr.splitlines() if line.startswith("softrl: ")]
+    assert len(lines) == 1 and says in lines[0], done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_help_is_quick_to_say_what_one_can_do(tmp_path: Path) -> None:
+    done = softrl(tmp_path, "--help")
+    assert done.returncode == 0 and "stage=diagnosis" in done.stdout
+    loaded = subprocess.run(
+        [sys.executable, "-X", "importtime", "-m", "softrl", "--help"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stderr
+    assert not any(f" {heavy}\n" in loaded for heavy in ("torch", "mlflow", "numba", "pybullet"))
+
+
+def test_a_finished_run_is_reused_until_forced(tmp_path: Path) -> None:
+    words = ["stage=mesh", "profile=tiny"]
+    first, second, third = (
+        softrl(tmp_path, *words, *more, f"hydra.run.dir=out/{k}") for k, more in enumerate([[], [], ["force=true"]])
+    )
+    assert [run.returncode for run in (first, second, third)] == [0, 0, 0], third.stderr
+    ids = [json.loads((tmp_path / f"out/{k}/result.json").read_text())["run_id"] for k in range(3)]
+    assert ids[0] == ids[1] != ids[2]
+    assert "reused" in second.stderr
+
+
+def test_a_sweep_is_one_parent_with_a_child_per_point(tmp_path: Path) -> None:
+    done = softrl(tmp_path, "-m", "stage=mesh", "profile=tiny", "seed=1,2", "force=true")
+    assert done.returncode == 0, done.stderr
+    store = Store(Location(None, str(tmp_path)))
+    runs = store.client.search_runs([store.experiment])
+    parents = [run for run in runs if run.data.tags["softrl.stage"] == "sweep:mesh"]
+    assert len(parents) == 1 and parents[0].info.status == "FINISHED"
+    assert len(store.children(parents[0].info.run_id)) == 2
+    assert parents[0].data.metrics  # the page shows a collapsed parent only
+
+
+def test_a_killed_stage_is_marked_failed_and_the_next_try_finishes(tmp_path: Path) -> None:
+    assert softrl(tmp_path, "stage=mesh", "profile=tiny").returncode == 0
+    process = subprocess.Popen(
+        [sys.executable, "-m", "softrl", "stage=fem", "profile=tiny", "stage.equilibria=400"],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert process.stderr is not None
+    for line in process.stderr:
+        if "fem: started" in line:
+            break
+    time.sleep(1.0)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+    done = softrl(tmp_path, "stage=fem", "profile=tiny")
+    assert done.returncode == 0, done.stderr
+    assert "was killed; it is marked failed" in done.stderr
+    store = Store(Location(None, str(tmp_path)))
+    status = [run.info.status for run in store.client.search_runs([store.experiment], "tags.`softrl.stage` = 'fem'")]
+    assert sorted(status) == ["FAILED", "FINISHED"]
+
+
+@pytest.fixture(scope="module")
+def loop(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which the tiny loop has run once."""
+    folder = tmp_path_factory.mktemp("loop")
+    done = softrl(folder, "stage=all", "profile=tiny", "hydra.run.dir=out")
+    assert done.returncode == 0, done.stderr[-3000:]
+    return folder
+
+
+def test_the_loop_closes_and_its_inputs_are_linked(loop: Path) -> None:
+    found = {stage: json.loads((loop / "out" / stage / "result.json").read_text()) for stage in STAGES}
+    assert all(result["status"] == "finished" and result["metrics"] for result in found.values())
+    ids = {result["run_id"] for result in found.values()}
+    assert len(ids) == len(STAGES)
+    for stage in STAGES[1:]:
+        assert found[stage]["inputs"], stage
+        assert set(found[stage]["inputs"].values()) <= ids
+    document = json.loads((loop / "out/diagnosis/diagnosis.json").read_text())
+    assert document["verdict"] in ("nothing missing", "named", "indistinguishable", "unknown")
+    assert (loop / "out/diagnosis/report.html").is_file()
+
+
+def test_an_identified_correction_is_accepted_by_another_stage(loop: Path) -> None:
+    run_id = json.loads((loop / "out/diagnosis/result.json").read_text())["run_id"]
+    recordings = json.loads((loop / "out/sim2real/result.json").read_text())["artifacts"]["recording_set"]
+    done = softrl(loop, "stage=simulate", "profile=tiny", f"effect=run:{run_id}", f"recordings={recordings}")
+    assert done.returncode == 0, done.stderr
+    assert run_id in results(loop / "outputs")[-1]["inputs"].values()
+
+
+def test_two_runs_with_one_seed_give_the_same_numbers(loop: Path) -> None:
+    for stage in ("pod", "calibration", "dynamics", "surrogate", "rl"):
+        before = json.loads((loop / "out" / stage / "result.json").read_text())["metrics"]
+        done = softrl(loop, f"stage={stage}", "profile=tiny", "force=true", f"hydra.run.dir=again/{stage}")
+        assert done.returncode == 0, done.stderr
+        after = json.loads((loop / "again" / stage / "result.json").read_text())["metrics"]
+        timed = ("_per_s", "_hz", "seconds", "_ms")
+        same = {k: v for k, v in before.items() if not k.endswith(timed) and not k.startswith("seconds")}
+        assert {k: after[k] for k in same} == same, stage
