@@ -1,14 +1,41 @@
 """The pressures at which a simulator rests where the robot was seen to rest."""
 
+from dataclasses import replace
+from typing import TypeGuard
+
 import numpy as np
 from scipy.optimize import least_squares
 
 from softrl.core.progress import progress
 from softrl.core.simulator import Simulator
+from softrl.pod.rom import pressure_for_tip
+from softrl.pod.simulator import RomSimulator
+from softrl.robots.robot import Robot
 
 # weights of a misplaced tip and of a pressure away from the commanded one; the latter only decides what the
 # tip leaves open (more chambers than the tip has directions)
 TIP_SCALE_M, PRESSURE_SCALE_PA = 1e-4, 1e6
+# how far beyond the robot's range P_S may lie, in parts of it: a robot at its limit may act like a simulator above it
+MARGIN = 0.25
+
+
+def has_exact_inverse(simulator: Simulator, robot: Robot) -> TypeGuard[RomSimulator]:
+    """Return whether the reduced model answers at once: three chambers for three directions of the tip, nothing retuned."""
+    retuned = any(value != 1.0 for value in simulator.parameters.values())
+    return isinstance(simulator, RomSimulator) and robot.chambers == 3 and not retuned
+
+
+def pressure_by_reduced_model(simulator: RomSimulator, robot: Robot, tip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return P_S (holds, 3) Pa at which the reduced model rests with its tip at ``tip`` (holds, 3) m, and the distances left."""
+    margin = MARGIN * (robot.pressure_max_pa - robot.pressure_min_pa)
+    wide = replace(
+        simulator.reduced_model,
+        pressure_min_pa=robot.pressure_min_pa - margin,
+        pressure_max_pa=robot.pressure_max_pa + margin,
+    )
+    pressure, miss = pressure_for_tip(wide, tip, np.array(robot.gravity_m_s2))
+    clipped = (pressure <= wide.pressure_min_pa) | (pressure >= wide.pressure_max_pa)
+    return pressure, np.where(clipped.any(axis=1), np.inf, miss)
 
 
 def pressure_by_simulator(

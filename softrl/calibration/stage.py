@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from softrl.artifacts.calibration import Calibration
-from softrl.artifacts.reduced_model import ReducedModel
 from softrl.calibration.figures import draw_pressure_map, draw_tensile
 from softrl.calibration.holds import Holds, record_holds, settled_holds, split_holds
-from softrl.calibration.inversion import pressure_by_simulator
+from softrl.calibration.inversion import has_exact_inverse, pressure_by_reduced_model, pressure_by_simulator
 from softrl.calibration.material_fit import as_record, best_fit, fit_materials
 from softrl.calibration.mlp import Ensemble, EnsembleSettings, fit_ensemble
 from softrl.calibration.pressure_map import PressureMap
@@ -20,7 +19,6 @@ from softrl.core.driver import Driver
 from softrl.core.errors import ConfigError, RecordingError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
-from softrl.pod.rom import pressure_for_tip
 from softrl.recordings.recording import RecordingSet
 from softrl.robots.robot import Robot
 
@@ -90,7 +88,6 @@ class Config:
 def run(
     config: Config,
     robot: Robot,
-    reduced_model: ReducedModel | None,
     simulator: Simulator,
     driver: Driver,
     recordings: RecordingSet | None,
@@ -103,10 +100,10 @@ def run(
     if recordings is None:
         recordings = record_holds(driver, robot, config.runs, config.holds_per_run, config.hold_s, config.dt_s, rng)
     holds = settled_holds(recordings, config.hold_min_s, config.average_s, 1e-3 * config.drift_max_mm)
-    holds, pressure_sim = _invert(config, robot, reduced_model, simulator, holds)
+    holds, pressure_sim = _invert(config, robot, simulator, holds)
     heldout = split_holds(holds, config.heldout_share, rng)
     ensemble = _train(config, holds.pressure[~heldout], pressure_sim[~heldout])
-    inverted_by = "reduced model" if _by_model(robot, reduced_model) else "simulator"
+    inverted_by = "reduced model" if has_exact_inverse(simulator, robot) else "simulator"
     calibration = _assemble(robot, ensemble, holds, pressure_sim, heldout, material, inverted_by)
     _report_map(calibration, tracker)
     _report_replay(calibration, simulator, robot, recordings, holds, tracker)
@@ -128,17 +125,10 @@ def _fit_material(config: Config, tracker: Tracker) -> dict[str, object]:
     return as_record(fits)
 
 
-def _by_model(robot: Robot, reduced_model: ReducedModel | None) -> bool:
-    # three chambers and three coordinates of the tip: only then has the reduced model a unique answer
-    return reduced_model is not None and robot.chambers == 3
-
-
-def _invert(
-    config: Config, robot: Robot, reduced_model: ReducedModel | None, simulator: Simulator, holds: Holds
-) -> tuple[Holds, np.ndarray]:
+def _invert(config: Config, robot: Robot, simulator: Simulator, holds: Holds) -> tuple[Holds, np.ndarray]:
     """Return the holds that the simulator can reach, and P_S (holds, n) Pa there."""
-    if _by_model(robot, reduced_model):
-        pressure, miss = pressure_for_tip(reduced_model, holds.position)
+    if has_exact_inverse(simulator, robot):
+        pressure, miss = pressure_by_reduced_model(simulator, robot, holds.position)
     else:
         pressure, miss = pressure_by_simulator(simulator, holds.position, holds.pressure, config.settle_s, config.dt_s)
     reached = np.isfinite(pressure).all(axis=1) & (miss < 1e-3 * config.residual_max_mm)

@@ -8,8 +8,6 @@ import torch
 
 from softrl.artifacts.snapshots import Snapshots
 from softrl.calibration.kinematics import arc, rotation_vector
-from softrl.core.errors import SolverError
-from softrl.core.progress import progress
 from softrl.robots.robot import Robot
 
 # a state is tip (3), arc length, curvature, rotation vector (3), then the volumes
@@ -18,7 +16,7 @@ KINDS = (TIP, slice(3, 4), slice(4, 5), slice(5, POSE), slice(POSE, None))
 
 
 class Body(Protocol):
-    """What is learned from: a reduced model in batches. Coordinates z are (volumes - at rest, tip - at rest), SI."""
+    """What is learned from: a reduced model in batches. Coordinates z are (volumes, tip) relative to stress-free rest, SI."""
 
     @property
     def chambers(self) -> int:
@@ -27,35 +25,38 @@ class Body(Protocol):
 
     @property
     def rest_tip(self) -> np.ndarray:
-        """(3,) m."""
+        """(3,) m, tip at z = 0."""
         ...
 
-    def step(
-        self, z: torch.Tensor, velocity: torch.Tensor, load: torch.Tensor, dt: float
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return (z, velocity) after ``dt`` s of ``load``, each (B, n + 3)."""
+    @property
+    def rest(self) -> np.ndarray:
+        """(n + 3,) z at rest under weight alone."""
+        ...
+
+    def roll(self, load: np.ndarray, start: np.ndarray, velocity: np.ndarray, dt_s: float) -> np.ndarray:
+        """Return z (B, steps, n + 3) under ``load`` (B, steps, n + 3), from ``start`` and ``velocity`` (B, n + 3)."""
         ...
 
     def residual(
         self, z: torch.Tensor, velocity: torch.Tensor, acceleration: torch.Tensor, load: torch.Tensor
     ) -> torch.Tensor:
-        """Return what is missing to the balance of forces (B, n + 3), Pa and N."""
+        """Return what is missing to the balance of forces (B, n + 3), Pa and N, differentiable."""
         ...
 
     def quaternion(self, z: np.ndarray) -> np.ndarray:
-        """Return orientations (..., 4) w x y z of the tip at ``z`` (..., n + 3)."""
+        """Return orientations (B, 4) w x y z of the tip at ``z`` (B, n + 3)."""
         ...
 
 
 @dataclass(frozen=True)
 class Trajectories:
-    """Runs from rest on one time step.
+    """Runs on one time step.
 
     Attributes
     ----------
     load : (runs, steps, n + 3) Pa and N, held over the step that ends at the row's time
     state : (runs, steps, 8 + n) SI, see ``ForwardDynamics``
-    rate : (runs, steps, 8 + n), (state - state one step before) / dt; zero in the first row, which is at rest
+    rate : (runs, steps, 8 + n), (state - state one step before) / dt; zero in the first row
     dt_s : s
     """
 
@@ -85,7 +86,7 @@ def coordinates_of(state: torch.Tensor, rest_tip: torch.Tensor) -> torch.Tensor:
 def trajectories_from(
     z: np.ndarray, quaternion: np.ndarray, load: np.ndarray, rest_tip: np.ndarray, axis: str, dt_s: float
 ) -> Trajectories:
-    """Return trajectories of coordinates ``z`` (runs, steps, n + 3) whose first row is at rest."""
+    """Return trajectories of coordinates ``z`` (runs, steps, n + 3)."""
     n = z.shape[2] - 3
     tip = rest_tip + z[..., n:]
     length, curvature = arc(tip, axis)
@@ -95,26 +96,14 @@ def trajectories_from(
     return Trajectories(load, state, rate, dt_s)
 
 
-def roll(body: Body, load: np.ndarray, axis: str, dt_s: float) -> Trajectories:
-    """Return the motion of ``body`` from rest under ``load`` (runs, steps, n + 3); the first row is at rest, its load unused.
-
-    Raises
-    ------
-    SolverError
-        If a run leaves the finite numbers.
-    """
-    runs, steps, size = load.shape
-    z, velocity = (torch.zeros(runs, size, dtype=torch.float64) for _ in range(2))
-    held = torch.tensor(load, dtype=torch.float64)
-    path = np.zeros(load.shape)
-    with torch.no_grad():
-        for k in progress(range(1, steps), "rolling the reduced model"):
-            z, velocity = body.step(z, velocity, held[:, k], dt_s)
-            path[:, k] = z.numpy()
-    if not np.isfinite(path).all():
-        bad = int((~np.isfinite(path)).any(axis=(1, 2)).sum())
-        raise SolverError(f"{bad} of {runs} rolled trajectories of the reduced model diverged; lower stage.dt_s or check the model")
-    return trajectories_from(path, body.quaternion(path), load, body.rest_tip, axis, dt_s)
+def rolled(body: Body, load: np.ndarray, axis: str, dt_s: float) -> Trajectories:
+    """Return the motion of ``body`` under ``load`` (runs, steps, n + 3); the first row is at rest, its load unused."""
+    runs, _, size = load.shape
+    start = np.tile(body.rest, (runs, 1))
+    path = body.roll(load[:, 1:], start, np.zeros((runs, size)), dt_s)
+    z = np.concatenate([start[:, None], path], axis=1)
+    quaternion = body.quaternion(z.reshape(-1, size)).reshape(*z.shape[:2], 4)
+    return trajectories_from(z, quaternion, load, body.rest_tip, axis, dt_s)
 
 
 def full_order(snapshots: Snapshots, axis: str, dt_s: float) -> Trajectories | None:
@@ -122,18 +111,8 @@ def full_order(snapshots: Snapshots, axis: str, dt_s: float) -> Trajectories | N
     step_s = float(np.median(np.diff(snapshots.trajectory_time))) if len(snapshots.trajectory_time) > 1 else 0.0
     if not len(snapshots.trajectory_load) or abs(step_s - dt_s) > 1e-6:
         return None
-
-    def from_rest(values: np.ndarray, rest: np.ndarray) -> np.ndarray:
-        return np.concatenate([np.broadcast_to(rest, (len(values), 1, values.shape[2])), values], axis=1)
-
-    zero = np.zeros(snapshots.chambers + 3)
     return trajectories_from(
-        from_rest(snapshots.trajectory_coordinate, zero),
-        from_rest(snapshots.trajectory_quaternion, np.array([1.0, 0.0, 0.0, 0.0])),
-        from_rest(snapshots.trajectory_load, zero),
-        snapshots.rest_tip,
-        axis,
-        dt_s,
+        snapshots.trajectory_coordinate, snapshots.trajectory_quaternion, snapshots.trajectory_load, snapshots.rest_tip, axis, dt_s
     )
 
 
@@ -178,17 +157,24 @@ def _slewed(wanted: np.ndarray, reach: float) -> np.ndarray:
 
 
 class Windows:
-    """Windows of ``window`` rows of trajectories, cut on demand; before the start the robot is at rest without load."""
+    """Windows of ``window`` rows of trajectories, cut on demand.
 
-    def __init__(self, trajectories: Trajectories, window: int) -> None:
-        rows = trajectories.rows
-        rest = rows[:, :1].copy()
-        rest[..., 2 * trajectories.state.shape[2] :] = 0.0
-        padded = np.concatenate([np.repeat(rest, window - 1, axis=1), rows], axis=1)
-        self.rows = torch.tensor(padded, dtype=torch.float32)
-        self.next_rate = torch.tensor(trajectories.rate[:, 1:], dtype=torch.float32)
+    With ``from_rest`` the runs begin at rest, and before their start the robot stood there without load; without it only
+    windows that lie in the runs are cut.
+    """
+
+    def __init__(self, trajectories: Trajectories, window: int, from_rest: bool = True) -> None:
+        rows, next_rate = trajectories.rows, trajectories.rate[:, 1:]
+        if from_rest:
+            rest = rows[:, :1].copy()
+            rest[..., 2 * trajectories.state.shape[2] :] = 0.0
+            rows = np.concatenate([np.repeat(rest, window - 1, axis=1), rows], axis=1)
+        else:
+            rows, next_rate = rows[:, 1:], next_rate[:, window:]  # the first row has no rate yet
+        self.rows = torch.tensor(rows, dtype=torch.float32)
+        self.next_rate = torch.tensor(next_rate, dtype=torch.float32)
         self.window = window
-        self.per_run = rows.shape[1]
+        self.per_run = next_rate.shape[1]
 
     def __len__(self) -> int:
         return len(self.rows) * self.per_run

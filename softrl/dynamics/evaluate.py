@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from softrl.dynamics.dataset import TIP, Body, Trajectories, Windows, coordinates_of
+from softrl.dynamics.dataset import TIP, Body, Windows, coordinates_of
 from softrl.dynamics.transformer import ForwardNet, advance
 
 # windows (B, window, features) -> rate (B, 8 + n) one step after the last row
@@ -75,24 +75,16 @@ def rollout_errors(predict: Predictor, windows: Windows, steps: int, dt_s: float
 
 
 def _by_body(rows: torch.Tensor, body: Body, states: int, dt_s: float) -> torch.Tensor:
-    last = rows[:, -1].double()
-    n = body.chambers
-    z = coordinates_of(last[:, :states], torch.tensor(body.rest_tip, dtype=torch.float64))
-    before = coordinates_of(last[:, states : 2 * states], torch.zeros(3, dtype=torch.float64))
-    after, _ = body.step(z, before, last[:, 2 * states :], dt_s)
-    change = (after - z) / dt_s
-    rate = torch.zeros(len(rows), states, dtype=torch.float64)
+    last, n = rows[:, -1].double(), body.chambers
+    z = coordinates_of(last[:, :states], torch.tensor(body.rest_tip, dtype=torch.float64)).numpy()
+    velocity = coordinates_of(last[:, states : 2 * states], torch.zeros(3, dtype=torch.float64)).numpy()
+    after = body.roll(last[:, None, 2 * states :].numpy(), z, velocity, dt_s)[:, 0]
+    change = torch.tensor((after - z) / dt_s, dtype=torch.float32)
+    rate = torch.zeros(len(rows), states)
     rate[:, TIP], rate[:, states - n :] = change[:, n:], change[:, :n]
-    return rate.float()
+    return rate
 
 
 def _rms(error: np.ndarray) -> float:
     """Return the rms length of vectors (..., 3)."""
     return float(np.sqrt(np.mean(np.sum(error**2, axis=-1))))
-
-
-def longest_run(trajectories: Trajectories, windows: Windows, predict: Predictor) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return time (steps,) s, predicted and true states (steps, 8 + n) of a rollout over the whole first run."""
-    steps = windows.per_run
-    state, true, _, _ = rollout(predict, windows, torch.tensor([0]), steps, trajectories.dt_s)
-    return trajectories.dt_s * np.arange(1, steps + 1), state[0], true[0]

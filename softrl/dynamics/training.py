@@ -48,7 +48,7 @@ def fit_linear(net: ForwardNet, windows: Windows, ridge: float) -> None:
     gram, moment = torch.zeros(size, size, dtype=torch.float64), torch.zeros(size, states, dtype=torch.float64)
     for index in torch.arange(len(windows)).split(4096):
         rows, target = windows.take(index)
-        x = net.features((rows - net.row_mean) / net.row_spread)[:, -1].double()
+        x = net.features(net.scaled(rows))[:, -1].double()
         change = (target - rows[:, -1, states : 2 * states]).double()
         gram, moment = gram + x.T @ x, moment + x.T @ change
     net.linear.copy_(torch.linalg.solve(gram + ridge * len(windows) * torch.eye(size, dtype=torch.float64), moment))

@@ -19,13 +19,15 @@ class ForwardNet(nn.Module):
     Attributes
     ----------
     row_mean, row_spread : scaler of a row
-    linear : (linear_rows * features + 1, states) SI; the rate's change over one step by scaled rows, newest first
+    read : (inputs,) columns of a row that the network reads
+    linear : (linear_rows * inputs + 1, states) SI; the rate's change over one step by scaled rows, newest first
     fine : (states,) SI, rms of what the linear map leaves; the unit of the Transformer's answer and of the losses
 
     Notes
     -----
     Paper eqs. 5-8 and 11: two encoder layers, four heads, window m, then a linear head; the axes are (batch, time, feature).
-    Departures: the mask is causal, so every row of a window is a training example; the rate is predicted as the present one
+    Departures: of a row the network reads tip, volumes, their rates and the load only, since arc length, curvature and rotation
+    follow from these (read too, they spoil rollouts as soon as they no longer fit together); the mask is causal, so every row of a window is a training example; the rate is predicted as the present one
     plus a linear map, fixed by least squares before training, plus the Transformer, which begins at zero.
     """
 
@@ -34,12 +36,15 @@ class ForwardNet(nn.Module):
     ) -> None:
         super().__init__()
         features = 2 * states + loads
+        own = [0, 1, 2, *range(8, states)]
+        read = own + [states + i for i in own] + list(range(2 * states, features))
         self.states, self.window, self.linear_rows = states, window, linear_rows
         self.register_buffer("row_mean", torch.zeros(features))
         self.register_buffer("row_spread", torch.ones(features))
-        self.register_buffer("linear", torch.zeros(linear_rows * features + 1, states))
+        self.register_buffer("read", torch.tensor(read), persistent=False)
+        self.register_buffer("linear", torch.zeros(linear_rows * len(read) + 1, states))
         self.register_buffer("fine", torch.ones(states))
-        self.embed = nn.Linear(features, width)
+        self.embed = nn.Linear(len(read), width)
         self.place = nn.Parameter(0.02 * torch.randn(window, width))
         layer = nn.TransformerEncoderLayer(width, heads, feedforward, dropout=0.0, batch_first=True, norm_first=True)
         self.encoder = nn.TransformerEncoder(layer, layers, norm=nn.LayerNorm(width), enable_nested_tensor=False)
@@ -50,17 +55,21 @@ class ForwardNet(nn.Module):
 
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
         """Return dX/dt (batch, rows, states) SI one step after each of ``rows`` (batch, at most window, features) SI."""
-        scaled = (rows - self.row_mean) / self.row_spread
+        scaled = self.scaled(rows)
         time = rows.shape[1]
         hidden = self.encoder(self.embed(scaled) + self.place[-time:], mask=self.mask[:time, :time], is_causal=True)
         return self._linear_rate(rows, scaled) + self.fine * self.head(hidden)
 
     def linear_rate(self, rows: torch.Tensor) -> torch.Tensor:
         """Return what the linear map alone predicts, (batch, rows, states) SI."""
-        return self._linear_rate(rows, (rows - self.row_mean) / self.row_spread)
+        return self._linear_rate(rows, self.scaled(rows))
+
+    def scaled(self, rows: torch.Tensor) -> torch.Tensor:
+        """Return what the network reads of ``rows``, (batch, rows, inputs), dimensionless."""
+        return ((rows - self.row_mean) / self.row_spread)[..., self.read]
 
     def features(self, scaled: torch.Tensor) -> torch.Tensor:
-        """Return (batch, rows, linear_rows * features + 1): each scaled row, those before it, and a one."""
+        """Return (batch, rows, linear_rows * inputs + 1): each scaled row, those before it, and a one."""
         past = [scaled]
         for _ in range(self.linear_rows - 1):
             past.append(torch.cat([past[-1][:, :1], past[-1][:, :-1]], dim=1))

@@ -12,9 +12,7 @@ from softrl.robots.robot import Robot
 
 
 @nb.njit(PORT_KERNEL, cache=True)
-def contact_kernel(
-    parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool
-) -> None:
+def contact_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
     """Push the tip back along the wall's normal in proportion to its depth."""
     depth = -parameters[3]
     for k in range(3):
@@ -29,7 +27,7 @@ def contact_kernel(
 
 @dataclass(frozen=True)
 class Contact(Effect):
-    """Elastic, frictionless plane that the tip meets: upright in the azimuth of its normal, unless ``elevation_rad`` turns it.
+    """Elastic, frictionless plane that the tip meets: upright, unless ``elevation_rad`` turns its normal up.
 
     ``distance`` is that from the base's origin along the normal, in lengths of the robot; at 2 it is out of
     reach.

@@ -22,7 +22,7 @@ def deadband_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray
 
 @dataclass(frozen=True)
 class Deadband(Effect):
-    """Play between command and supply: ``|p - p_cmd| <= band``, and p rests inside; ``band`` times the largest pressure.
+    """Play between command and supply: ``|p - p_cmd| <= band``, a share of the robot's largest pressure.
 
     Notes
     -----

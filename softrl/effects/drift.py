@@ -12,9 +12,7 @@ from softrl.robots.robot import Robot
 
 
 @nb.njit(PORT_KERNEL, cache=True)
-def drift_kernel(
-    parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool
-) -> None:
+def drift_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
     """Scale the elastic resistance by ``exp(-rate t)``."""
     chamber = int(parameters[1])
     change = math.expm1(-parameters[0] * (state[0] + dt))

@@ -16,9 +16,7 @@ def frame_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, d
     """Turn the pose by the packed matrix and quaternion, then shift the position."""
     x, y, z = value[0], value[1], value[2]
     for k in range(3):
-        value[k] = (
-            parameters[3 * k] * x + parameters[3 * k + 1] * y + parameters[3 * k + 2] * z + parameters[13 + k]
-        )
+        value[k] = parameters[3 * k] * x + parameters[3 * k + 1] * y + parameters[3 * k + 2] * z + parameters[13 + k]
     a, b, c, d = parameters[9], parameters[10], parameters[11], parameters[12]
     e, f, g, h = value[3], value[4], value[5], value[6]
     value[3], value[4] = a * e - b * f - c * g - d * h, a * f + b * e + c * h - d * g
@@ -27,18 +25,18 @@ def frame_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, d
 
 @dataclass(frozen=True)
 class Frame(Effect):
-    """Rotation (a rotation vector) and shift of the frame in which the sensor reports, shift in lengths of the robot."""
+    """Rotation (as a vector) and shift (in lengths of the robot) of the frame in which the sensor reports."""
 
     site: ClassVar[str] = "sensor"
     title: ClassVar[str] = "misregistration of the sensor's frame"
     kernel: ClassVar = frame_kernel
 
-    turn_x_rad: float = parameter("rad", -0.6, 0.6, 0.0, typical=0.1)
-    turn_y_rad: float = parameter("rad", -0.6, 0.6, 0.0, typical=0.1)
+    turn_x_rad: float = parameter("rad", -0.8, 0.8, 0.0, typical=0.1)
+    turn_y_rad: float = parameter("rad", -0.8, 0.8, 0.0, typical=0.1)
     turn_z_rad: float = parameter("rad", -3.1416, 3.1416, 0.0, typical=0.2)
-    shift_x: float = parameter("1", -0.3, 0.3, 0.0, typical=0.02)
-    shift_y: float = parameter("1", -0.3, 0.3, 0.0, typical=0.02)
-    shift_z: float = parameter("1", -0.3, 0.3, 0.0, typical=0.02)
+    shift_x: float = parameter("1", -0.8, 0.8, 0.0, typical=0.02)
+    shift_y: float = parameter("1", -0.8, 0.8, 0.0, typical=0.02)
+    shift_z: float = parameter("1", -0.8, 0.8, 0.0, typical=0.02)
 
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (matrix (9,), quaternion (4,) w x y z, shift (3,) m)."""

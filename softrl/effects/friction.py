@@ -14,9 +14,7 @@ SLIP_RATE_PER_S = 1e-3  # strain rate at which friction has reached three quarte
 
 
 @nb.njit(PORT_KERNEL, cache=True)
-def friction_kernel(
-    parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool
-) -> None:
+def friction_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
     """Add friction against the strain rate, smoothed about zero."""
     chamber = int(parameters[2])
     for i in range(port.shape[1]):
@@ -29,7 +27,7 @@ def friction_kernel(
 
 @dataclass(frozen=True)
 class Friction(Effect):
-    """Coulomb friction of constant height (a share of the largest pressure) plus a share of the acting pressure.
+    """Coulomb friction: a share of the robot's largest pressure plus a share of the acting pressure.
 
     Notes
     -----

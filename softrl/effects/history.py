@@ -14,7 +14,7 @@ def empty_history(width: int) -> np.ndarray:
 
 @nb.njit(cache=True)
 def push(state: np.ndarray, value: np.ndarray, before: bool) -> None:
-    """Add ``value`` (width,) to the history; what came before the first value equals it if ``before``, else zero."""
+    """Add ``value`` (width,); what came before the first value equals it if ``before``, else zero."""
     width = len(value)
     if state[COUNT] == 0.0 and before:
         for k in range(CAPACITY):
@@ -29,7 +29,7 @@ def push(state: np.ndarray, value: np.ndarray, before: bool) -> None:
 
 @nb.njit(cache=True)
 def look_back(state: np.ndarray, width: int, channel: int, steps: float) -> float:
-    """Return a channel's value ``steps`` (not necessarily whole) before the last one, interpolated linearly."""
+    """Return a channel's value ``steps`` before the last one, interpolated linearly between samples."""
     steps = min(steps, CAPACITY - 2.0)
     whole = int(steps)
     share = steps - whole

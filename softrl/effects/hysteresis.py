@@ -12,9 +12,7 @@ from softrl.robots.robot import Robot
 
 
 @nb.njit(PORT_KERNEL, cache=True)
-def hysteresis_kernel(
-    parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool
-) -> None:
+def hysteresis_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
     """Advance the hysteretic share z in [-1, 1] exactly along the strain increment of the step."""
     height, yield_strain, chamber = parameters[0], parameters[1], int(parameters[2])
     for i in range(port.shape[1]):

@@ -23,7 +23,7 @@ def leak_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt
 
 @dataclass(frozen=True)
 class Leak(Effect):
-    """Leak against a refilling source: the chamber lacks ``d`` of the supply, ``dd/dt = leak (p - d) - d / refill``.
+    """Leak against a refilling source: the chamber lacks ``d``, with ``dd/dt = leak (p - d) - d / refill``.
 
     Notes
     -----

@@ -34,7 +34,5 @@ def effect_class(name: str) -> type[Effect]:
         if isinstance(value, type) and issubclass(value, Effect) and value.__module__ == module.__name__
     ]
     if len(found) != 1 or found[0].site not in SITES:
-        raise ConfigError(
-            f"softrl/effects/{name}.py must hold one effect at a site out of {', '.join(SITES)}"
-        )
+        raise ConfigError(f"softrl/effects/{name}.py must hold one effect at a site out of {', '.join(SITES)}")
     return found[0]

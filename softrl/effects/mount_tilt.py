@@ -12,9 +12,7 @@ from softrl.robots.robot import Robot
 
 
 @nb.njit(PORT_KERNEL, cache=True)
-def mount_tilt_kernel(
-    parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool
-) -> None:
+def mount_tilt_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
     """Turn gravity in the base frame about x, then about y."""
     cx, sx, cy, sy = (
         math.cos(parameters[0]),
@@ -29,7 +27,7 @@ def mount_tilt_kernel(
 
 @dataclass(frozen=True)
 class MountTilt(Effect):
-    """Gravity turned in the base frame about x, then about y: the mount is tilted, the sensor's frame tilts with it.
+    """Gravity turned in the base frame about x, then y: the mount is tilted, its sensor's frame with it.
 
     Its name stands before ``payload`` so that a payload's weight is tilted too.
     """

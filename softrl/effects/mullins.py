@@ -20,10 +20,8 @@ from softrl.effects.effect import (
 
 
 @nb.njit(PORT_KERNEL, cache=True)
-def mullins_kernel(
-    parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool
-) -> None:
-    """Take away a share of the elastic resistance that grows with the distance below the largest strain so far."""
+def mullins_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
+    """Take away a share of the elastic resistance, growing with the distance below the largest strain."""
     softening, width, chamber = parameters[0], parameters[1], int(parameters[2])
     for i in range(port.shape[1]):
         if chamber >= 0 and chamber != i:
@@ -43,7 +41,7 @@ def mullins_kernel(
 
 @dataclass(frozen=True)
 class Mullins(Effect):
-    """Softening below the largest strain so far: resistance times ``1 - softening (1 - exp(-(e_max - |e|) / width))``.
+    """Softening below the largest strain: ``1 - softening (1 - exp((|e| - e_max) / width))`` of the resistance.
 
     Notes
     -----

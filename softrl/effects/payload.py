@@ -11,9 +11,7 @@ from softrl.robots.robot import Robot
 
 
 @nb.njit(PORT_KERNEL, cache=True)
-def payload_kernel(
-    parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool
-) -> None:
+def payload_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
     """Add weight and inertia of the mass; the state is the tip's velocity at the last step."""
     mass = parameters[0]
     for k in range(3):

@@ -24,7 +24,7 @@ def rate_limit_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarr
 
 @dataclass(frozen=True)
 class RateLimit(Effect):
-    """Bound on the change of supplied pressure, in the robot's largest pressure per second; at 1e4 there is none.
+    """Bound on the supply's change, in the robot's largest pressure per second; at 1e4 there is none.
 
     Notes
     -----

@@ -12,9 +12,7 @@ from softrl.robots.robot import Robot
 MAX_STEPS = 5_000_000
 
 
-def replay(
-    plant: Plant, recording: Recording, dt_s: float, drive: str = "command", settle_s: float = 0.0
-) -> Recording:
+def replay(plant: Plant, recording: Recording, dt_s: float, drive: str = "command", settle_s: float = 0.0) -> Recording:
     """Return what the plant's sensors report under a recording's commands, at the recording's times.
 
     Parameters
@@ -41,9 +39,7 @@ def replay(
     """
     robot = plant.chain.robot
     time, first = _grid(recording, dt_s, settle_s)
-    row = np.searchsorted(
-        recording.time, time - 1e-3 * dt_s, side="left"
-    )  # equal times may differ in a last digit
+    row = np.searchsorted(recording.time, time - 1e-3 * dt_s, side="left")  # equal times may differ in a last digit
     row = row.clip(max=len(recording.time) - 1)
     driving = _driving(recording, drive)
     pressure = driving[row]
@@ -78,7 +74,7 @@ def bend_angle(robot: Robot, quaternion: np.ndarray) -> np.ndarray:
 
 
 def _grid(recording: Recording, dt_s: float, settle_s: float) -> tuple[np.ndarray, int]:
-    """Return a uniform grid from before the first to after the last sample, and the rows before the first sample."""
+    """Return a uniform grid that spans the samples, and how many of its rows come before the first."""
     first = round(settle_s / dt_s)
     steps = first + 1 + int(np.ceil((recording.time[-1] - recording.time[0]) / dt_s - 1e-9))
     if steps > MAX_STEPS:
@@ -102,9 +98,7 @@ def _driving(recording: Recording, drive: str) -> np.ndarray:
 def _behind_valve(plant: Plant, drive: str) -> Plant:
     if drive == "command":
         return plant
-    return Plant(
-        plant.simulator, EffectChain(plant.chain.robot, plant.chain.at("chamber", "body", "load", "sensor"))
-    )
+    return Plant(plant.simulator, EffectChain(plant.chain.robot, plant.chain.at("chamber", "body", "load", "sensor")))
 
 
 def _sampled(wanted: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:

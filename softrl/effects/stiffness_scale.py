@@ -36,7 +36,7 @@ def stiffness_scale_kernel(
 
 @dataclass(frozen=True)
 class StiffnessScale(Effect):
-    """Stiffness as a multiple of the model's: of the whole body, or of one chamber (an asymmetry of fabrication).
+    """Stiffness as a multiple of the model's: of the whole body, or of one chamber (an asymmetry).
 
     Notes
     -----

@@ -11,9 +11,7 @@ from softrl.robots.robot import Robot
 
 
 @nb.njit(PORT_KERNEL, cache=True)
-def tether_kernel(
-    parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool
-) -> None:
+def tether_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
     """Pull the tip towards the point where the hose would rest."""
     for k in range(3):
         port[FORCE, k] -= parameters[0] * (port[TIP, k] - parameters[1 + k])
@@ -22,7 +20,7 @@ def tether_kernel(
 
 @dataclass(frozen=True)
 class Tether(Effect):
-    """Linear pull towards a point beside the tip at rest, ``F = -k (tip - anchor)``; offsets in lengths of the robot."""
+    """Pull ``F = -k (tip - anchor)`` to a point beside the tip at rest; offsets in lengths of the robot."""
 
     site: ClassVar[str] = "load"
     title: ClassVar[str] = "pull of a hose or cable at the tip"

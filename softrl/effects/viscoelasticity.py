@@ -15,7 +15,7 @@ from softrl.robots.robot import Robot
 def viscoelasticity_kernel(
     parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool
 ) -> None:
-    """Advance each branch's overstress exactly for an elastic resistance that changes linearly over the step."""
+    """Advance each branch's overstress exactly for a resistance that changes linearly over the step."""
     n = port.shape[1]
     chamber = int(parameters[4])
     for i in range(n):
@@ -57,5 +57,5 @@ class Viscoelasticity(Effect):
     chamber: int = -1
 
     def reset(self, robot: Robot) -> np.ndarray:
-        """Return the overstress of both branches and the last elastic resistance of each chamber, all zero."""
+        """Return both branches' overstress and the last elastic resistance of each chamber, all zero."""
         return np.zeros(3 * robot.chambers)

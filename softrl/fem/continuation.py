@@ -84,15 +84,17 @@ def _reach(
 
 
 def _walk(model: FemModel, start: Equilibrium, load: np.ndarray, count: int) -> Equilibrium:
-    here, began = start, time.monotonic()
-    iterations = factorisations = 0
+    pose, began = start.pose, time.monotonic()
+    guess = model.coupling.move(pose, start.tangent.change @ (load - start.load) / count)
+    iterations, factorisations = 0, 1
     for share in np.arange(1, count + 1) / count:
-        target = start.load + share * (load - start.load)
-        guess = model.coupling.move(here.pose, here.tangent.change @ (target - here.load))
-        solve = model.static(target, guess)
+        solve = model.static(start.load + share * (load - start.load), guess)
         if not solve.converged:
             raise SolverError(f"Newton stopped after {solve.iterations} iterations, {solve.residual_n:.1e} N left")
-        tangent = model.tangent(solve.pose, target)
-        iterations, factorisations = iterations + solve.iterations, factorisations + solve.factorisations + 1
-        here = Equilibrium(target, solve.pose, tangent, Cost(iterations, factorisations, time.monotonic() - began, solve.steps_m))
-    return here
+        iterations, factorisations = iterations + solve.iterations, factorisations + solve.factorisations
+        pose = solve.pose
+        if share < 1.0:
+            guess = model.predict(pose, (load - start.load) / count)
+    tangent = model.tangent(pose, load)
+    cost = Cost(iterations, factorisations, time.monotonic() - began, solve.steps_m)
+    return Equilibrium(load, pose, tangent, cost)

@@ -170,6 +170,10 @@ class FemModel:
             np.einsum("ani,n,bni->ab", shapes, self.nodal_mass, shapes),
         )
 
+    def predict(self, pose: Pose, load_change: np.ndarray) -> Pose:
+        """Return where ``pose`` moves under a small ``load_change``, by the factors that the last solve left."""
+        return self.coupling.move(pose, self._solver.solve(self.load_directions(pose) @ load_change))
+
     def load_directions(self, pose: Pose) -> np.ndarray:
         """Return the generalised force (unknowns, chambers + 3) of each unit load."""
         q = self.quadratic

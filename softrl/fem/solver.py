@@ -3,6 +3,7 @@
 import importlib
 import importlib.util
 import logging
+import weakref
 from typing import Protocol
 
 import numpy as np
@@ -42,6 +43,7 @@ class PardisoCholesky:
         self._failure = importlib.import_module("pypardiso.pardiso_wrapper").PyPardisoError
         self._solver = pypardiso.PyPardisoSolver(mtype=2)
         self._upper: sp.csr_matrix | None = None
+        weakref.finalize(self, self._solver.free_memory, everything=True)  # MKL keeps the factors otherwise
 
     def factorise(self, upper: sp.csr_matrix) -> bool:
         """Factorise; a failed factorisation leaves nothing to solve with."""
@@ -63,10 +65,6 @@ class PardisoCholesky:
         """Solve with the last factors."""
         self._solver.set_phase(self.SOLVE)
         return self._solver._call_pardiso(self._upper, np.asfortranarray(right, dtype=float))
-
-    def __del__(self) -> None:
-        if self._upper is not None:
-            self._solver.free_memory(everything=True)
 
 
 class SuperLuSolver:

@@ -3,14 +3,13 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import TABLEAU_COLORS
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from softrl.artifacts.mesh import BASE, FIRST_RIB, FREE, PLATE, Mesh
 
 LAYER_SHADES = ("#f3e5c8", "#e2cda4")
-RIGID = {BASE: "#444444", PLATE: TABLEAU_COLORS["tab:blue"], FIRST_RIB: TABLEAU_COLORS["tab:red"]}
+RIGID = {BASE: "#444444", PLATE: "tab:blue", FIRST_RIB: "tab:red"}
 # corners of the polygon in which a plane cuts a tetrahedron, as pairs of nodes that the plane separates
 EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 
@@ -37,7 +36,7 @@ def _draw_cut(axes: Axes, mesh: Mesh, distance: np.ndarray, plane: np.ndarray) -
     side = distance[mesh.tetrahedra] > 0
     cut = np.flatnonzero(side.any(axis=1) & ~side.all(axis=1))
     polygons = [_cut_polygon(mesh.tetrahedra[e], distance, plane) for e in cut]
-    colours = [_colour(mesh, e) for e in cut]
+    colours = [_colour(mesh, int(e)) for e in cut]
     axes.add_collection(PolyCollection(polygons, facecolors=colours, edgecolors="k", linewidths=0.3))
     axes.autoscale_view()
     axes.set_aspect("equal")
@@ -66,7 +65,7 @@ def draw_quality(angle: np.ndarray, limit_deg: float) -> Figure:
     """Return the histogram of the elements' smallest dihedral ``angle`` (elements,) in degrees."""
     figure = Figure(figsize=(6, 4), layout="constrained")
     axes = figure.subplots()
-    axes.hist(angle, bins=np.arange(0.0, 72.0, 1.5), color=TABLEAU_COLORS["tab:blue"])
+    axes.hist(angle, bins=np.arange(0.0, 72.0, 1.5).tolist(), color="tab:blue")
     axes.axvline(limit_deg, color="k", linestyle="--", label=f"refused below {limit_deg:g} deg")
     axes.axvline(70.53, color="0.6", linestyle=":", label="regular tetrahedron")
     title = f"{len(angle)} elements, smallest {angle.min():.1f} deg, median {np.median(angle):.1f} deg"

@@ -1,6 +1,7 @@
 """The tripod by parameters: three bellows on a circle, ribs that tie them, feet and a top plate."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import manifold3d
 import numpy as np
@@ -71,7 +72,7 @@ class TripodGeometry:
             )
         heights = ("bellows_from_m", "cavity_from_m", "cavity_to_m", "bellows_to_m", "plate_from_m", "plate_to_m")
         values = [getattr(self, name) for name in heights]
-        if any(low >= high for low, high in zip(values, values[1:], strict=False)):
+        if any(low >= high for low, high in pairwise(values)):
             raise ConfigError(f"stage.geometry: {', '.join(heights)} are {values}; expected them rising")
 
     @property
@@ -115,7 +116,7 @@ def _profile(g: TripodGeometry) -> CrossSection:
     outline = MM * np.concatenate([np.c_[radius, height], np.c_[-radius, height][-2:0:-1]])
     profile = _rectangle(-g.neck_radius_m, g.neck_radius_m, g.bellows_from_m, g.bellows_to_m)
     for middle in g.bulge_height:
-        profile += CrossSection([outline + [0.0, MM * middle]])
+        profile += CrossSection([outline + np.array([0.0, MM * middle])])
     return profile ^ _rectangle(-1.0, 1.0, g.bellows_from_m, g.bellows_to_m)
 
 

@@ -24,22 +24,27 @@ def smallest_dihedral(solid: Tetrahedra) -> np.ndarray:
     return dihedral_angles(solid).min(axis=1)
 
 
-def check_elements(solid: Tetrahedra, min_dihedral_deg: float, name: str) -> None:
-    """Raise ``MeshError`` if an element is inverted or flat, or has a dihedral angle below ``min_dihedral_deg``."""
+def check_orientation(solid: Tetrahedra, name: str) -> None:
+    """Raise ``MeshError`` if an element is inverted or flat."""
     volume = tetrahedron_volumes(solid.points, solid.corners)
     inverted = np.flatnonzero(volume <= 0)
     if len(inverted):
         raise MeshError(
-            f"{name} has {len(inverted)} inverted or flat of {len(volume)} tetrahedra, the first at {_where(solid, inverted[0])}; "
-            "expected positive volumes: repair or remesh it"
+            f"{name} has {len(inverted)} inverted or flat of {len(volume)} tetrahedra, "
+            f"the first at {_where(solid, inverted[0])}; expected positive volumes: repair or remesh it"
         )
+
+
+def check_slivers(solid: Tetrahedra, min_dihedral_deg: float, name: str) -> None:
+    """Raise ``MeshError`` if an element has a dihedral angle below ``min_dihedral_deg``."""
     angle = smallest_dihedral(solid)
     slivers = np.flatnonzero(angle < min_dihedral_deg)
     if len(slivers):
         worst = int(angle.argmin())
         raise MeshError(
-            f"{name} has {len(slivers)} slivers; the worst has a dihedral angle of {angle[worst]:.2f} deg at {_where(solid, worst)}; "
-            f"expected {min_dihedral_deg:g} deg or more: remesh it (give its surface as stage.source), or lower stage.min_dihedral_deg"
+            f"{name} has {len(slivers)} slivers; the worst has a dihedral angle of {angle[worst]:.2f} deg at "
+            f"{_where(solid, worst)}; expected {min_dihedral_deg:g} deg or more: remesh it (give its surface as "
+            "stage.source), or lower stage.min_dihedral_deg"
         )
 
 

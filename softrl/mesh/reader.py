@@ -33,7 +33,7 @@ def read_mesh(path: Path, unit_m: float, robot: Robot) -> Tetrahedra | Surface:
     content = _read(path)
     points = np.asarray(content.points, float)
     if points.shape[1] != 3 or not np.isfinite(points).all():
-        raise MeshError(f"{path} has points of shape {points.shape} or points that are not finite; expected finite x, y, z")
+        raise MeshError(f"{path} has points of shape {points.shape} or not finite; expected finite x, y, z")
     cells = _cells(content, path)
     check_unit(points[np.unique(cells)], unit_m, robot, path.name)
     if cells.shape[1] == 4:
@@ -75,10 +75,12 @@ def check_unit(points: np.ndarray, unit_m: float, robot: Robot, name: str) -> No
     if 1.0 / SIZE_FACTOR < ratio < SIZE_FACTOR:
         return
     fits = [f"{value:g} ({unit})" for unit, value in UNITS_M.items() if 0.5 < size * value / robot.length_m < 2.0]
-    advice = f"set stage.unit_m={' or '.join(fits)}" if fits else "check stage.unit_m, robot.length_m and that z runs along the robot"
+    advice = "check stage.unit_m, robot.length_m and that z runs along the robot"
+    if fits:
+        advice = f"set stage.unit_m={' or '.join(fits)}"
     raise MeshError(
-        f"{name} is {size * unit_m:.4g} m high with stage.unit_m={unit_m:g}, but robot {robot.name} is {robot.length_m:g} m long "
-        f"({ratio:.3g} times); {advice}"
+        f"{name} is {size * unit_m:.4g} m high with stage.unit_m={unit_m:g}, but robot {robot.name} is "
+        f"{robot.length_m:g} m long (factor {ratio:.3g}); {advice}"
     )
 
 
@@ -86,11 +88,14 @@ def _read(path: Path) -> meshio.Mesh:
     if not path.is_file():
         raise MeshError(f"{path} does not exist; expected sample, generate, or the path of a mesh file in stage.source")
     try:
-        return meshio.read(path)
+        with np.errstate(over="ignore"):  # meshio guesses whether an STL is binary from an integer that may overflow
+            return meshio.read(path)
     # meshio leaves by SystemExit when no reader accepts the file, and its readers raise what they stumble over
     except (SystemExit, meshio.ReadError, ValueError, KeyError, IndexError, UnicodeDecodeError, EOFError) as error:
-        raise MeshError(f"{path} cannot be read as a mesh ({error or 'no reader accepts it'}); "
-                        "expected VTK, VTU, MSH, STL, PLY, OBJ or another format of meshio") from error
+        raise MeshError(
+            f"{path} cannot be read as a mesh ({error or 'no reader accepts it'}); "
+            "expected VTK, VTU, MSH, STL, PLY, OBJ or another format of meshio"
+        ) from error
 
 
 def _cells(content: meshio.Mesh, path: Path) -> np.ndarray:

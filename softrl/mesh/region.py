@@ -1,6 +1,7 @@
 """Which nodes are clamped or move as a rigid part, and which layer an element belongs to."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -40,11 +41,14 @@ class Regions:
         for low, high in zip(self.rib_from_m, self.rib_to_m, strict=True):
             heights += [low, high]
         heights += [self.plate_from_m, self.plate_to_m]
-        if any(a >= b for a, b in zip(heights, heights[1:], strict=False)):
-            raise ConfigError(f"stage.regions: base, ribs from below and plate are at {heights} m; expected rising heights")
+        if any(a >= b for a, b in pairwise(heights)):
+            raise ConfigError(
+                f"stage.regions: base, ribs from below and plate are at {heights} m; expected them rising"
+            )
         if self.tolerance_m < 0 or self.rib_radius_m <= 0:
             raise ConfigError(
-                f"stage.regions.tolerance_m={self.tolerance_m:g}, rib_radius_m={self.rib_radius_m:g}; expected 0 or more, and positive"
+                f"stage.regions.tolerance_m={self.tolerance_m:g}, rib_radius_m={self.rib_radius_m:g}; "
+                "expected 0 or more, and a positive radius"
             )
 
 

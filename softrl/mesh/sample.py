@@ -9,7 +9,9 @@ from softrl.core.errors import ConfigError, MeshError
 from softrl.mesh.geometry import TripodGeometry
 from softrl.mesh.tetrahedra import Tetrahedra, TetrahedraSettings, tidy
 
-SAMPLES = Path(__file__).resolve().parents[2] / "assets" / "tripod"
+PACKAGE = Path(__file__).resolve().parents[1]
+# beside the package in the repository, inside it when installed
+SAMPLES = next((p / "assets" / "tripod" for p in (PACKAGE, PACKAGE.parent) if (p / "assets").is_dir()), PACKAGE)
 PATTERN = "sample_mesh*.npz"
 
 

@@ -12,7 +12,7 @@ from softrl.core.tracking import Tracker
 from softrl.mesh.cavity import Cavities, cavities_of, find_cavities
 from softrl.mesh.figures import draw_cuts, draw_quality
 from softrl.mesh.geometry import TripodGeometry, build_tripod
-from softrl.mesh.quality import check_elements, smallest_dihedral
+from softrl.mesh.quality import check_orientation, check_slivers, smallest_dihedral
 from softrl.mesh.reader import join_surfaces, read_mesh, read_surface
 from softrl.mesh.region import Regions, layer_of_elements, tag_nodes
 from softrl.mesh.sample import read_sample
@@ -62,28 +62,32 @@ class Config:
 def run(config: Config, robot: Robot, *, tracker: Tracker) -> Mesh:
     """Return the robot's mesh with its regions and cavities, checked; log sizes, volumes and quality."""
     name = config.source if config.source in (SAMPLE, GENERATE) else Path(config.source).name
-    solid = _solid(config, robot)
+    solid = _solid(config, robot, name)
+    check_orientation(solid, name)
     cavities = find_cavities(solid, robot, name)
-    check_elements(solid, config.min_dihedral_deg, name)
+    check_slivers(solid, config.min_dihedral_deg, name)
     mesh = _assemble(config, robot, solid, cavities, name)
     mesh.validate()
     _report(mesh, solid, config, robot, tracker)
     return mesh
 
 
-def _solid(config: Config, robot: Robot) -> Tetrahedra:
+def _solid(config: Config, robot: Robot, name: str) -> Tetrahedra:
     if config.source == SAMPLE:
         return read_sample(config.geometry, config.tetrahedra)
-    if config.source == GENERATE:
-        return tetrahedralize(build_tripod(config.geometry, robot), config.tetrahedra)
-    body = read_mesh(Path(config.source), config.unit_m, robot)
-    if config.cavity_surfaces:
-        outside = Surface(body.points, body.boundary()) if isinstance(body, Tetrahedra) else body
-        body = join_surfaces(outside, [read_surface(Path(path), config.unit_m) for path in config.cavity_surfaces])
+    body = build_tripod(config.geometry, robot) if config.source == GENERATE else _read_own(config, robot)
     if isinstance(body, Tetrahedra):
         return body
-    cavities_of(body, robot, Path(config.source).name)  # a wrong surface is refused before minutes of meshing
+    cavities_of(body, robot, name)  # a wrong surface is refused before it is meshed
     return tetrahedralize(body, config.tetrahedra)
+
+
+def _read_own(config: Config, robot: Robot) -> Tetrahedra | Surface:
+    body = read_mesh(Path(config.source), config.unit_m, robot)
+    if not config.cavity_surfaces:
+        return body
+    outside = Surface(body.points, body.boundary()) if isinstance(body, Tetrahedra) else body
+    return join_surfaces(outside, [read_surface(Path(path), config.unit_m) for path in config.cavity_surfaces])
 
 
 def _assemble(config: Config, robot: Robot, solid: Tetrahedra, cavities: Cavities, name: str) -> Mesh:
@@ -112,7 +116,6 @@ def _report(mesh: Mesh, solid: Tetrahedra, config: Config, robot: Robot, tracker
     height = 0.5 * (rib[0] + config.regions.rib_to_m[0]) if rib else 0.5 * robot.length_m
     tracker.figure("cuts", draw_cuts(mesh, robot.chamber_angle_deg[0], height))
     tracker.figure("quality", draw_quality(angle, config.min_dihedral_deg))
-    log.info(
-        "%d nodes, %d tetrahedra, %.1f cm3 of solid, cavities of %s cm3, smallest dihedral angle %.1f deg",
-        len(mesh.points), len(mesh.tetrahedra), 1e6 * mesh.volume(), ", ".join(f"{v:.1f}" for v in volumes), angle.min(),
-    )  # fmt: skip
+    size = f"{len(mesh.points)} nodes, {len(mesh.tetrahedra)} tetrahedra, {1e6 * mesh.volume():.1f} cm3 of solid"
+    hollow = ", ".join(f"{v:.1f}" for v in volumes)
+    log.info("%s, cavities of %s cm3, smallest dihedral angle %.1f deg", size, hollow, angle.min())

@@ -47,13 +47,14 @@ def check_closed(triangles: np.ndarray, points: np.ndarray, name: str) -> None:
     directed = directed_edges(triangles)
     _, index, uses = np.unique(np.sort(directed, axis=1), axis=0, return_index=True, return_counts=True)
     for wrong, what, remedy in (
-        (uses == 1, "open: {} edges belong to one triangle only", "close its holes (most mesh editors can), or export again"),
-        (uses > 2, "not a plain surface: {} edges belong to three or more triangles, so that parts touch along an edge",
+        (uses == 1, "open: {} edges belong to one triangle only", "close its holes, or export it again"),
+        (uses > 2, "no plain surface: {} edges belong to three or more triangles, where parts touch along an edge",
          "separate the parts, for instance a cavity that touches the outside"),
     ):  # fmt: skip
         if wrong.any():
-            at = 1e3 * points[directed[index[wrong][0]]].mean(axis=0)
-            raise MeshError(f"{name} is {what.format(int(wrong.sum()))}, e.g. at ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm; {remedy}")
+            x, y, z = 1e3 * points[directed[index[wrong][0]]].mean(axis=0)
+            many = what.format(int(wrong.sum()))
+            raise MeshError(f"{name} is {many}, the first at ({x:.1f}, {y:.1f}, {z:.1f}) mm; {remedy}")
     repeated = len(directed) - len(np.unique(directed, axis=0))
     if repeated:
         raise MeshError(f"{name} has {repeated} edges whose two triangles disagree on their normals; unify the normals")

@@ -1,4 +1,4 @@
-"""Constant-curvature body: closed-form kinematics and implicit Euler, compiled, effects acting inside each step.
+"""Constant-curvature body, compiled: closed-form kinematics, implicit Euler, effects inside each step.
 
 Coordinates of the body are ``(b_x, b_y, epsilon)``: bend angle towards +x and +y in rad, and elongation of
 the backbone relative to its length at rest. The robot moves in the columns of a basis of them (one column for
@@ -32,6 +32,7 @@ ACCEPTED = 1e-7  # at a kink of friction or contact: 20 nm at the tip of a robot
 MAX_ITERATIONS = 60
 SERIES_BELOW = 0.25  # squared bend angle under which the series beat the closed forms
 NUDGE = 1e-7  # of a coordinate, for the Jacobian by differences
+SLOW = 0.2  # a Newton step that shrinks less than to this share asks for a new Jacobian
 SHORTEST = 1e-4  # share of a Newton step below which it is taken as it is
 
 # columns of the work array that one step fills
@@ -40,7 +41,7 @@ _LAST, _VELOCITY, _TRIAL, _RESIDUAL, _STEP, _OTHER, _NEXT = range(7)
 
 @nb.njit(cache=True)
 def shape_functions(x: float) -> tuple[float, float, float, float, float, float]:
-    """Return f, g, F and their derivatives by the bend angle over the bend angle, at squared bend angle ``x``.
+    """Return f, g, F and their derivatives by the bend angle b, over b, at ``x = b^2``.
 
     ``f = (1 - cos b) / b^2``, ``g = sin b / b``, ``F = (b - sin b) / b^3``: all are entire functions of
     ``b^2``, which the power series show; the closed forms lose digits near zero.
@@ -86,7 +87,7 @@ def _residual(
     tips: np.ndarray,
     commit: bool,
 ) -> None:
-    """Fill ``out`` (m,) with inertia + damping + elasticity + effects - pressure - loads at trial ``y``, in J."""
+    """Fill ``out`` (m,) with inertia + damping + elasticity + effects - pressure - loads at ``y``, in J."""
     basis, stiffness, damping, mass, push, to_strain, to_elastic, slope, rest, scalars, gravity = model
     body_kernels, body_parameters, body_states, load_kernels, load_parameters, load_states = hooks
     body_port, load_port = ports
@@ -213,9 +214,7 @@ def solve_step(
             for j in range(m):
                 kept = trial[j]
                 trial[j] = kept + NUDGE
-                _residual(
-                    trial, other, work, dt, pressure, tip_force, model, hooks, ports, strains, tips, False
-                )
+                _residual(trial, other, work, dt, pressure, tip_force, model, hooks, ports, strains, tips, False)
                 trial[j] = kept
                 for i in range(m):
                     jacobian[i, j] = (other[i] - residual[i]) / NUDGE
@@ -238,9 +237,14 @@ def solve_step(
             share = shorter
             if not fresh:
                 break
-        stale = share == 0.0 or after > 0.2 * size
+        if after < TOLERANCE and share > 0.0:
+            for i in range(m):
+                trial[i] += work[_NEXT, i]
+            return True
+        stale = share == 0.0 or after > SLOW * size
         if share > 0.0:
-            residual[:] = other
+            for i in range(m):
+                residual[i] = other[i]
         if 0.0 < share < SHORTEST and size < ACCEPTED:
             return True  # at the very kink, where no slope leads on
     return size < ACCEPTED
@@ -258,7 +262,7 @@ def run_kernel(
     position: np.ndarray,
     quaternion: np.ndarray,
 ) -> int:
-    """Advance ``y`` and ``velocity`` (m,) in place over every row of ``pressure``; return the steps that failed.
+    """Advance ``y`` and ``velocity`` (m,) in place over all rows of ``pressure``; return the steps that failed.
 
     ``position`` (steps, 3) and ``quaternion`` (steps, 4) are filled.
     """
@@ -283,9 +287,7 @@ def run_kernel(
         for i in range(m):
             work[_LAST, i], work[_VELOCITY, i] = y[i], velocity[i]
             work[_TRIAL, i] = y[i] + dt * velocity[i]
-        if not solve_step(
-            work, jacobian, inverse, dt, pressure[k], tip_force[k], model, hooks, ports, strains, tips
-        ):
+        if not solve_step(work, jacobian, inverse, dt, pressure[k], tip_force[k], model, hooks, ports, strains, tips):
             failed += 1
             inverse[0, 0] = 0.0
         for i in range(m):

@@ -20,7 +20,7 @@ _PORT = nb.types.FunctionType(PORT_KERNEL)
 
 
 class PccState(NamedTuple):
-    """Coordinates (m,) and velocity (m,) 1/s: bend towards +x, towards +y in rad, elongation; one bend if one chamber."""
+    """Coordinates (m,) and velocity (m,) 1/s: bend to +x and +y in rad, elongation; one chamber: its bend."""
 
     coordinates: np.ndarray
     velocity: np.ndarray
@@ -89,16 +89,15 @@ class PccSimulator:
             raise ConfigError(
                 f"simulator pcc has no parameter {', '.join(sorted(unknown))}; it has {', '.join(self._tunable)}"
             )
-        return replace(self, **values)
+        changed: dict[str, Any] = dict(values)
+        return replace(self, **changed)
 
     @property
     def stiffness(self) -> np.ndarray:
         """(3,) J: of b_x, b_y (per rad^2) and elongation."""
         r = self.robot
         bending = r.pressure_max_pa * r.chamber_area_m2 * r.chamber_radius_m / self.bend_at_full_pressure_rad
-        axial = (
-            r.chambers * r.pressure_max_pa * r.chamber_area_m2 * r.length_m / self.elongation_at_full_pressure
-        )
+        axial = r.chambers * r.pressure_max_pa * r.chamber_area_m2 * r.length_m / self.elongation_at_full_pressure
         return np.array([bending, bending, axial]) * [
             self.bending_stiffness_scale,
             self.bending_stiffness_scale,
@@ -148,9 +147,7 @@ class PccSimulator:
         order = 1 if self.robot.chambers == 1 else 3
         loads_only = (*_no_hooks()[:3], *hooks[3:])
         y = np.zeros(order)
-        held = (
-            np.zeros((1, self.robot.chambers)) if pressure is None else np.atleast_2d(pressure).astype(float)
-        )
+        held = np.zeros((1, self.robot.chambers)) if pressure is None else np.atleast_2d(pressure).astype(float)
         self._run(
             y,
             np.zeros(order),
@@ -234,15 +231,13 @@ class PccSimulator:
         model = self._model_about(self._equilibrium(hooks)) if load else self._model
         y, velocity = model[8].copy(), np.zeros_like(model[8])
         held = np.ascontiguousarray(pressure, dtype=float)
-        force = (
-            np.zeros((len(time), 3)) if tip_force is None else np.ascontiguousarray(tip_force, dtype=float)
-        )
+        force = np.zeros((len(time), 3)) if tip_force is None else np.ascontiguousarray(tip_force, dtype=float)
         position, quaternion = self._run(y, velocity, float(time[1] - time[0]), held, force, model, hooks)
         return Motion(np.asarray(time, dtype=float), position, quaternion, held)
 
 
 def _typed(body: Sequence[Hook], load: Sequence[Hook]) -> tuple[Any, ...]:
-    """Return kernels, parameters and states of the body's, then of the load's hooks, as the compiled code takes them."""
+    """Return kernels, parameters, states of the body's, then the load's hooks, as compiled code takes them."""
     lists: list[Any] = []
     for hooks in (body, load):
         kernels = List.empty_list(_PORT)
@@ -259,7 +254,7 @@ _RUNNING: list[Any] = []
 
 
 def _running(body: Sequence[Hook], load: Sequence[Hook]) -> tuple[Any, ...]:
-    """Return the typed hooks of a caller who steps: the same sequences as in the call before are typed once."""
+    """Return the typed hooks of a caller who steps: the same sequences as before are typed once."""
     if not (body or load):
         return _no_hooks()
     if not _RUNNING or _RUNNING[0] is not body or _RUNNING[1] is not load:

@@ -8,6 +8,7 @@ import logging
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from softrl.pod.polynomial import basis
 from softrl.pod.symmetry import Equilibria
@@ -95,4 +96,5 @@ def solve(normal: Normal, order: int, degree: int, ridge: float) -> np.ndarray:
     scale = np.sqrt(np.diag(matrix))
     scale = np.where(scale > 0.0, scale, 1.0)
     scaled = matrix / scale / scale[:, None] + ridge * np.eye(size)
-    return np.r_[np.zeros(order + 1), np.linalg.solve(scaled, right / scale) / scale]
+    factor = cho_factor(scaled, lower=True, overwrite_a=True, check_finite=False)
+    return np.r_[np.zeros(order + 1), cho_solve(factor, right / scale, check_finite=False) / scale]

@@ -61,8 +61,7 @@ def fit_model(
     fold = rng.permutation(np.arange(len(samples.load)) % settings.folds)
     frame = frame_of(samples)
     draft = _draft(robot, snapshots, samples, pod, frame)
-    kinds = _kinds(robot)
-    normals = {kind: _fold_normals(settings, robot, samples, frame, fold, kind) for kind in kinds}
+    normals = _fold_normals(settings, robot, samples, frame, fold)
     choices = _tried(settings, draft, samples, fold, normals)
     best = choices[0]
     log.info(
@@ -114,16 +113,27 @@ def _draft(
 
 
 def _fold_normals(
-    settings: FitSettings, robot: Robot, samples: Equilibria, frame: np.ndarray, fold: np.ndarray, kind: str
-) -> list[Normal]:
-    """Return the equations of each fold apart: those of all folds but one are the sum less that one."""
-    operations = symmetries(robot.chamber_direction, kind)
-    return [
-        accumulate(
-            reflected(samples.rows(fold == part), operations), frame, settings.energy_degree_max, settings.weights
-        )
-        for part in range(settings.folds)
-    ]
+    settings: FitSettings, robot: Robot, samples: Equilibria, frame: np.ndarray, fold: np.ndarray
+) -> dict[str, list[Normal]]:
+    """Return by kind of symmetry the equations of each fold: those of all folds but one are the sum less that one.
+
+    Each kind's symmetries begin with the kind's before, so only the further ones are added.
+    """
+    normals: dict[str, list[Normal]] = {}
+    before: list[Normal] = []
+    done = 0
+    for kind in _kinds(robot):
+        further = symmetries(robot.chamber_direction, kind)[done:]
+        done += len(further)
+        added = [
+            accumulate(
+                reflected(samples.rows(fold == part), further), frame, settings.energy_degree_max, settings.weights
+            )
+            for part in range(settings.folds)
+        ]
+        before = [_sum([a, b]) for a, b in zip(before, added, strict=True)] if before else added
+        normals[kind] = before
+    return normals
 
 
 def _sum(normals: list[Normal]) -> Normal:
@@ -133,18 +143,29 @@ def _sum(normals: list[Normal]) -> Normal:
 def _tried(
     settings: FitSettings, draft: ReducedModel, samples: Equilibria, fold: np.ndarray, normals: dict[str, list[Normal]]
 ) -> list[Choice]:
-    """Return all candidates by rising error of the tip in cross-validation."""
-    choices = []
+    """Return the candidates by rising error of the tip in cross-validation.
+
+    First all symmetries and degrees at the middle ridge, then the other ridges at the best symmetry, near its degree.
+    """
+    seen = {}
     for kind, parts in normals.items():
         total = _sum(parts)
-        seen = [Normal(total.matrix - part.matrix, total.right - part.right) for part in parts]
-        for degree in range(2, settings.energy_degree_max + 1):
-            for ridge in settings.ridges:
-                squares = 0.0
-                for part, normal in enumerate(seen):
-                    energy = solve(normal, draft.order, degree, ridge)
-                    squares += _squared_tip_errors(replace(draft, energy=energy), samples.rows(fold == part)).sum()
-                choices.append(Choice(kind, degree, ridge, float(np.sqrt(squares / len(fold)))))
+        seen[kind] = [Normal(total.matrix - part.matrix, total.right - part.right) for part in parts]
+
+    def tried(kind: str, degree: int, ridge: float) -> Choice:
+        squares = 0.0
+        for part, normal in enumerate(seen[kind]):
+            energy = solve(normal, draft.order, degree, ridge)
+            squares += _squared_tip_errors(replace(draft, energy=energy), samples.rows(fold == part)).sum()
+        return Choice(kind, degree, ridge, float(np.sqrt(squares / len(fold))))
+
+    ridges = sorted(settings.ridges)
+    middle = ridges.pop(len(ridges) // 2)
+    degrees = range(2, settings.energy_degree_max + 1)
+    choices = [tried(kind, degree, middle) for kind in seen for degree in degrees]
+    best = min(choices, key=lambda choice: choice.tip_error_m)
+    near = [degree for degree in degrees if abs(degree - best.degree) <= 1]
+    choices += [tried(best.symmetry, degree, ridge) for degree in near for ridge in ridges]
     return sorted(choices, key=lambda choice: choice.tip_error_m)
 
 

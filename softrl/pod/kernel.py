@@ -1,8 +1,9 @@
 """The energy ROM compiled: potential, implicit Euler with effects inside the step, tip pose.
 
 Unknowns are ``y`` with ``z = frame y``. The samples of the model fill the ball ``|y| <= 1``; outside it the potential
-goes on as its quadratic part at rest plus the rest of it continued linearly along rays from the origin: once
-differentiable, growing like a square, and with bounded curvature.
+goes on along rays from the origin as its Taylor polynomial of second order at the sphere: twice differentiable, growing
+like a square, with bounded curvature. A part P_d of degree d becomes ``w_d(|y|) P_d(y / |y|)``,
+``w_d(r) = 1 + d (r - 1) + d (d - 1) (r - 1)^2 / 2``; degrees up to two go on unchanged.
 """
 
 import math
@@ -31,7 +32,7 @@ class Tables(NamedTuple):
     frame, inverse : (r, r) z per y and y per z
     parent, variable, degrees : (k,) how monomials are made
     gradient : (r, k), hessian : (pairs, k) J, of elastic energy and weight together
-    quadratic : (r, r) J, elastic Hessian at rest: the potential's growth outside the ball
+    quadratic : (r, r) J, elastic Hessian at rest: what makes an indefinite Newton matrix definite
     mass_root, stiffness_root : (r r, k)
     weight : (3, r, k) N/(m/s^2) m, mass times the gradient of the centre of mass by y
     rotation : (3, k) rad
@@ -94,10 +95,7 @@ def polynomial(coefficients: np.ndarray, values: np.ndarray) -> float:
 def fill_potential(
     y: np.ndarray, tables: Any, values: np.ndarray, point: np.ndarray, gradient: np.ndarray, hessian: np.ndarray
 ) -> float:
-    """Fill gradient (r,) and Hessian (r, r) of the potential at ``y`` in J; return ``|y|``.
-
-    Outside the ball the gradient is exact; the Hessian leaves out third derivatives.
-    """
+    """Fill gradient (r,) and Hessian (r, r) of the potential at ``y`` in J; return ``|y|``."""
     r = len(y)
     radius = to_ball(y, point)
     fill_monomials(point, tables.parent, tables.variable, values)
@@ -110,54 +108,61 @@ def fill_potential(
             hessian[j, i] = hessian[i, j]
             pair += 1
     if radius > 1.0:
-        _continue(radius, tables.quadratic, point, gradient, hessian)
+        _continue(radius, tables, values, point, gradient, hessian)
     return radius
 
 
 @nb.njit(cache=True)
-def _continue(radius: float, quadratic: np.ndarray, u: np.ndarray, gradient: np.ndarray, hessian: np.ndarray) -> None:
-    """Turn the derivatives at the ball's point ``u`` into those at ``radius u``.
+def _continue(
+    radius: float, tables: Any, values: np.ndarray, u: np.ndarray, gradient: np.ndarray, hessian: np.ndarray
+) -> None:
+    """Turn the derivatives at the sphere's point ``u`` into those at ``radius u``.
 
-    With P the potential less its quadratic part, P(u) + (radius - 1) u.P'(u) continues it.
+    With P_d of degree d, ``f_d(r) = w_d(r) / r^d`` and ``sum f_d(|y|) P_d(y)`` the potential outside; P_d and its
+    gradient are tied by ``u.P_d' = d P_d``.
     """
-    r, beyond = len(u), radius - 1.0
-    slope = np.empty(r)      # gradient of u.P'(u)
-    along = across = 0.0
+    r, terms = len(u), tables.gradient.shape[1]
+    second = tables.hessian.shape[1]
+    weighed = np.empty((3, terms))
+    for k in range(terms):
+        d = tables.degrees[k] + 1.0
+        value, slope, bend = _ray(d, radius)
+        first = slope - d * value / radius
+        weighed[0, k] = value / radius * values[k]
+        weighed[1, k] = first * values[k]
+        weighed[2, k] = (bend - 2.0 * d * slope / radius + d * (d + 1.0) * value / radius**2) / d * values[k]
+    curved = np.empty(second)
+    for k in range(second):
+        value, _, _ = _ray(tables.degrees[k] + 2.0, radius)
+        curved[k] = value / radius**2 * values[k]
+    side = np.empty(r)
+    along = bending = 0.0
     for i in range(r):
-        bent = 0.0
-        for j in range(r):
-            gradient[i] -= quadratic[i, j] * u[j]
-            hessian[i, j] -= quadratic[i, j]
-            bent += hessian[i, j] * u[j]
-        slope[i] = gradient[i] + bent
+        side[i] = polynomial(tables.gradient[i], weighed[1]) / radius
+        bending += u[i] * polynomial(tables.gradient[i], weighed[2])
+        gradient[i] = polynomial(tables.gradient[i], weighed[0])
+    for k in range(terms):
+        weighed[1, k] /= tables.degrees[k] + 1.0
     for i in range(r):
-        along += u[i] * gradient[i]
-        across += u[i] * slope[i]
-    total = np.empty(r)
-    inward = along + beyond * across
-    turned = np.empty(r)     # Hessian times u, for projecting it
-    twice = 0.0
+        along += u[i] * polynomial(tables.gradient[i], weighed[1])
     for i in range(r):
-        total[i] = gradient[i] + beyond * slope[i] - inward * u[i]
-        slope[i] -= across * u[i]
-        turned[i] = 0.0
-        for j in range(r):
-            turned[i] += hessian[i, j] * u[j]
+        gradient[i] += along * u[i]
+    pair = 0
     for i in range(r):
-        twice += u[i] * turned[i]
-    for i in range(r):
-        gradient[i] = total[i] / radius + along * u[i]
-        for j in range(r):
-            gradient[i] += quadratic[i, j] * radius * u[j]
-    bending = (1.0 + 2.0 * beyond) / radius**2
-    for i in range(r):
-        for j in range(r):
-            flat = (1.0 if i == j else 0.0) - u[i] * u[j]
-            tangent = hessian[i, j] - turned[i] * u[j] - u[i] * turned[j] + twice * u[i] * u[j]
+        for j in range(i, r):
             hessian[i, j] = (
-                quadratic[i, j] + bending * tangent + (along / radius - inward / radius**2) * flat
-                + u[i] * (slope[j] / radius - total[j] / radius**2) + u[j] * (slope[i] / radius - total[i] / radius**2)
+                polynomial(tables.hessian[pair], curved) + side[i] * u[j] + u[i] * side[j]
+                + (bending - along / radius) * u[i] * u[j] + (along / radius if i == j else 0.0)
             )
+            hessian[j, i] = hessian[i, j]
+            pair += 1
+
+
+@nb.njit(cache=True)
+def _ray(degree: float, radius: float) -> tuple[float, float, float]:
+    """Return w_d and its two derivatives at ``radius``."""
+    beyond, bend = radius - 1.0, degree * (degree - 1.0)
+    return 1.0 + beyond * (degree + 0.5 * bend * beyond), degree + bend * beyond, bend
 
 
 @nb.njit(cache=True, fastmath=_FAST)

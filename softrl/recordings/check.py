@@ -1,4 +1,4 @@
-"""How good the data are, before anything is concluded from them: sampling, clipping, excitation, noise floor."""
+"""How good the data are before anything is concluded: sampling, clipping, excitation, noise floor."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -156,9 +156,7 @@ def _repeatability(recordings: RecordingSet) -> dict[str, float]:
         for other in runs[i + 1 :]:
             count = min(len(one.time), len(other.time))
             same_time = np.allclose(np.diff(one.time[:count]), np.diff(other.time[:count]), rtol=0.01)
-            if not same_time or not np.allclose(
-                one.pressure_cmd[:count], other.pressure_cmd[:count], rtol=1e-6
-            ):
+            if not same_time or not np.allclose(one.pressure_cmd[:count], other.pressure_cmd[:count], rtol=1e-6):
                 continue
             theirs = dict(_sensed(other))
             for channel, values in _sensed(one):
@@ -187,19 +185,17 @@ def _excitation_warnings(excited: tuple[int, ...], robot: Robot) -> Iterator[str
 def _held_warnings(held: dict[str, float]) -> Iterator[str]:
     for channel, share in held.items():
         if share > 0.3:
-            yield f"{channel} repeats its last value in {share:.0%} of the samples: its sensor is slower than the file"
+            yield f"{channel} repeats its last value in {share:.0%} of the samples: the sensor is slower"
 
 
 def _clipping_warnings(recording: Recording) -> Iterator[str]:
-    command_moves = np.any(
-        np.diff(recording.pressure_cmd, axis=0, prepend=recording.pressure_cmd[:1]) != 0.0, axis=1
-    )
+    command_moves = np.any(np.diff(recording.pressure_cmd, axis=0, prepend=recording.pressure_cmd[:1]) != 0.0, axis=1)
     for channel, values in _sensed(recording):
         for i, series in enumerate(values.T):
             for extreme, name in ((series.max(), "maximum"), (series.min(), "minimum")):
                 share = float(np.mean((series == extreme) & command_moves))
                 if share > CLIPPED_SHARE and np.ptp(series) > 0.0:
-                    yield f"{channel}[{i}] stays at its {name} {extreme:g} in {share:.0%} of the samples: clipped?"
+                    yield f"{channel}[{i}] is at its {name} {extreme:g} in {share:.0%} of the samples: clipped?"
 
 
 def _jump_warnings(recording: Recording) -> Iterator[str]:

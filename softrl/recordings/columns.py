@@ -77,7 +77,7 @@ def _match(name: str, robot: Robot | None, path: Path) -> tuple[str, int, float]
             return "pressure_cmd", int(hit["number"] or 1) - 1, robot.command_to_pa
     hint = ""
     if re.fullmatch(r"[a-z_]+\d*_cmd", name) and robot is not None:
-        hint = f"; robot {robot.name} has robot.command={robot.command}: set it to '{name[:-4]}' if this is its command"
+        hint = f"; robot.command={robot.command} of {robot.name}: set it to '{name[:-4]}' if this is its command"
     raise RecordingError(f"{path}, line 1: unknown column '{name}'; expected {EXPECTED}{hint}")
 
 
@@ -112,7 +112,7 @@ def _require_complete(found: Columns, header: list[str], robot: Robot | None, pa
             have = ", ".join(header[number] for number, _ in place.values())
             who = f" for robot {robot.name}" if robot is not None and channel.startswith("pressure") else ""
             raise RecordingError(
-                f"{path}, line 1: {channel} needs {width} column(s){who}, numbered without a hole, found {have}; "
+                f"{path}, line 1: {channel} needs {width} column(s){who}, without a hole, found {have}; "
                 "add or rename columns, or choose the robot that made the recording"
             )
 

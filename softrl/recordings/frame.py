@@ -12,7 +12,7 @@ def axis_vector(axis: str) -> np.ndarray:
 
 
 def rotation_between(axis: str, wanted: str) -> Rotation:
-    """Return the shortest rotation that turns ``axis`` onto ``wanted``; half a turn about x (or y) if opposite."""
+    """Return the shortest rotation of ``axis`` onto ``wanted``; half a turn about x (or y) if opposite."""
     start, end = axis_vector(axis), axis_vector(wanted)
     normal = np.cross(start, end)
     if not normal.any() and start @ end < 0.0:
@@ -26,7 +26,7 @@ def rotate(rotation: Rotation, vectors: np.ndarray) -> np.ndarray:
 
 
 def turn(rotation: Rotation, quaternion: np.ndarray) -> np.ndarray:
-    """Return orientations (steps, 4) between two bodies whose frames are both turned: no motion stays no motion."""
+    """Return orientations (steps, 4) between two bodies whose frames are both turned: rest stays rest."""
     turned = rotation * Rotation.from_quat(quaternion, scalar_first=True) * rotation.inv()
     return continuous_quaternion(turned.as_quat(scalar_first=True))
 

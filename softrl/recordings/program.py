@@ -69,14 +69,14 @@ def triangles(
 
 
 def staircase(robot: Robot, chamber: int, levels: int, repeats: int, period_s: float, dt_s: float) -> Program:
-    """Return triangles of one chamber with rising maxima, each repeated: shows softening above a new maximum only."""
+    """Return one chamber's triangles of rising maxima, each repeated: softening shows after a new maximum."""
     peaks = np.repeat(np.arange(1, levels + 1) / levels, repeats) * robot.pressure_max_pa
     wave = _triangle(round(period_s / dt_s))
     return _program(robot, _one_chamber(robot, chamber, (peaks[:, None] * wave).ravel()), dt_s)
 
 
 def limited(robot: Robot, pressure: np.ndarray, dt_s: float) -> np.ndarray:
-    """Return ``pressure`` (steps, chambers) Pa within the limits, changing no faster than the slew, from 0 Pa."""
+    """Return ``pressure`` (steps, chambers) Pa within the robot's limits and slew, starting from 0 Pa."""
     wanted = np.clip(pressure, robot.pressure_min_pa, robot.pressure_max_pa)
     reach = robot.slew_pa_per_s * dt_s
     sent, last = np.empty_like(wanted), np.zeros(wanted.shape[1])
@@ -86,9 +86,7 @@ def limited(robot: Robot, pressure: np.ndarray, dt_s: float) -> np.ndarray:
     return sent
 
 
-def record(
-    driver: Driver, robot: Robot, time: np.ndarray, pressure: np.ndarray, name: str, session: str
-) -> Recording:
+def record(driver: Driver, robot: Robot, time: np.ndarray, pressure: np.ndarray, name: str, session: str) -> Recording:
     """Return what a connected ``driver`` reports while it runs a program, on the device's own clock.
 
     Parameters
@@ -146,9 +144,7 @@ def _triangle(steps: int) -> np.ndarray:
 
 def _one_chamber(robot: Robot, chamber: int, wave: np.ndarray) -> np.ndarray:
     if not 0 <= chamber < robot.chambers:
-        raise ConfigError(
-            f"chamber={chamber} does not exist; robot {robot.name} has chambers 0..{robot.chambers - 1}"
-        )
+        raise ConfigError(f"chamber={chamber} does not exist; robot {robot.name} has chambers 0..{robot.chambers - 1}")
     pressure = np.zeros((len(wave), robot.chambers))
     pressure[:, chamber] = wave
     return pressure

@@ -62,7 +62,7 @@ def read(folder: Path | str, robot: Robot | None) -> RecordingSet:
     head, sessions = _dataset(folder)
     if robot is not None and head["robot"] != robot.name:
         raise RecordingError(
-            f"{folder / DATASET}: robot '{head['robot']}' made these recordings, but robot '{robot.name}' is chosen; "
+            f"{folder / DATASET}: robot '{head['robot']}' made these recordings, but '{robot.name}' is chosen; "
             f"choose robot={head['robot']}"
         )
     recordings = tuple(
@@ -78,9 +78,7 @@ def read(folder: Path | str, robot: Robot | None) -> RecordingSet:
 def _dataset(folder: Path) -> tuple[dict[str, Any], list[Session]]:
     path = folder / DATASET
     if not folder.is_dir():
-        raise RecordingError(
-            f"{folder} is no folder; expected a dataset folder with {DATASET} and one CSV a run"
-        )
+        raise RecordingError(f"{folder} is no folder; expected a dataset folder with {DATASET} and one CSV a run")
     if not path.is_file():
         raise RecordingError(f"{path} is missing; expected a file with at least the line 'robot: <name>'")
     text = path.read_text()
@@ -90,9 +88,7 @@ def _dataset(folder: Path) -> tuple[dict[str, Any], list[Session]]:
     except yaml.YAMLError as error:
         raise RecordingError(f"{path} is no YAML: {' '.join(str(error).split())}") from error
     if not isinstance(names, dict) or not isinstance(names.get("robot"), str):
-        raise RecordingError(
-            f"{path}: key 'robot' is missing; expected the name of the robot, as in conf/robot"
-        )
+        raise RecordingError(f"{path}: key 'robot' is missing; expected the name of the robot, as in conf/robot")
     notes = {key: value for key, value in typed.items() if key not in ("robot", "sessions", "units", "frame")}
     return {"robot": names["robot"], "notes": notes}, _sessions(names.get("sessions"), folder)
 
@@ -103,16 +99,12 @@ def _sessions(entry: Any, folder: Path) -> list[Session]:
     if entry is None or entry == "":
         return [Session(run, (run,)) for run in present]
     if not isinstance(entry, dict):
-        raise RecordingError(
-            f"{path}: sessions must map a name to {{runs: [...]}}, got {type(entry).__name__}"
-        )
+        raise RecordingError(f"{path}: sessions must map a name to {{runs: [...]}}, got {type(entry).__name__}")
     sessions = [_session(name, value, path) for name, value in entry.items()]
     named = [run for session in sessions for run in session.runs]
     for run in named:
         if named.count(run) > 1:
-            raise RecordingError(
-                f"{path}: run '{run}' is named {named.count(run)} times; each run has one session"
-            )
+            raise RecordingError(f"{path}: run '{run}' is named {named.count(run)} times; each run has one session")
         if run not in present:
             raise RecordingError(
                 f"{path}: run '{run}' is named, but {folder / f'{run}.csv'} does not exist; "
@@ -127,9 +119,7 @@ def _sessions(entry: Any, folder: Path) -> list[Session]:
 def _session(name: str, value: Any, path: Path) -> Session:
     value = {"runs": value} if isinstance(value, list) else value
     if not isinstance(value, dict) or not isinstance(value.get("runs"), list) or not value["runs"]:
-        raise RecordingError(
-            f"{path}: session '{name}' needs 'runs: [...]' with at least one run, got {value!r}"
-        )
+        raise RecordingError(f"{path}: session '{name}' needs 'runs: [...]' with at least one run, got {value!r}")
     axis = value.get("axis")
     if axis is not None and axis not in AXES:
         raise RecordingError(f"{path}: session '{name}' has axis '{axis}'; expected one of {', '.join(AXES)}")
@@ -181,7 +171,8 @@ def _bad_cell(path: Path, header: list[str], lines: list[str]) -> str:
             try:
                 float(cell)
             except ValueError:
-                return f"{path}, line {number}, column '{column}': '{cell.strip()}' is no number; correct or drop the row"
+                where = f"{path}, line {number}, column '{column}'"
+                return f"{where}: '{cell.strip()}' is no number; correct or drop the row"
     return f"{path} cannot be read as comma-separated numbers; expected a header line and one line a sample"
 
 

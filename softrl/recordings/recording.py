@@ -72,13 +72,11 @@ class RecordingSet(Artifact):
             for channel, values in recording.channels():
                 if len(values) != len(recording.time):
                     raise ArtifactError(
-                        f"run {recording.name}: {channel} has {len(values)} rows for {len(recording.time)} times"
+                        f"run {recording.name}: {channel} has {len(values)} rows, time {len(recording.time)}"
                     )
                 if not np.isfinite(values).all():
                     bad = int((~np.isfinite(values)).sum())
-                    raise ArtifactError(
-                        f"run {recording.name}: {channel} holds {bad} values that are not finite"
-                    )
+                    raise ArtifactError(f"run {recording.name}: {channel} holds {bad} values that are not finite")
 
     def write(self, folder: Path) -> None:
         """Write a dataset folder, with the artifact's own record beside it."""

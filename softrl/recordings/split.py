@@ -35,8 +35,8 @@ def split(
     if len(groups) < 2:
         kind = "session" if by_session else "run"
         raise RecordingError(
-            f"recordings of {recordings.robot_name} hold one {kind} ('{groups[0]}'); expected two or more, so that a "
-            "fit can be judged on data it has not seen; record another"
+            f"recordings of {recordings.robot_name} hold one {kind} ('{groups[0]}'); expected two or more, "
+            "so that a fit can be judged on data it has not seen; record another"
         )
     count = min(max(round(heldout_share * len(groups)), 1), len(groups) - 1)
     chosen = set(np.random.default_rng(seed).permutation(groups)[:count].tolist())

@@ -11,15 +11,11 @@ from softrl.robots.robot import Robot
 UNIT_RATIO = 20.0  # times the pressure limit: no sensor error, another unit
 REACH_LENGTHS = 5.0  # a tip farther from the base than this many lengths is in another unit
 TINY_SHARE = 5e-3  # a command that never reaches this share of the limit is in another unit
-MEASURED_MARGIN = (
-    0.25  # measured pressures may pass the limits by this share of the range: offsets, overshoot
-)
+MEASURED_MARGIN = 0.25  # measured pressures may pass the limits by this share of the range: offsets, overshoot
 SLOWEST_PERIOD_S = 5.0  # a slower median sampling period means that time is in another unit
 
 
-def require_values(
-    path: Path, header: list[str], table: np.ndarray, columns: Columns, robot: Robot | None
-) -> None:
+def require_values(path: Path, header: list[str], table: np.ndarray, columns: Columns, robot: Robot | None) -> None:
     """Raise ``RecordingError`` for the first value of ``table`` (steps, columns) that cannot be right."""
     _require_finite(path, header, table)
     _require_increasing(path, header, table, columns)
@@ -38,8 +34,8 @@ def _require_finite(path: Path, header: list[str], table: np.ndarray) -> None:
     if len(bad):
         row, column = bad[0]
         raise RecordingError(
-            f"{path}, line {_line(row)}, column '{header[column]}': {table[row, column]} ({len(bad)} such values); "
-            "expected numbers; drop the rows, or the column if the channel is optional"
+            f"{path}, line {_line(row)}, column '{header[column]}': {table[row, column]} "
+            f"({len(bad)} such values); expected numbers; drop the rows, or the column if the channel is optional"
         )
 
 
@@ -50,8 +46,8 @@ def _require_increasing(path: Path, header: list[str], table: np.ndarray, column
     if (step <= 0).any():
         row = int(np.argmax(step <= 0)) + 1
         raise RecordingError(
-            f"{path}, line {_line(row)}, column '{header[number]}': {time[row]:g} does not exceed {time[row - 1]:g} of the line "
-            "before; expected increasing time; sort the rows and drop repeated ones"
+            f"{path}, line {_line(row)}, column '{header[number]}': {time[row]:g} does not exceed "
+            f"{time[row - 1]:g} of the line before; expected increasing time; sort the rows and drop repeated ones"
         )
     period = float(np.median(step)) * factor
     if not 1e-6 <= period <= SLOWEST_PERIOD_S:
@@ -70,14 +66,12 @@ def _require_unit_quaternion(path: Path, header: list[str], table: np.ndarray, c
     if bad.any():
         row = int(np.argmax(bad))
         raise RecordingError(
-            f"{path}, line {_line(row)}, column '{header[place[0][0]]}': the quaternion has norm {norm[row]:g}; "
-            "expected 1 (order w x y z)"
+            f"{path}, line {_line(row)}, column '{header[place[0][0]]}': the quaternion has norm "
+            f"{norm[row]:g}; expected 1 (order w x y z)"
         )
 
 
-def _require_pressure(
-    path: Path, header: list[str], table: np.ndarray, columns: Columns, robot: Robot
-) -> None:
+def _require_pressure(path: Path, header: list[str], table: np.ndarray, columns: Columns, robot: Robot) -> None:
     low, high = robot.pressure_min_pa, robot.pressure_max_pa
     limit = max(abs(low), abs(high))
     tiny = True
@@ -96,15 +90,15 @@ def _require_pressure(
             else:
                 what = "clip the run, or correct robot.pressure_min_pa and pressure_max_pa if they are wrong"
             raise RecordingError(
-                f"{path}, line {_line(row)}, column '{header[number]}': {table[row, number]:g} is {pressure[row]:g} Pa; "
-                f"expected {low:g} to {high:g} Pa for robot {robot.name}; {what}"
+                f"{path}, line {_line(row)}, column '{header[number]}': {table[row, number]:g} is "
+                f"{pressure[row]:g} Pa; expected {low:g} to {high:g} Pa for robot {robot.name}; {what}"
             )
     names = [header[number] for number, _ in columns.channels["pressure_cmd"].values()]
     used = table[:, [header.index(name) for name in names]]
     if tiny and np.abs(used).max() > 0.0:
         raise RecordingError(
-            f"{path}, column '{names[0]}': no command exceeds {np.abs(used).max():g}, under {TINY_SHARE:.1%} of the limit "
-            f"{limit:g} Pa of robot {robot.name}; is the column in another unit?"
+            f"{path}, column '{names[0]}': no command exceeds {np.abs(used).max():g}, under {TINY_SHARE:.1%} of "
+            f"the limit {limit:g} Pa of robot {robot.name}; is the column in another unit?"
         )
 
 
@@ -117,11 +111,12 @@ def _require_reach(path: Path, header: list[str], table: np.ndarray, columns: Co
     row, name = int(np.argmax(reach)), header[place[0][0]]
     if reach[row] > REACH_LENGTHS * robot.length_m:
         raise RecordingError(
-            f"{path}, line {_line(row)}, column '{name}': the tip is {reach[row]:g} m from the base; expected at most "
-            f"{REACH_LENGTHS * robot.length_m:g} m ({REACH_LENGTHS:g} lengths of robot {robot.name}); is it in another unit?"
+            f"{path}, line {_line(row)}, column '{name}': the tip is {reach[row]:g} m from the base; "
+            f"expected at most {REACH_LENGTHS * robot.length_m:g} m ({REACH_LENGTHS:g} lengths of robot {robot.name}); "
+            "is it in another unit?"
         )
     if reach[row] < robot.length_m / 50.0:
         raise RecordingError(
-            f"{path}, column '{name}': the tip never is farther than {reach[row]:g} m from the base of a robot of "
-            f"{robot.length_m:g} m; expected positions from the base, in the unit that the column names"
+            f"{path}, column '{name}': the tip never is farther than {reach[row]:g} m from the base of a robot "
+            f"of {robot.length_m:g} m; expected positions from the base, in the unit that the column names"
         )

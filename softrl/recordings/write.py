@@ -51,9 +51,7 @@ def _description(recordings: RecordingSet) -> dict[str, object]:
 
 def _write_run(path: Path, recording: Recording) -> None:
     header, columns = zip(*_columns(recording), strict=True)
-    np.savetxt(
-        path, np.stack(columns, axis=1), fmt="%.9g", delimiter=",", header=",".join(header), comments=""
-    )
+    np.savetxt(path, np.stack(columns, axis=1), fmt="%.9g", delimiter=",", header=",".join(header), comments="")
 
 
 def _columns(recording: Recording) -> Iterator[tuple[str, np.ndarray]]:

@@ -18,7 +18,7 @@ class MovingAverage:
     def advance(self, value: np.ndarray) -> np.ndarray:
         """Return the mean (n,) of the last values, ``value`` (n,) included."""
         self._last.append(np.array(value, dtype=float))
-        return np.mean(self._last, axis=0)
+        return np.asarray(np.mean(self._last, axis=0))
 
 
 def moving_average(values: np.ndarray, window: int) -> np.ndarray:

@@ -48,8 +48,8 @@ class Identification:
                 f"stage.identification.sessions={self.sessions}; expected 2 or more, so that one can be held out"
             )
         positive = (
-            "dt_s", "step_count", "step_hold_s", "multisine_s", "triangle_cycles", "staircase_levels", "staircase_repeats",
-            "staircase_period_s",
+            "dt_s", "step_count", "step_hold_s", "multisine_s", "triangle_cycles", "staircase_levels",
+            "staircase_repeats", "staircase_period_s",
         )  # fmt: skip
         for name in positive:
             if getattr(self, name) <= 0:
@@ -72,12 +72,12 @@ def record_sessions(
 def session_program(robot: Robot, settings: Identification, number: int, rng: np.random.Generator) -> Program:
     """Return the program of session ``number``: its parts one after the other, with rests."""
     s, dt_s = settings, settings.dt_s
-    chamber = number % robot.chambers
+    chamber, next_one = number % robot.chambers, (number + 1) % robot.chambers
     parts = [
         random_steps(robot, s.step_count, s.step_hold_s, dt_s, rng),
         multisine(robot, s.multisine_s, s.multisine_band_hz, s.multisine_share, dt_s, rng),
         triangles(robot, chamber, robot.pressure_max_pa, s.triangle_periods_s, s.triangle_cycles, dt_s),
-        staircase(robot, (chamber + 1) % robot.chambers, s.staircase_levels, s.staircase_repeats, s.staircase_period_s, dt_s),
+        staircase(robot, next_one, s.staircase_levels, s.staircase_repeats, s.staircase_period_s, dt_s),
     ]
     rest = np.zeros((round(s.rest_s / dt_s), robot.chambers))
     rows = [rest, *(block for _, pressure in parts for block in (pressure, rest))]

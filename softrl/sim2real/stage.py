@@ -13,6 +13,8 @@ from softrl.core.errors import ConfigError
 from softrl.core.progress import progress
 from softrl.core.tracking import Tracker
 from softrl.recordings.recording import RecordingSet
+from softrl.rl.tasks.curves import CURVES
+from softrl.rl.workspace import Workspace
 from softrl.robots.robot import Robot
 from softrl.sim2real.controller import ModelController, PolicyController
 from softrl.sim2real.figures import draw_rollouts, draw_session
@@ -25,7 +27,7 @@ SHAPES = ("circle", "star", "figure_eight")
 RUN_NOTES = {
     "policy": "policy on the tip's position, through the surrogate's joints and the pressure calibration",
     "open_loop": "inverse of the surrogate without feedback and without the pressure calibration",
-    "identification": "pressure program sent directly: steps, multisine, triangles at several rates, staircase; rests between",
+    "identification": "program sent directly: steps, multisine, triangles at several rates, staircase; rests between",
 }
 
 
@@ -38,6 +40,7 @@ class Config:
     command_rate_hz : rate at which rollouts send pressures
     average_window : commands in the moving average before the driver
     shape_steps : targets along one shape
+    radius_share : size of the shapes in the largest that the tip can reach
     approach_steps : commands at the first target before a rollout counts
     identification : the programs sent directly
     seed : of the programs; the driver's noise has its own
@@ -46,6 +49,7 @@ class Config:
     command_rate_hz: float
     average_window: int
     shape_steps: int
+    radius_share: float
     approach_steps: int
     identification: Identification
     seed: int
@@ -54,6 +58,8 @@ class Config:
         for name in ("command_rate_hz", "average_window", "shape_steps"):
             if getattr(self, name) <= 0:
                 raise ConfigError(f"stage.{name}={getattr(self, name):g} must be positive")
+        if not 0.0 < self.radius_share <= 1.0:
+            raise ConfigError(f"stage.radius_share={self.radius_share:g}; expected a share above 0 and at most 1")
         if self.approach_steps < 0:
             raise ConfigError(f"stage.approach_steps={self.approach_steps} must not be negative")
 
@@ -69,8 +75,14 @@ def run(
     tracker: Tracker,
 ) -> RecordingSet:
     """Return all that was recorded while the policy followed shapes and while programs were sent directly."""
+    if policy.task_name != "track":
+        raise ConfigError(
+            f"the policy was trained for task={policy.task_name}, but shapes are followed in free space here; "
+            "run stage=rl task=track"
+        )
+    targets = _targets(config, Workspace(surrogate))
     rollouts = {
-        shape: _follow_shape(config, robot, policy, surrogate, calibration, driver, shape)
+        shape: _follow_shape(config, robot, policy, surrogate, calibration, driver, shape, targets[shape])
         for shape in progress(SHAPES, "rollouts")
     }
     sessions = list(
@@ -89,12 +101,20 @@ def run(
     return RecordingSet(robot_name=robot.name, recordings=recordings, notes={"run_notes": notes})
 
 
+def _targets(config: Config, space: Workspace) -> dict[str, np.ndarray]:
+    """Return the shapes (steps, 3) m about the centre of what the tip can reach."""
+    unit = {shape: CURVES[shape](config.shape_steps) for shape in SHAPES}
+    return {
+        shape: space.centre + config.radius_share * space.largest(points, space.centre) * points
+        for shape, points in unit.items()
+    }
+
+
 def _follow_shape(
     config: Config, robot: Robot, policy: Policy, surrogate: Surrogate, calibration: Calibration, driver: Driver,
-    shape: str,
+    shape: str, target: np.ndarray,
 ) -> dict[str, Rollout]:
     """Return the rollouts of one shape by controller; each starts from rest, both belong to one session."""
-    target = shape_targets(shape, config.shape_steps)
     controllers: dict[str, Controller] = {
         "policy": PolicyController(policy, surrogate, calibration, target),
         "open_loop": ModelController(surrogate, target),

@@ -1,4 +1,4 @@
-"""Stage simulate: replay a dataset's commands through any simulator with effects and noise, and write a dataset."""
+"""Stage simulate: replay a dataset's commands through any simulator, with effects and noise."""
 
 import logging
 import time
@@ -116,9 +116,7 @@ def _report(recorded: RecordingSet, simulated: RecordingSet, seconds: float, tra
         ("bend_angle", "bend_difference_deg", 180 / np.pi),
     ):
         squares = [
-            ((getattr(ours, channel) - getattr(theirs, channel)) ** 2)
-            .reshape(len(theirs.time), -1)
-            .sum(axis=1)
+            ((getattr(ours, channel) - getattr(theirs, channel)) ** 2).reshape(len(theirs.time), -1).sum(axis=1)
             for theirs, ours in pairs
             if getattr(theirs, channel) is not None and getattr(ours, channel) is not None
         ]

@@ -20,6 +20,7 @@ from softrl.surrogate.maps import PressureToJoints
 
 RATE_HZ = 240.0            # never slower than this
 PHASE_PER_STEP = 1.0       # rad of the fastest joint mode per step; explicit springs are stable below 2
+SOLVER_ITERATIONS = 100
 MOTOR_FORCE = 1e6          # N or N m: a damper that never saturates
 HALF_EXTENT_M = 0.2        # of the box whose upper face is the contact plane
 BOX_THICKNESS_M = 0.05
@@ -40,6 +41,10 @@ class World:
         self._client = bullet.connect(bullet.DIRECT)
         if self._client < 0:
             raise SolverError("PyBullet gave no server; it allows a limited number per process, close other simulators")
+        # with the default threshold the dampers' constraints stop half solved and the links creep
+        bullet.setPhysicsEngineParameter(
+            numSolverIterations=SOLVER_ITERATIONS, solverResidualThreshold=0.0, physicsClientId=self._client
+        )
         self._surrogate = surrogate
         self.body = self._load(surrogate.urdf)
         names = [self._joint_name(i) for i in range(bullet.getNumJoints(self.body, physicsClientId=self._client))]

@@ -8,7 +8,7 @@ import numpy as np
 from softrl.artifacts.surrogate import Surrogate
 from softrl.core.errors import SolverError
 from softrl.surrogate.fit import fit_joints
-from softrl.surrogate.kinematics import Chain, chain_of, grouped_poses, pose, quaternion_of
+from softrl.surrogate.kinematics import Chain, chain_of, grouped_poses, joint_jacobians, pose, quaternion_of
 
 ITERATIONS = 300
 TOLERANCE_N = 1e-9      # change of the reaction between two iterations
@@ -66,6 +66,11 @@ class Twin:
     def joints_for_tip(self, tip: np.ndarray) -> np.ndarray:
         """Return the grouped commands (B, 3) within the limits whose unloaded tips come nearest to (B, 3) m."""
         return fit_joints(self.chain, _rows(tip), self.low, self.high).theta
+
+    def softness(self, theta: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """Return by how many m/N the tips yield along ``direction`` (3,) under commands (B, 3)."""
+        pull = np.einsum("bij,i->bj", joint_jacobians(_rows(theta), self.chain), np.asarray(direction, dtype=float))
+        return (pull**2 / self.stiffness).sum(axis=1)
 
     def solve(
         self,

@@ -37,7 +37,7 @@ def test_stage_finds_the_pressures_that_acted(
     robot: Robot, body: PccSimulator, driver: Driver, acting: Callable[[np.ndarray], np.ndarray]
 ) -> None:
     tracker = NullTracker()
-    calibration = run(config(**FAST), robot, None, body, driver, None, tracker=tracker)
+    calibration = run(config(**FAST), robot, body, driver, None, tracker=tracker)
     assert not driver.connected  # type: ignore[attr-defined]
     inside = np.random.default_rng(1).uniform(-15e3, 30e3, (50, 3))
     error = PressureMap(calibration).real_to_sim(inside) - acting(inside)
@@ -50,7 +50,7 @@ def test_stage_finds_the_pressures_that_acted(
 
 
 def test_tiny_runs_with_one_seed_are_identical(robot: Robot, body: PccSimulator, driver: Driver, tmp_path: Path) -> None:
-    first, second = (run(config(), robot, None, body, driver, None, tracker=NullTracker()) for _ in range(2))
+    first, second = (run(config(), robot, body, driver, None, tracker=NullTracker()) for _ in range(2))
     np.testing.assert_array_equal(first.pressure_sim, second.pressure_sim)
     for name, weight in first.weights.items():
         np.testing.assert_array_equal(weight, second.weights[name])
@@ -63,12 +63,12 @@ def test_tiny_runs_with_one_seed_are_identical(robot: Robot, body: PccSimulator,
 def test_held_out_runs_do_not_touch_training(robot: Robot, body: PccSimulator, driver: Driver) -> None:
     """Spoiling the recorded tips of the held-out run leaves weights and scalers as they were."""
     whole = record_of(driver, robot, body, config())
-    first = run(config(), robot, None, body, driver, whole, tracker=NullTracker())
+    first = run(config(), robot, body, driver, whole, tracker=NullTracker())
     held = int(np.unique(runs_of(whole)[first.heldout])[0])
     spoilt = list(whole.recordings)
     old = spoilt[held]
     spoilt[held] = Recording(old.name, old.session, old.time, old.pressure_cmd, position=old.position + 1e-3)
-    second = run(config(), robot, None, body, driver, RecordingSet(robot.name, tuple(spoilt)), tracker=NullTracker())
+    second = run(config(), robot, body, driver, RecordingSet(robot.name, tuple(spoilt)), tracker=NullTracker())
     assert not np.array_equal(first.pressure_sim, second.pressure_sim)
     np.testing.assert_array_equal(first.pressure_mean, second.pressure_mean)
     np.testing.assert_array_equal(first.correction_spread, second.correction_spread)
@@ -122,4 +122,4 @@ def test_simulator_out_of_reach_is_told(robot: Robot, body: PccSimulator, driver
         Recording(r.name, r.session, r.time, r.pressure_cmd, position=1e3 * np.asarray(r.position)) for r in recordings.recordings
     )
     with pytest.raises(RecordingError, match="check frame and units"):
-        run(config(drift_max_mm=1e4), robot, None, body, driver, RecordingSet(robot.name, far), tracker=NullTracker())
+        run(config(drift_max_mm=1e4), robot, body, driver, RecordingSet(robot.name, far), tracker=NullTracker())

@@ -47,6 +47,17 @@ class QuadraticBody:
             new = new - torch.linalg.solve(hessian, r[..., None])[..., 0]
         return new, (new - z) / dt
 
+    @property
+    def rest(self) -> np.ndarray:
+        return np.zeros(6)
+
+    def roll(self, load: np.ndarray, start: np.ndarray, velocity: np.ndarray, dt_s: float) -> np.ndarray:
+        z, v, path = torch.tensor(start), torch.tensor(velocity), []
+        for k in range(load.shape[1]):
+            z, v = self.step(z, v, torch.tensor(load[:, k]), dt_s)
+            path.append(z)
+        return torch.stack(path, dim=1).numpy()
+
     def linear(self) -> np.ndarray:
         a, c = self.area, self.compliance
         return np.block([[np.eye(3) / c, -a / c], [-a.T / c, self.stiffness + a.T @ a / c]])

@@ -1,4 +1,4 @@
-"""Laws of every effect in conf/effect: neutral is identity, pure, finite, first order in the step, visible, round trip."""
+"""Laws of every effect in conf/effect: neutral, pure, finite, first order in the step, visible, round trip."""
 
 import dataclasses
 from functools import cache
@@ -39,7 +39,7 @@ def typical(name: str) -> Effect:
 
 
 def program(robot: Robot, dt_s: float, duration_s: float = 12.0) -> tuple[np.ndarray, np.ndarray]:
-    """Return a smooth program from rest that moves all chambers through most of their range, with reversals."""
+    """Return a smooth program from rest through most of the chambers' range, with reversals."""
     time = dt_s * np.arange(1, round(duration_s / dt_s) + 1)
     wave = np.sin(np.outer(time, np.array([1.0, 1.37, 0.71])[: robot.chambers])) ** 2
     return time, 0.9 * robot.pressure_max_pa * wave * np.minimum(time / 2.0, 1.0)[:, None]
@@ -136,9 +136,7 @@ def test_halving_the_step_changes_the_result_in_first_order(name: str) -> None:
     assert second < 0.7 * first, f"{1e6 * first:.2f} um, then {1e6 * second:.2f} um"
 
 
-VISIBLE = [
-    (n, r) for n in NAMES for r in ROBOTS if (n, r) != ("crosstalk", "single_chamber_finger")
-]  # no neighbour
+VISIBLE = [(n, r) for n in NAMES for r in ROBOTS if (n, r) != ("crosstalk", "single_chamber_finger")]  # no neighbour
 
 
 @pytest.mark.parametrize(("name", "robot"), VISIBLE)
@@ -164,7 +162,6 @@ def test_one_chamber_can_be_meant(name: str) -> None:
 
 def test_order_of_the_list_does_not_matter() -> None:
     effects = [
-        typical(name)
-        for name in ("delay", "lag", "viscoelasticity", "payload", "mount_tilt", "gain", "hysteresis")
+        typical(name) for name in ("delay", "lag", "viscoelasticity", "payload", "mount_tilt", "gain", "hysteresis")
     ]
     np.testing.assert_array_equal(simulate(effects).position, simulate(effects[::-1]).position)

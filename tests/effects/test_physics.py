@@ -81,7 +81,7 @@ def step_to(pressure: float, steps: int) -> np.ndarray:
 
 
 def pull(effect: Effect, strain: np.ndarray, dt_s: float = DT, pressure: float = 0.0) -> np.ndarray:
-    """Return the added pressure (steps,) in chamber 0 along a path of strain from zero, every step committed."""
+    """Return the added pressure (steps,) in chamber 0 along a path of strain, every step committed."""
     state, added, last = effect.reset(ROBOT), [], 0.0
     for value in strain:
         port = np.zeros((BODY_PORT_ROWS, 3))
@@ -98,9 +98,7 @@ def pull(effect: Effect, strain: np.ndarray, dt_s: float = DT, pressure: float =
     return np.array(added)
 
 
-def move(
-    effects: list[Effect], pressure: np.ndarray, body: PccSimulator | None = None, **kwargs: np.ndarray
-) -> Motion:
+def move(effects: list[Effect], pressure: np.ndarray, body: PccSimulator | None = None, **kwargs: np.ndarray) -> Motion:
     time = DT * np.arange(1, len(pressure) + 1)
     return Plant(body or simulator(), chain_of(ROBOT, effects)).simulate(time, pressure, **kwargs)
 
@@ -132,9 +130,9 @@ def test_deadband_is_a_play_whose_width_is_free_of_rate() -> None:
 
 
 def test_rate_limit_ramps_at_its_rates() -> None:
-    supplied = signal(
-        RateLimit(rise_per_s=0.5, fall_per_s=0.25), np.vstack([step_to(FULL, 100), step_to(0.0, 100)])
-    )[:, 0]
+    supplied = signal(RateLimit(rise_per_s=0.5, fall_per_s=0.25), np.vstack([step_to(FULL, 100), step_to(0.0, 100)]))[
+        :, 0
+    ]
     np.testing.assert_allclose(np.diff(supplied[:100]), 0.5 * FULL * DT)
     np.testing.assert_allclose(np.diff(supplied[100:]), -0.25 * FULL * DT)
 
@@ -226,9 +224,7 @@ def loop_width(effect: Effect, period_s: float, dt_s: float) -> float:
 
 def test_bouc_wen_loop_has_a_width_free_of_rate_and_step() -> None:
     effect = Hysteresis(height=0.2, yield_strain=0.01)
-    widths = [
-        loop_width(effect, period, period / count) for period in (0.5, 5.0, 50.0) for count in (400, 800)
-    ]
+    widths = [loop_width(effect, period, period / count) for period in (0.5, 5.0, 50.0) for count in (400, 800)]
     np.testing.assert_allclose(widths, 2 * 0.2 * FULL, rtol=2e-3)
 
 
@@ -258,17 +254,13 @@ def test_mullins_acts_only_below_the_largest_strain() -> None:
     added = pull(Mullins(softening=0.3, width=0.03), np.concatenate([up, down, further]))
     np.testing.assert_allclose(added[:50], 0.0, atol=1e-9)  # virgin
     assert (added[51:98] < 0.0).all() and (added[102:148] < 0.0).all()  # below the maximum, on both ways
-    np.testing.assert_allclose(
-        added[51:98][::-1], np.interp(down[1:48][::-1], further, added[100:]), atol=60.0
-    )
+    np.testing.assert_allclose(added[51:98][::-1], np.interp(down[1:48][::-1], further, added[100:]), atol=60.0)
     np.testing.assert_allclose(added[152:], 0.0, atol=1e-9)  # beyond the maximum again
 
 
 def test_drift_softens_exponentially() -> None:
     added = pull(Drift(rate_per_s=0.004), np.full(1000, 0.05))
-    np.testing.assert_allclose(
-        1.0 + added / (STIFFNESS * 0.05), np.exp(-0.004 * DT * np.arange(1, 1001)), rtol=1e-12
-    )
+    np.testing.assert_allclose(1.0 + added / (STIFFNESS * 0.05), np.exp(-0.004 * DT * np.arange(1, 1001)), rtol=1e-12)
 
 
 def test_payload_weighs_as_its_force_and_slows_the_body() -> None:
@@ -371,9 +363,7 @@ def test_load_slope_is_the_derivative(effect: Effect) -> None:
     for k in range(3):
         nudge = 1e-6 * np.eye(3)[k]
         forces = [
-            effect.apply(ROBOT, state, load_port(tip + sign * nudge, velocity + sign * nudge / DT), DT)[1][
-                FORCE
-            ]
+            effect.apply(ROBOT, state, load_port(tip + sign * nudge, velocity + sign * nudge / DT), DT)[1][FORCE]
             for sign in (-1.0, 1.0)
         ]
         np.testing.assert_allclose(

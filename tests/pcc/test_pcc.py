@@ -1,8 +1,9 @@
-"""Laws of the constant-curvature body: kinematics, statics as a minimum of energy, decay, convergence, symmetry, units."""
+"""Laws of the constant-curvature body: kinematics, statics, energy, convergence, symmetry, units."""
 
 import time as clock
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +69,7 @@ def test_tip_is_the_end_of_the_integrated_backbone(bend: tuple[float, float]) ->
 
 
 def potential(body: PccSimulator, q: np.ndarray, pressure: np.ndarray, force: np.ndarray) -> float:
-    """Return elastic energy minus the work of pressures, weight and tip force, written down independently, J."""
+    """Return elastic energy minus the work of pressures, weight and tip force, independently, J."""
     robot = body.robot
     bx, by, eps = q
     angle, length = np.hypot(bx, by), robot.length_m * (1 + eps)
@@ -105,15 +106,11 @@ def test_energy_decays_after_release() -> None:
     zero = np.zeros(3)
     state = body.equilibrium(np.array([3e4, 0.0, 1e4]))
     rest = body.reset().coordinates
-    inertia = (
-        body.mass_scale * body.robot.mass_kg * body.robot.length_m**2 * np.array([1 / 20, 1 / 20, 1 / 3])
-    )
+    inertia = body.mass_scale * body.robot.mass_kg * body.robot.length_m**2 * np.array([1 / 20, 1 / 20, 1 / 3])
     energy = []
     for _ in range(900):
         kinetic = 0.5 * inertia @ state.velocity**2
-        energy.append(
-            kinetic + potential(body, state.coordinates, zero, zero) - potential(body, rest, zero, zero)
-        )
+        energy.append(kinetic + potential(body, state.coordinates, zero, zero) - potential(body, rest, zero, zero))
         state = body.step(state, zero, 2e-3)
     energy = np.array(energy)
     assert (np.diff(energy) < 1e-7 * energy[0]).all(), np.diff(energy).max()
@@ -144,7 +141,7 @@ def test_next_chamber_turns_the_tip(chambers: int) -> None:
         pressure = np.zeros((200, chambers))
         pressure[:, i] = 2e4 * np.sin(time)
         tips.append(body.simulate(time, pressure).position)
-    for one, after in zip(tips, tips[1:], strict=False):
+    for one, after in pairwise(tips):
         np.testing.assert_allclose(turn.apply(one), after, atol=1e-9)
     assert tips[0][-1, :2] @ body.robot.chamber_direction[0] < -5e-3  # away from the chamber under pressure
 
@@ -167,7 +164,7 @@ def test_full_pressure_bends_and_elongates_as_configured() -> None:
 
 
 def test_units_scale_as_they_must() -> None:
-    """Lengths times 2 at equal density, modulus and pressure: angles stay, times double (gravity scaled away)."""
+    """Lengths times 2 at equal density, modulus and pressure: angles stay, times double."""
     robot = replace(robot_named("tripod"), gravity_m_s2=(0.0, 0.0, 0.0))
     larger = replace(
         robot,
@@ -222,10 +219,7 @@ def test_rest_of_an_upright_robot_is_its_length() -> None:
 def test_parameters_are_replaced_and_checked() -> None:
     body = simulator()
     softer = body.with_parameters(bending_stiffness_scale=0.5)
-    assert (
-        softer.parameters["bending_stiffness_scale"] == 0.5
-        and body.parameters["bending_stiffness_scale"] == 1.0
-    )
+    assert softer.parameters["bending_stiffness_scale"] == 0.5 and body.parameters["bending_stiffness_scale"] == 1.0
     assert np.isclose(softer.stiffness[0], 0.5 * body.stiffness[0])
     assert "axial_stiffness_scale" not in simulator(robot_named("single_chamber_finger")).parameters
     with pytest.raises(ConfigError, match="no parameter youngs"):

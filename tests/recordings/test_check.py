@@ -1,4 +1,4 @@
-"""Laws of the data check: it recovers the noise that was put in, and finds gaps, holds, clipping and idle chambers."""
+"""Laws of the data check: it recovers the noise put in, and finds gaps, holds, clipping, idle chambers."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -26,9 +26,7 @@ def run_with_noise(noise_m: float, seed: int, hold: bool = True) -> Recording:
     wave = np.floor(time / 5.0) % 2 if hold else 0.5 + 0.5 * np.sin(time)
     pressure = np.outer(wave, [10e3, 10e3, 0.0])
     creep = np.cumsum(wave)[:, None] * [1e-6, 0.0, 0.0]
-    position = (
-        [0, 0, 0.1765] + 0.02 * np.outer(wave, [1, 0, 0]) + creep + rng.normal(0, noise_m, (len(time), 3))
-    )
+    position = [0, 0, 0.1765] + 0.02 * np.outer(wave, [1, 0, 0]) + creep + rng.normal(0, noise_m, (len(time), 3))
     return Recording(f"run{seed}", "s", time, pressure, position=position)
 
 

@@ -46,9 +46,7 @@ def example_set(robot: Robot, seed: int = 3) -> RecordingSet:
                 temperature=rng.normal(22.0, 1.0, len(time)) if k == 2 else None,
             )
         )
-    return RecordingSet(
-        robot.name, tuple(runs), {"what": "an example", "session_notes": {"b": {"what": "more"}}}
-    )
+    return RecordingSet(robot.name, tuple(runs), {"what": "an example", "session_notes": {"b": {"what": "more"}}})
 
 
 def assert_same(one: RecordingSet, other: RecordingSet) -> None:
@@ -110,9 +108,7 @@ def test_dataset_without_sessions_has_one_a_run(tripod: Robot, tmp_path: Path) -
 def test_other_command_is_scaled(tmp_path: Path) -> None:
     finger = robot_named("single_chamber_finger")
     (tmp_path / "dataset.yaml").write_text("robot: single_chamber_finger\n")
-    (tmp_path / "a.csv").write_text(
-        "time_ms,pump_pwm_cmd,p1_meas_kpa,bend_angle_deg\n0,0,0.0,0\n30,100,2.5,90\n"
-    )
+    (tmp_path / "a.csv").write_text("time_ms,pump_pwm_cmd,p1_meas_kpa,bend_angle_deg\n0,0,0.0,0\n30,100,2.5,90\n")
     run = read(tmp_path, finger).recordings[0]
     np.testing.assert_allclose(run.time, [0.0, 0.03])
     np.testing.assert_allclose(run.pressure_cmd, [[0.0], [100.0 * finger.command_to_pa]])

@@ -47,9 +47,7 @@ def test_program_keeps_limits_and_slew(name: str, kind: str) -> None:
 
 def test_lines_of_the_multisine_belong_to_one_chamber() -> None:
     _, pressure = program.multisine(TRIPOD, 40.0, (0.1, 2.0), 0.5, 0.01, np.random.default_rng(2))
-    settled = pressure[
-        len(pressure) // 2 :
-    ]  # after the fade-in; half the record holds every second line only
+    settled = pressure[len(pressure) // 2 :]  # after the fade-in; half the record holds every second line only
     power = np.abs(np.fft.rfft(settled - settled.mean(axis=0), axis=0)) ** 2
     assert not np.allclose(power[:, 0], power[:, 1])
 
@@ -79,9 +77,7 @@ class Echo:
     def advance(self, dt_s: float) -> list[Sample]:
         self.time += dt_s
         pose = np.array([1.0, 0, 0, 0])
-        return (
-            [] if self.silent else [Sample(self.time, self.sent, self.sent, np.zeros(3), pose, np.zeros(3))]
-        )
+        return [] if self.silent else [Sample(self.time, self.sent, self.sent, np.zeros(3), pose, np.zeros(3))]
 
 
 def test_record_keeps_what_was_applied() -> None:

@@ -10,9 +10,7 @@ from softrl.recordings.split import select, split
 
 def example(sessions: list[str]) -> RecordingSet:
     time = np.array([0.0, 0.1])
-    return RecordingSet(
-        "r", tuple(Recording(f"run{k}", s, time, np.zeros((2, 1))) for k, s in enumerate(sessions))
-    )
+    return RecordingSet("r", tuple(Recording(f"run{k}", s, time, np.zeros((2, 1))) for k, s in enumerate(sessions)))
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -46,7 +46,7 @@ class Setpoint:
 
     def advance(self, periods: int) -> np.ndarray:
         """Return what is sent (sent, chambers) Pa, one row a period, until the goal is reached or time is up."""
-        rows = []
+        rows: list[np.ndarray] = []
         while len(rows) < periods and (self._unsent or not np.array_equal(self.sent, self.goal)):
             self._unsent = False
             self.sent = self._next()

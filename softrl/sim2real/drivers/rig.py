@@ -1,7 +1,7 @@
 """A rig: hardware that is simulated in a process of its own, on its own clock, with physics that nobody is told.
 
 Messages to the rig: ``(number, "advance", ticks, setpoints)``, ``(number, "vent", ticks)``, ``(number, "close")``.
-It answers the first two by ``(number, samples, fault)`` where ``fault`` is None or one line.
+It answers the first two by ``(number, rows, fault)``: samples as rows of numbers, and None or one line.
 """
 
 import logging
@@ -54,33 +54,38 @@ class Noise:
 class Sensors:
     """The running noise of one rig."""
 
-    def __init__(self, noise: Noise, period_s: float, rng: np.random.Generator) -> None:
-        self._noise, self._rng = noise, rng
+    def __init__(self, noise: Noise, chambers: int, period_s: float, rng: np.random.Generator) -> None:
+        self._rng, self._n, self._dropped = rng, chambers, noise.dropped_share
+        self._pressure_pa = 1e3 * noise.pressure_white_kpa
+        self._white_m, self._coloured_m = 1e-3 * noise.position_white_mm, 1e-3 * noise.position_coloured_mm
+        self._turn_rad = np.deg2rad(noise.orientation_white_deg)
         self._keep = float(np.exp(-period_s / noise.colour_s))
-        self._wander_mm = noise.position_coloured_mm * rng.standard_normal(3)
+        self._fresh_m = self._coloured_m * np.sqrt(1.0 - self._keep**2)
+        self._wander_m = self._coloured_m * rng.standard_normal(3)
 
-    def read(self, truth: Sample) -> Sample | None:
-        """Return what arrives of ``truth``, or None for a dropped sample."""
-        noise, draw = self._noise, self._rng.standard_normal
-        fresh = noise.position_coloured_mm * np.sqrt(1.0 - self._keep**2)
-        self._wander_mm = self._keep * self._wander_mm + fresh * draw(3)
-        position_mm = self._wander_mm + noise.position_white_mm * draw(3)
-        turn = np.deg2rad(noise.orientation_white_deg) * draw(3)
-        pressure_kpa = noise.pressure_white_kpa * draw(len(truth.pressure))
-        if self._rng.random() < noise.dropped_share:
+    def read(
+        self, pressure: np.ndarray, position: np.ndarray, quaternion: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """Return the three with noise, or None for a sample that never arrives."""
+        draw, lost = self._rng.standard_normal(9 + self._n), self._rng.random() < self._dropped
+        self._wander_m = self._keep * self._wander_m + self._fresh_m * draw[:3]
+        if lost:
             return None
-        return Sample(
-            truth.time_s, truth.commanded, truth.pressure + 1e3 * pressure_kpa, truth.position + 1e-3 * position_mm,
-            turned(truth.quaternion, turn), truth.tip_force,
+        return (
+            pressure + self._pressure_pa * draw[9:],
+            position + self._wander_m + self._white_m * draw[3:6],
+            turned(quaternion, self._turn_rad * draw[6:9]),
         )
 
 
 def turned(quaternion: np.ndarray, turn: np.ndarray) -> np.ndarray:
     """Return the quaternion (4,) w x y z after a small rotation vector ``turn`` (3,) rad in the base frame."""
-    w, v = quaternion[0], quaternion[1:]
-    half = 0.5 * turn
-    product = np.concatenate([[w - half @ v], v + w * half + np.cross(half, v)])
-    return product / np.linalg.norm(product)
+    w, x, y, z = quaternion
+    a, b, c = 0.5 * turn
+    product = np.array(
+        [w - a * x - b * y - c * z, x + a * w + b * z - c * y, y + b * w + c * x - a * z, z + c * w + a * y - b * x]
+    )
+    return np.asarray(product / np.sqrt(product @ product))
 
 
 @dataclass(frozen=True)
@@ -115,7 +120,7 @@ class Rig:
         self._period_s = 1.0 / hardware.rate_hz
         self._watchdog_s = hardware.watchdog_s
         self._valve, self._chamber, self._sensor = (SignalFilter(hidden, s) for s in ("valve", "chamber", "sensor"))
-        self._sensors = Sensors(hardware.noise, self._period_s, rng)
+        self._sensors = Sensors(hardware.noise, hidden.robot.chambers, self._period_s, rng)
         self._setpoint = np.zeros(hidden.robot.chambers)
         self._ticks = self._silent_ticks = 0
         # under its loads the robot hangs elsewhere than without; it has come to rest before it is switched on
@@ -134,12 +139,12 @@ class Rig:
             self._state, acting, dt_s, None, body=self._body_hooks, load=self._load_hooks
         )
 
-    def advance(self, ticks: int, setpoints: np.ndarray) -> tuple[list[Sample], str | None]:
-        """Return the samples of ``ticks`` periods, and what the watchdog says.
+    def advance(self, ticks: int, setpoints: np.ndarray) -> tuple[np.ndarray, str | None]:
+        """Return the samples of ``ticks`` periods as rows (see ``sample_of``), and what the watchdog says.
 
         ``setpoints`` (sent, chambers) Pa arrive one per period from the first; then the last one is held.
         """
-        samples, fault = [], None
+        rows, fault = [], None
         for tick in range(ticks):
             self._silent_ticks = 0 if tick < len(setpoints) else self._silent_ticks + 1
             if tick < len(setpoints) and fault is None:
@@ -147,27 +152,35 @@ class Rig:
             if self._silent_ticks * self._period_s > self._watchdog_s and self._setpoint.any():
                 self._setpoint = np.zeros_like(self._setpoint)
                 fault = f"the watchdog vented the robot: no command for more than {self._watchdog_s:g} s"
-            samples.append(self._tick())
-        return [s for s in samples if s is not None], fault
+            row = self._tick()
+            if row is not None:
+                rows.append(row)
+        return np.array(rows), fault
 
-    def vent(self, ticks: int) -> tuple[list[Sample], str | None]:
+    def vent(self, ticks: int) -> tuple[np.ndarray, str | None]:
         """Return the samples of ``ticks`` periods after all chambers were vented."""
         return self.advance(ticks, np.zeros((1, len(self._setpoint))))
 
-    def _tick(self) -> Sample | None:
-        """Return the sample at the end of one period, the setpoint held throughout."""
+    def _tick(self) -> np.ndarray | None:
+        """Return the sample at the end of one period, the setpoint held throughout; None if it is lost."""
         dt_s = self._period_s / self._substeps
-        for _ in range(self._substeps):
-            supplied = self._valve.advance(self._setpoint[None], dt_s)
-            acting = self._chamber.advance(supplied, dt_s)
-            self._step(acting[0], dt_s)
-            position, quaternion = self._body.observe(self._state)
-            pose = self._sensor.advance(np.concatenate([position, quaternion])[None], dt_s)[0]
+        supplied = self._valve.advance(np.tile(self._setpoint, (self._substeps, 1)), dt_s)
+        poses = np.empty((self._substeps, 7))
+        for pose, acting in zip(poses, self._chamber.advance(supplied, dt_s), strict=True):
+            self._step(acting, dt_s)
+            pose[:3], pose[3:] = self._body.observe(self._state)
+        pose = self._sensor.advance(poses, dt_s)[-1]
         self._ticks += 1
-        truth = Sample(
-            self._ticks * self._period_s, self._setpoint, supplied[0], pose[:3], pose[3:], np.full(3, np.nan)
-        )
-        return self._sensors.read(truth)
+        sensed = self._sensors.read(supplied[-1], pose[:3], pose[3:])
+        if sensed is None:
+            return None
+        return np.concatenate([[self._ticks * self._period_s], self._setpoint, *sensed])
+
+
+def sample_of(row: np.ndarray) -> Sample:
+    """Return the sample that a row holds: time, setpoint, measured pressure, position, quaternion; no force sensor."""
+    n = (len(row) - 8) // 2
+    return Sample(row[0].item(), row[1 : n + 1], row[n + 1 : -7], row[-7:-4], row[-4:], np.full(3, np.nan))
 
 
 def serve(line: Connection, hardware: Hardware) -> None:
@@ -177,7 +190,7 @@ def serve(line: Connection, hardware: Hardware) -> None:
     number = 0
     try:
         rig = Rig(hardware)
-        line.send((number, [], None))
+        line.send((number, np.empty((0, 0)), None))
         while True:
             number, kind, *content = line.recv()
             if kind == "close":
@@ -186,10 +199,10 @@ def serve(line: Connection, hardware: Hardware) -> None:
     except (EOFError, OSError):
         log.warning("the rig lost its driver; it vents and ends")
     except (SoftrlError, ArithmeticError, ValueError, TypeError) as error:
-        line.send((number, [], f"the rig stopped: {type(error).__name__}: {error}"))
+        line.send((number, np.empty((0, 0)), f"the rig stopped: {type(error).__name__}: {error}"))
 
 
-def _run(rig: Rig, kind: str, content: list[Any]) -> tuple[list[Sample], str | None]:
+def _run(rig: Rig, kind: str, content: list[Any]) -> tuple[np.ndarray, str | None]:
     if kind == "vent":
         return rig.vent(*content)
     return rig.advance(*content)

@@ -13,7 +13,7 @@ from softrl.effects.chain import EffectChain
 from softrl.effects.effect import Effect
 from softrl.robots.robot import Robot
 from softrl.sim2real.drivers.limits import Setpoint
-from softrl.sim2real.drivers.rig import Hardware, Noise, serve
+from softrl.sim2real.drivers.rig import Hardware, Noise, sample_of, serve
 
 log = logging.getLogger(__name__)
 # device time in one message, so that an answer is due soon however long the wait that was asked for
@@ -62,7 +62,7 @@ class RigLink:
                 number, arrived, fault = self._line.recv()
             except (EOFError, OSError) as error:
                 raise self._lost() from error
-            samples += arrived
+            samples += map(sample_of, arrived)
         return samples, fault
 
     def _lost(self) -> DriverError:

@@ -1,0 +1,31 @@
+"""The reduced model as the body that f_S is learned from."""
+
+import numpy as np
+import torch
+
+from softrl.artifacts.reduced_model import ReducedModel
+from softrl.pod.rom import roll, static_coordinates, tip_poses
+from softrl.pod.torch_twin import TorchRom
+
+
+class ReducedBody:
+    """A ``ReducedModel`` behind ``dataset.Body``; weight acts as in the model."""
+
+    def __init__(self, model: ReducedModel) -> None:
+        self._model, self._twin = model, TorchRom(model)
+        self.chambers, self.rest_tip = model.chambers, model.rest_tip
+        self.rest = static_coordinates(model, np.zeros((1, model.order)))[0]
+
+    def roll(self, load: np.ndarray, start: np.ndarray, velocity: np.ndarray, dt_s: float) -> np.ndarray:
+        """Return z (B, steps, n + 3) under ``load`` (B, steps, n + 3) from ``start`` and ``velocity`` (B, n + 3)."""
+        return roll(self._model, dt_s, load, start, velocity)
+
+    def residual(
+        self, z: torch.Tensor, velocity: torch.Tensor, acceleration: torch.Tensor, load: torch.Tensor
+    ) -> torch.Tensor:
+        """Return what is missing to the balance of forces (B, n + 3), Pa and N."""
+        return self._twin.residual(z, velocity, acceleration, load)
+
+    def quaternion(self, z: np.ndarray) -> np.ndarray:
+        """Return orientations (B, 4) w x y z of the tip at ``z`` (B, n + 3)."""
+        return tip_poses(self._model, z)[1]

@@ -1,0 +1,118 @@
+"""pod: from snapshots of the full model to a reduced one."""
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+
+from softrl.artifacts.reduced_model import ReducedModel
+from softrl.artifacts.snapshots import Snapshots
+from softrl.core.errors import ArtifactError, ConfigError
+from softrl.core.tracking import Tracker
+from softrl.pod.basis import PodBasis, pod_basis, projection_errors
+from softrl.pod.energy import Weights
+from softrl.pod.figures import draw_choice, draw_motion, draw_parity, draw_spectrum
+from softrl.pod.fit import FitSettings, fit_model, linear_model
+from softrl.pod.report import report_motions, report_speed, report_statics, report_weight, statics
+from softrl.pod.symmetry import equilibria
+from softrl.robots.robot import Robot
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Config:
+    """POD modes and the energy ROM, fitted to all equilibria but the held-out ones.
+
+    Attributes
+    ----------
+    pod_energy : keep modes until this share of the squared singular values;  modes_max : at most this many
+    energy_degree_max : highest degree tried for the condensed energy
+    map_degree_max : likewise for centre of mass and rotation;  root_degree_max : for the roots of mass and stiffness
+    ridges : tried for the energy, relative
+    value_weight, hessian_weight : of the energy's values and Hessians in its fit, gradients weigh 1
+    folds : of the cross-validation that chooses degree, ridge and symmetry
+    heldout_share : share of the equilibria that no fit and no choice sees
+    """
+
+    pod_energy: float
+    modes_max: int
+    energy_degree_max: int
+    map_degree_max: int
+    root_degree_max: int
+    ridges: tuple[float, ...]
+    value_weight: float
+    hessian_weight: float
+    folds: int
+    heldout_share: float
+    seed: int
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.pod_energy <= 1.0:
+            raise ConfigError(f"stage.pod_energy={self.pod_energy:g}; expected a share in (0, 1]")
+        if not 0.0 < self.heldout_share < 0.9:
+            raise ConfigError(f"stage.heldout_share={self.heldout_share:g}; expected a share between 0 and 0.9")
+        for name, least in {"modes_max": 1, "energy_degree_max": 2, "map_degree_max": 1, "root_degree_max": 0,
+                            "value_weight": 0, "hessian_weight": 0, "folds": 2}.items():  # fmt: skip
+            if getattr(self, name) < least:
+                raise ConfigError(f"stage.{name}={getattr(self, name):g} must be at least {least}")
+        if not self.ridges or min(self.ridges) <= 0.0:
+            raise ConfigError(f"stage.ridges={self.ridges}; expected one or more positive numbers")
+
+
+def run(config: Config, robot: Robot, snapshots: Snapshots, *, tracker: Tracker) -> ReducedModel:
+    """Return the reduced model of the body that ``snapshots`` show."""
+    _refuse_other(robot, snapshots)
+    rng = np.random.default_rng(config.seed)
+    seen, heldout = _split(config, len(snapshots.loads), rng)
+    pod = pod_basis(snapshots.displacement[seen], snapshots.nodal_mass, config.pod_energy, config.modes_max)
+    _report_pod(pod, snapshots, seen, heldout, tracker)
+    samples = equilibria(snapshots)
+    settings = FitSettings(
+        config.energy_degree_max, config.map_degree_max, config.root_degree_max, config.ridges,
+        Weights(config.value_weight, config.hessian_weight), config.folds,
+    )
+    model, choices = fit_model(settings, robot, snapshots, samples.rows(seen), pod, rng)
+    tracker.metric("energy_degree", choices[0].degree)
+    tracker.metric("validation/static_tip_rms_mm", 1e3 * choices[0].tip_error_m)
+    tracker.figure("energy_choice", draw_choice(choices))
+    linear = linear_model(model)
+    report_statics(model, linear, samples.rows(seen), "train", tracker)
+    static = report_statics(model, linear, samples.rows(heldout), "heldout", tracker)
+    tracker.figure("static_parity", draw_parity(static, statics(linear, samples.rows(heldout))[0]))
+    if len(snapshots.trajectory_load):
+        moving = report_motions(model, linear, snapshots, tracker)
+        tracker.figure("motion", draw_motion(snapshots.trajectory_time, moving, 0))
+    report_speed(model, snapshots, rng, tracker)
+    report_weight(model, tracker)
+    return model
+
+
+def _refuse_other(robot: Robot, snapshots: Snapshots) -> None:
+    if snapshots.chambers != robot.chambers:
+        raise ArtifactError(
+            f"the Snapshots of {snapshots.robot_name} have {snapshots.chambers} chambers, robot {robot.name} has "
+            f"{robot.chambers}; run stage=fem for this robot"
+        )
+
+
+def _split(config: Config, samples: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Return the row numbers that are seen, and those held out."""
+    order = rng.permutation(samples)
+    held = max(1, round(config.heldout_share * samples))
+    return np.sort(order[held:]), np.sort(order[:held])
+
+
+def _report_pod(
+    pod: PodBasis, snapshots: Snapshots, seen: np.ndarray, heldout: np.ndarray, tracker: Tracker
+) -> None:
+    """Log the modes and how far snapshots are from their span; that error is no evidence for a motion's error."""
+    errors = {
+        name: projection_errors(pod, snapshots.displacement[rows], snapshots.nodal_mass)
+        for name, rows in (("train", seen), ("heldout", heldout))
+    }
+    tracker.metric("pod_modes", len(pod.modes))
+    for name, error in errors.items():
+        tracker.metric(f"{name}/pod_projection_rms_mm", 1e3 * float(error[-1]))
+        tracker.metric(f"{name}/baseline_no_modes_rms_mm", 1e3 * float(error[0]))
+    tracker.figure("pod_spectrum", draw_spectrum(pod.singular_values, len(pod.modes), errors["train"], errors["heldout"]))

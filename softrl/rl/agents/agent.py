@@ -1,0 +1,84 @@
+"""What an agent gets and gives; its numbers come from conf/agent."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+import torch
+
+from softrl.core.errors import ConfigError
+from softrl.rl.actor import Actor
+from softrl.rl.vector_env import TwinVecEnv
+
+
+class Practice(NamedTuple):
+    """Where an agent trains: ``make(size, seed)`` gives episodes, ``judge`` the validation reward of an actor."""
+
+    make: Callable[[int, int], TwinVecEnv]
+    judge: Callable[[Actor], float]
+
+
+class Lesson(NamedTuple):
+    """The best actor by validation reward, and (environment steps or epochs, validation reward) on the way."""
+
+    actor: Actor
+    history: list[tuple[int, float]]
+
+
+@dataclass(frozen=True)
+class Agent(ABC):
+    """Base of all agents."""
+
+    name: ClassVar[str]
+
+    @abstractmethod
+    def train(self, practice: Practice, seed: int) -> Lesson:
+        """Return the best actor found."""
+
+    def _require_positive(self, *names: str) -> None:
+        for name in names:
+            if getattr(self, name) <= 0:
+                raise ConfigError(f"agent.{name}={getattr(self, name):g} must be positive")
+
+
+class Best:
+    """Keeps the actor with the highest validation reward."""
+
+    def __init__(self, judge: Callable[[Actor], float]) -> None:
+        self._judge, self._reward = judge, -np.inf
+        self._actor: Actor | None = None
+        self.history: list[tuple[int, float]] = []
+
+    def consider(self, actor: Actor, step: int) -> float:
+        """Judge ``actor`` after ``step``, keep it if it is the best so far, and return its reward."""
+        reward = self._judge(actor)
+        self.history.append((step, reward))
+        if reward > self._reward:
+            self._reward, self._actor = reward, actor
+        return reward
+
+    def lesson(self) -> Lesson:
+        """Return the best actor and the history."""
+        assert self._actor is not None
+        return Lesson(self._actor, self.history)
+
+
+def actor_from(layers: Iterable[torch.nn.Module], squash: str) -> Actor:
+    """Return the arrays of a torch stack of linear layers."""
+    weights: dict[str, np.ndarray] = {}
+    activation = "relu"
+    for module in layers:
+        if isinstance(module, torch.nn.Linear):
+            i = len(weights) // 2
+            weights[f"weight_{i}"] = module.weight.detach().numpy().copy()
+            weights[f"bias_{i}"] = module.bias.detach().numpy().copy()
+        elif isinstance(module, torch.nn.Tanh):
+            activation = "tanh"
+    return Actor(weights, activation, squash)
+
+
+def decaying(rate: float) -> Callable[[float], float]:
+    """Return a learning rate that falls linearly to a twentieth; its argument is the share of training left."""
+    return lambda left: rate * (0.05 + 0.95 * left)

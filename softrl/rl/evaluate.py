@@ -1,0 +1,61 @@
+"""Deterministic evaluation on curves that training never saw."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from softrl.rl.batch import Batch
+from softrl.rl.tasks.task import Goals, Task
+from softrl.rl.workspace import Workspace
+
+Controller = Callable[[Batch], np.ndarray]
+
+
+class Evaluation(NamedTuple):
+    """What a controller did on laps over one set of curves.
+
+    Attributes
+    ----------
+    reward : mean per step
+    position_rmse : m;  force_mae : N, mean absolute error
+    tip : (steps, episodes, 3) m;  target : (steps, episodes, 3) m
+    contact_force, wanted_force : (steps, episodes) N
+    """
+
+    reward: float
+    position_rmse: float
+    force_mae: float
+    tip: np.ndarray
+    target: np.ndarray
+    contact_force: np.ndarray
+    wanted_force: np.ndarray
+
+
+def evaluate(controller: Controller, task: Task, space: Workspace, goals: Goals, episodes: int) -> Evaluation:
+    """Return the errors over one lap per episode, starts spread over the curves, both directions, from rest each time."""
+    batch = Batch(task, space, goals, episodes)
+    curves, lap = goals.force.shape
+    number = np.arange(episodes)
+    phase = (number // curves) * lap // max(1, -(-episodes // curves))
+    direction = np.where(number % 2 == 0, 1, -1)
+    batch.start(number, np.tile(space.rest, (episodes, 1)), number % curves, phase, direction)
+    rows = []
+    for _ in range(lap):
+        position, force = batch.targets()
+        step = batch.step(controller(batch))
+        rows.append((step.reward, step.position_error, step.force_error, batch.tip.copy(), position[:, 0],
+                     batch.contact_force.copy(), force[:, 0]))  # fmt: skip
+    reward, near, firm, *traces = (np.stack(column) for column in zip(*rows, strict=True))
+    return Evaluation(float(reward.mean()), float(np.sqrt(np.mean(near**2))), float(firm.mean()), *traces)
+
+
+def expert(batch: Batch) -> np.ndarray:
+    """Act as the model-based controller."""
+    return batch.expert_action()
+
+
+def rest(batch: Batch) -> np.ndarray:
+    """Hold the command of zero pressure."""
+    low, high = batch.scales.joint_low, batch.scales.joint_high
+    return np.tile(2.0 * (batch.space.rest - low) / (high - low) - 1.0, (batch.size, 1))

@@ -1,0 +1,42 @@
+"""Pictures of laps and of training."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from softrl.rl.evaluate import Evaluation
+from softrl.surrogate.twin import Plane
+
+
+def draw_laps(laps: dict[str, Evaluation], plane: Plane | None) -> Figure:
+    """Return the first lap over each evaluation curve: path from above, and below it heights, or forces on a surface."""
+    figure = Figure(figsize=(3.6 * len(laps), 6.2), layout="constrained")
+    axes = figure.subplots(2, len(laps), squeeze=False)
+    for (curve, lap), (above, below) in zip(laps.items(), axes.T, strict=True):
+        tip, target = 1e3 * lap.tip[:, 0], 1e3 * lap.target[:, 0]
+        above.plot(target[:, 0], target[:, 1], "-", color="0.6", lw=2.5, label="target")
+        above.plot(tip[:, 0], tip[:, 1], ".-", color="C0", ms=3, lw=0.7, label="tip")
+        title = f"{curve.replace('_', ' ')}: {1e3 * lap.position_rmse:.2f} mm rms"
+        above.set(xlabel="x in mm", ylabel="y in mm", title=title)
+        above.set_aspect("equal", adjustable="datalim")
+        steps = np.arange(1, len(tip) + 1)
+        wanted, got, label = (target[:, 2], tip[:, 2], "z in mm")
+        if plane is not None:
+            wanted, got, label = lap.wanted_force[:, 0], lap.contact_force[:, 0], "normal force in N"
+        below.plot(steps, wanted, "-", color="0.6", lw=2.5)
+        below.plot(steps, got, ".-", color="C0", ms=3, lw=0.7)
+        below.set(xlabel="step", ylabel=label)
+    axes[0, 0].legend(frameon=False, fontsize=8)
+    return figure
+
+
+def draw_history(history: list[tuple[int, float]]) -> Figure:
+    """Return the validation reward over training; the best point is what the stage keeps."""
+    figure = Figure(figsize=(5.0, 3.0), layout="constrained")
+    axis = figure.subplots()
+    steps, rewards = zip(*history, strict=True)
+    axis.plot(steps, rewards, ".-")
+    best = int(np.argmax(rewards))
+    axis.plot(steps[best], rewards[best], "o", mfc="none", ms=10, color="C1", label="kept")
+    axis.set(xlabel="steps or epochs", ylabel="mean reward on random curves", ylim=(0.0, 1.02))
+    axis.legend(frameon=False)
+    return figure

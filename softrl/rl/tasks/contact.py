@@ -1,0 +1,80 @@
+"""What the two tasks on a surface share: a slope across the workspace, its friction, forces, and the expert."""
+
+from abc import ABC
+from dataclasses import dataclass
+
+import numpy as np
+
+from softrl.core.errors import ConfigError
+from softrl.rl.tasks.task import Task
+from softrl.rl.workspace import Workspace
+from softrl.surrogate.twin import Plane
+
+EXPERT_ITERATIONS = 12
+
+
+@dataclass(frozen=True)
+class ContactTask(Task, ABC):
+    """Base of the tasks on a slope.
+
+    Attributes
+    ----------
+    slope_deg : tilt of the surface about the y axis;  friction_coefficient : Coulomb's
+    force_min_n, force_max_n : range of the wanted normal force
+    """
+
+    slope_deg: float
+    friction_coefficient: float
+    force_min_n: float
+    force_max_n: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0.0 < self.force_min_n < self.force_max_n:
+            raise ConfigError(f"task.force_min_n={self.force_min_n:g}, force_max_n={self.force_max_n:g}; expected 0 < min < max")
+        if not abs(self.slope_deg) < 60.0:
+            raise ConfigError(f"task.slope_deg={self.slope_deg:g}; expected less than 60")
+        if self.friction_coefficient < 0.0:
+            raise ConfigError(f"task.friction_coefficient={self.friction_coefficient:g} must not be negative")
+
+    @property
+    def friction(self) -> float:
+        """Coulomb's coefficient of the slope."""
+        return self.friction_coefficient
+
+    @property
+    def force_unit_n(self) -> float:
+        """The largest wanted force."""
+        return self.force_max_n
+
+    def frame(self) -> np.ndarray:
+        """Return the slope's axes (3, 3) as columns: along it, across it, and its normal towards the robot, below it."""
+        tilt = np.deg2rad(self.slope_deg)
+        along = np.array([np.cos(tilt), 0.0, np.sin(tilt)])
+        normal = np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
+        return np.column_stack([along, np.cross(normal, along), normal])
+
+    def plane(self, space: Workspace) -> Plane:
+        """Return the slope through the workspace's centre."""
+        return self.frame()[:, 2], space.centre
+
+    def expert(self, position: np.ndarray, force: np.ndarray, space: Workspace) -> np.ndarray:
+        """Return commands (B, 3) whose loaded equilibrium has the wanted contact point and normal force.
+
+        Notes
+        -----
+        The free tip is aimed behind the surface and corrected by the errors of the twin's equilibrium: along the surface
+        by the position's error, across it by the force's error over the stiffness of tip and contact in series. Sliding
+        counts from the wanted point, so that the expert does not plan for friction.
+        """
+        plane = self.plane(space)
+        normal, twin = plane[0], space.twin
+        soft = 1.0 / twin.contact_stiffness + twin.softness(space.rest[None], normal)[0]
+        aim = position - (force * soft)[:, None] * normal
+        for _ in range(EXPERT_ITERATIONS):
+            theta = twin.joints_for_tip(aim)
+            state = twin.solve(theta, None, plane)
+            error = position - state.tip
+            error = error - (error @ normal)[:, None] * normal
+            aim = aim + error - ((force - state.contact_force) * soft)[:, None] * normal
+        return twin.joints_for_tip(aim)

@@ -1,0 +1,41 @@
+"""Follow a curve in free space."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from softrl.rl.tasks.curves import CURVES
+from softrl.rl.tasks.task import Goals, Task
+from softrl.rl.workspace import Workspace
+
+
+@dataclass(frozen=True)
+class Track(Task):
+    """Tip position along closed curves; nothing is touched, so that the force part of the reward is full."""
+
+    name: ClassVar[str] = "track"
+    curves: ClassVar[tuple[str, ...]] = tuple(CURVES)
+
+    def evaluation_goals(self, curve: str, space: Workspace) -> Goals:
+        """Return circle, star or the 3-D figure-eight about the workspace's centre."""
+        shape = CURVES[curve](self.lap_steps)
+        size = self.radius_share * space.largest(shape, space.centre)
+        return Goals((space.centre + size * shape)[None], np.zeros((1, self.lap_steps)))
+
+    def training_goals(self, count: int, space: Workspace, rng: np.random.Generator) -> Goals:
+        """Return the tip's paths under random Fourier pressures: reachable by themselves, out to the workspace's edge."""
+        share = np.stack([random_waves(self, space.surrogate.chambers, rng) for _ in range(count)])
+        tip = space.tip_at_share(share.reshape(-1, share.shape[-1])).reshape(count, self.lap_steps, 3)
+        return Goals(tip, np.zeros(tip.shape[:2]))
+
+
+def random_waves(task: Task, channels: int, rng: np.random.Generator) -> np.ndarray:
+    """Return random periodic shares (lap, channels), each swinging over a random part of 0 .. 1."""
+    phase = 2.0 * np.pi * np.arange(task.lap_steps)[:, None, None] / task.lap_steps
+    order = np.arange(1, task.harmonics + 1)[:, None]
+    size, shift = rng.normal(size=(task.harmonics, channels)) / order, rng.uniform(0.0, 2.0 * np.pi, (task.harmonics, channels))
+    wave = (size * np.sin(order * phase + shift)).sum(axis=1)
+    wave = (wave - wave.min(axis=0)) / np.ptp(wave, axis=0)
+    low, high = np.sort(rng.uniform(-0.2, 1.2, (2, channels)), axis=0)  # past the ends, so that the edge is not rare
+    return np.clip(low + wave * (high - low), 0.0, 1.0)

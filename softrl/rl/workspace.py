@@ -1,0 +1,54 @@
+"""Where the tip can go: reach through the joint limits and the pressures together, and curves that fit into it."""
+
+from functools import cached_property
+
+import numpy as np
+
+from softrl.artifacts.surrogate import Surrogate
+from softrl.surrogate.maps import PressureToJoints
+from softrl.surrogate.twin import Twin
+
+TOLERANCE_M = 3e-4      # a point is reached if pressures within their range bring the tip this near
+BISECTIONS = 12
+
+
+class Workspace:
+    """Reachable tips of a surrogate."""
+
+    def __init__(self, surrogate: Surrogate) -> None:
+        self.surrogate = surrogate
+        self.twin = Twin(surrogate)
+        self._maps = PressureToJoints(surrogate)
+
+    @cached_property
+    def centre(self) -> np.ndarray:
+        """Mean (3,) m of the sampled tips."""
+        return self.surrogate.sample_tip.mean(axis=0)
+
+    @cached_property
+    def scale(self) -> float:
+        """Root mean square distance in m of the sampled tips from the centre: scales observations."""
+        return float(np.sqrt(np.mean(np.sum((self.surrogate.sample_tip - self.centre) ** 2, axis=1))))
+
+    @cached_property
+    def rest(self) -> np.ndarray:
+        """Grouped command (3,) at zero pressure."""
+        return self._maps.joints(np.zeros((1, self.surrogate.chambers)))[0]
+
+    def tip_at_share(self, share: np.ndarray) -> np.ndarray:
+        """Return the tips (B, 3) m at shares (B, n) in 0 .. 1 of the pressure range."""
+        low, high = self.surrogate.pressure_low, self.surrogate.pressure_high
+        return self.twin.tip(self._maps.joints(low + share * (high - low)))
+
+    def reachable(self, tip: np.ndarray) -> np.ndarray:
+        """Return whether pressures in range reach each of the tips (B, 3) m."""
+        joints = self._maps.joints(self._maps.pressure(self.twin.joints_for_tip(tip)))
+        return np.linalg.norm(self.twin.tip(joints) - tip, axis=1) < TOLERANCE_M
+
+    def largest(self, shape: np.ndarray, centre: np.ndarray) -> float:
+        """Return the largest scale in m at which ``shape`` (points, 3), put about ``centre`` (3,) m, is reachable."""
+        low, high = 0.0, 4.0 * self.scale
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if self.reachable(centre + middle * shape).all() else (low, middle)
+        return low

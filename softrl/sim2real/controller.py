@@ -1,0 +1,55 @@
+"""From a reading of the tip to pressures: by the policy with the calibration, or by the model alone."""
+
+import numpy as np
+
+from softrl.artifacts.calibration import Calibration
+from softrl.artifacts.policy import Policy
+from softrl.artifacts.surrogate import Surrogate
+from softrl.calibration.pressure_map import PressureMap
+from softrl.core.errors import ArtifactError
+from softrl.rl.policy import act, joints, observation
+from softrl.surrogate.maps import PressureToJoints
+from softrl.surrogate.twin import Twin
+
+
+class PolicyController:
+    """Observation -> policy -> joints -> inverse of f_SP -> P_S -> inverse of f_RS -> P_R (Fig. 6b).
+
+    Parameters
+    ----------
+    target : (steps, 3) m, a closed curve, so that the targets after the last are the first
+    """
+
+    def __init__(self, policy: Policy, surrogate: Surrogate, calibration: Calibration, target: np.ndarray) -> None:
+        require_chambers(surrogate, calibration)
+        self._act, self._policy, self._target = act(policy, surrogate.robot_name), policy, target
+        self._maps, self._calibrated = PressureToJoints(surrogate), PressureMap(calibration)
+        self._theta = self._maps.joints(np.zeros((1, surrogate.chambers)))
+        self._no_force = np.zeros((1, policy.horizon))
+
+    def pressure(self, position: np.ndarray, step: int) -> np.ndarray:
+        """Return P_R (chambers,) Pa for the target of ``step``, the tip being at ``position`` (3,) m."""
+        ahead = self._target[None, (step + np.arange(self._policy.horizon)) % len(self._target)]
+        seen = observation(self._policy, position[None], self._theta, self._no_force[:, 0], ahead, self._no_force)
+        self._theta = joints(self._policy, self._act(seen))
+        return np.asarray(self._calibrated.sim_to_real(self._maps.pressure(self._theta))[0])
+
+
+class ModelController:
+    """The surrogate's inverse for each target, sent as if the robot were the simulator: no feedback, no calibration."""
+
+    def __init__(self, surrogate: Surrogate, target: np.ndarray) -> None:
+        self._pressure = PressureToJoints(surrogate).pressure(Twin(surrogate).joints_for_tip(target))
+
+    def pressure(self, position: np.ndarray, step: int) -> np.ndarray:
+        """Return P_S (chambers,) Pa for the target of ``step``; ``position`` is not looked at."""
+        return np.asarray(self._pressure[step])
+
+
+def require_chambers(surrogate: Surrogate, calibration: Calibration) -> None:
+    """Raise unless both artifacts belong to robots of as many chambers."""
+    if surrogate.chambers != calibration.chambers:
+        raise ArtifactError(
+            f"Surrogate has {surrogate.chambers} chambers, Calibration {calibration.chambers}; "
+            "run stage=calibration again"
+        )

@@ -1,0 +1,148 @@
+"""Learning on a body known in closed form: better than linear, physics counts, scalers and seeds behave."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from omegaconf import OmegaConf
+
+from softrl.artifacts.dynamics import ForwardDynamics, InverseDynamics
+from softrl.core.errors import ConfigError
+from softrl.core.tracking import NullTracker
+from softrl.dynamics.dataset import Body, Windows
+from softrl.dynamics.evaluate import onestep_errors, predictors, rollout_errors
+from softrl.dynamics.inverse import inverse_errors, inverse_net
+from softrl.dynamics.physics_residual import PhysicsResidual
+from softrl.dynamics.stage import Config, Sets, generate, learn_forward, learn_inverse, report
+from softrl.dynamics.transformer import ForwardNet, forward_net, weights_of
+from softrl.robots.robot import Robot
+
+CONF = Path(__file__).resolve().parents[2] / "conf" / "stage"
+LOW, HIGH = np.array([-2e4] * 3 + [-1.0] * 3), np.array([3.5e4] * 3 + [1.0] * 3)
+
+
+def config(**changes: float) -> Config:
+    parts = (OmegaConf.load(CONF / "dynamics.yaml"), OmegaConf.load(CONF / "tiny/dynamics.yaml"), changes)
+    whole = OmegaConf.merge({"seed": 0, "lambda": 0.01}, {"stage": OmegaConf.merge(*parts)})
+    return Config(**OmegaConf.to_container(whole.stage, resolve=True))  # type: ignore[arg-type]
+
+
+FAST = {"training_runs": 24, "run_s": 1.5, "batch": 64, "onestep_updates": 350, "rollout_updates": 0, "width": 32,
+        "feedforward": 64, "inverse_updates": 300, "inverse_hidden": 32, "inverse_batch": 256, "learning_rate": 3e-3}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def sets(body: Body, robot: Robot) -> Sets:
+    return generate(config(**FAST), robot, body, LOW, HIGH)
+
+
+@pytest.fixture(scope="module")
+def trained(body: Body, sets: Sets) -> ForwardNet:
+    torch.set_num_threads(1)
+    return learn_forward(config(**FAST), sets, body)[0]
+
+
+def test_network_beats_the_linear_map_and_persistence_on_unseen_runs(body: Body, sets: Sets, trained: ForwardNet) -> None:
+    windows = Windows(sets.heldout, trained.window)
+    known = predictors(trained, body, 0.01)
+    onestep = {name: onestep_errors(p, windows, 0.01)["position_onestep_mm"] for name, p in known.items()}
+    assert onestep["f_s"] < 0.6 * onestep["arx"] < 0.6 * onestep["rate_stays"] < onestep["state_stays"], onestep
+    assert onestep["rom"] < 1e-4, "the body itself must be exact on its own motions"
+    assert rollout_errors(known["rom"], windows, 30, 0.01)["position_rollout_mm"] < 1e-3
+
+
+def test_physics_weight_changes_the_answer_and_lowers_the_residual(body: Body, sets: Sets) -> None:
+    windows = Windows(sets.heldout, config().window)
+    rows, _ = windows.take(torch.arange(len(windows)))
+    left, answers = [], []
+    for weight in (0.0, 1.0):
+        net, _ = learn_forward(config(**FAST | {"physics_weight": weight, "onestep_updates": 200}), sets, body)
+        physics = PhysicsResidual.fit(body, net, windows, 0.01, 500, 0)
+        with torch.no_grad():
+            answers.append(net(rows)[:, -1])
+            left.append(float(physics(rows[:, -1], answers[-1]).pow(2).mean()))
+    assert left[1] < 0.9 * left[0], f"mean squared residual {left} without and with physics"
+    assert not torch.equal(*answers)
+
+
+def test_scalers_and_training_see_training_runs_only(body: Body, sets: Sets) -> None:
+    spoilt = replace(sets.heldout, state=sets.heldout.state + 1.0), replace(sets.validation, rate=10.0 * sets.validation.rate)
+    first, _ = learn_forward(config(), sets, body)
+    second, history = learn_forward(config(), Sets(sets.train, spoilt[1], spoilt[0]), body)
+    for name, weight in weights_of(first).items():
+        np.testing.assert_array_equal(weight, weights_of(second)[name], err_msg=name)
+    assert history.validation[-1] > 1.0
+
+
+def test_runs_of_the_three_sets_differ(sets: Sets) -> None:
+    for first, second in ((sets.train, sets.heldout), (sets.train, sets.validation), (sets.validation, sets.heldout)):
+        for load in second.load:
+            assert np.abs(first.load - load).max(axis=(1, 2)).min() > 1.0
+
+
+def test_tiny_training_with_one_seed_is_identical_and_survives_the_disk(
+    body: Body, robot: Robot, sets: Sets, tmp_path: Path
+) -> None:
+    c = config(rollout_updates=3)
+    nets = [learn_forward(c, sets, body)[0] for _ in range(2)]
+    inverses = [learn_inverse(c, net, sets.train)[0] for net in nets]
+    for pair in (nets, inverses):
+        for name, weight in weights_of(pair[0]).items():
+            np.testing.assert_array_equal(weight, weights_of(pair[1])[name], err_msg=name)
+    forward = ForwardDynamics(
+        weights_of(nets[0]), c.window, c.width, c.heads, c.layers, c.feedforward, c.linear_rows, c.dt_s, c.physics_weight,
+        LOW, HIGH, body.rest_tip, robot.axis, 3, robot.name,
+    )  # fmt: skip
+    inverse = InverseDynamics(weights_of(inverses[0]), c.inverse_hidden, c.dt_s, c.cycle_weight, 3, robot.name)
+    forward.save(tmp_path / "forward")
+    inverse.save(tmp_path / "inverse")
+    rows, rate = Windows(sets.heldout, c.window).take(torch.arange(20))
+    with torch.no_grad():
+        torch.testing.assert_close(forward_net(ForwardDynamics.load(tmp_path / "forward"))(rows), nets[0](rows))
+        again = inverse_net(InverseDynamics.load(tmp_path / "inverse"))
+        torch.testing.assert_close(again(rows[:, -1], rate), inverses[0](rows[:, -1], rate))
+
+
+def test_inverse_finds_pressures_and_the_cycle_weight_counts(sets: Sets, trained: ForwardNet) -> None:
+    windows = Windows(sets.heldout, trained.window)
+    with_cycle, _ = learn_inverse(config(**FAST), trained, sets.train)
+    without, losses = learn_inverse(config(**FAST | {"cycle_weight": 0.0}), trained, sets.train)
+    errors = inverse_errors(with_cycle, trained, windows)
+    assert errors["inverse_pressure_kpa"] < errors["linear_inverse_pressure_kpa"]
+    assert errors["inverse_pressure_kpa"] < 0.02 * errors["mean_inverse_pressure_kpa"], errors
+    assert not losses[:, 1].any()
+    rows, rate = windows.take(torch.arange(50))
+    with torch.no_grad():
+        assert not torch.equal(with_cycle(rows[:, -1], rate), without(rows[:, -1], rate))
+
+
+def test_inverse_does_not_read_the_pressures_that_it_answers(sets: Sets, trained: ForwardNet) -> None:
+    net, _ = learn_inverse(config(), trained, sets.train)
+    rows, rate = Windows(sets.heldout, trained.window).take(torch.arange(20))
+    changed = rows[:, -1].clone()
+    changed[:, 22:25] += 5e3
+    with torch.no_grad():
+        torch.testing.assert_close(net(rows[:, -1], rate), net(changed, rate))
+
+
+def test_report_names_errors_beside_baselines(body: Body, sets: Sets, trained: ForwardNet) -> None:
+    tracker = NullTracker()
+    inverse, _ = learn_inverse(config(), trained, sets.train)
+    report(config(), trained, inverse, body, sets.heldout, sets.validation, tracker)
+    for name in ("position_onestep_mm", "position_rollout_mm", "velocity_onestep_mm_s", "velocity_rollout_mm_s"):
+        for baseline in ("", "arx_", "rate_stays_", "state_stays_"):
+            assert np.isfinite(tracker.metrics[f"heldout/{baseline}{name}"])
+        assert np.isfinite(tracker.metrics[f"full_model/rom_{name}"])
+        assert f"heldout/rom_{name}" not in tracker.metrics
+    assert np.isfinite(tracker.metrics["heldout/inverse_pressure_kpa"])
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "told"),
+    [("physics_weight", -1.0, "lambda=-1"), ("width", 30, "stage.heads"), ("window", 1, "stage.linear_rows"), ("run_s", 0.2, "stage.run_s")],
+)
+def test_bad_values_name_the_key(key: str, value: float, told: str) -> None:
+    with pytest.raises(ConfigError, match=told):
+        config(**{key: value})

@@ -1,0 +1,79 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from softrl.artifacts.mesh import tetrahedron_volumes
+from softrl.core.errors import MeshError
+from softrl.mesh.cavity import find_cavities
+from softrl.mesh.surface import enclosed_volume
+from tests.mesh.conftest import THREE, hollow
+
+CELL = 1e-6  # m^3 of a cube of 10 mm
+
+
+def test_three_cavities_in_the_order_of_the_chambers(cubes, block, robot) -> None:
+    solid = cubes(hollow(block, *THREE))
+    cavities = find_cavities(solid, robot, "block")
+    for chamber, angle in enumerate(robot.chamber_angle_deg):
+        triangles = cavities.triangles[cavities.chamber == chamber]
+        # normals point into the cavity: its volume is negative, three cells of it
+        assert enclosed_volume(solid.points, triangles) == pytest.approx(-3 * CELL, rel=1e-9)
+        centre = solid.points[np.unique(triangles)].mean(axis=0)
+        apart = np.rad2deg(np.arctan2(centre[1], centre[0])) - angle
+        assert abs((apart + 180) % 360 - 180) < 15
+
+
+def test_order_follows_the_robot(cubes, block, robot) -> None:
+    solid = cubes(hollow(block, *THREE))
+    turned = dataclasses.replace(robot, chamber_angle_deg=(30.0, -90.0, 150.0))
+    a, b = find_cavities(solid, robot, "block"), find_cavities(solid, turned, "block")
+    first = b.triangles[b.chamber == 1]
+    assert np.array_equal(np.sort(first, axis=0), np.sort(a.triangles[a.chamber == 0], axis=0))
+
+
+def test_boundary_and_elements_agree_on_the_volume(cubes, block) -> None:
+    solid = cubes(hollow(block, *THREE))
+    assert enclosed_volume(solid.points, solid.boundary()) == pytest.approx(solid.volume(), rel=1e-9)
+    assert solid.volume() == pytest.approx((11 * 11 * 5 - 9) * CELL, rel=1e-9)
+    assert (tetrahedron_volumes(solid.points, solid.corners) > 0).all()
+
+
+def test_filled_chambers_are_refused(cubes, block, robot) -> None:
+    with pytest.raises(MeshError, match=r"block\.vtk has no cavity.*605\.0 cm3.*3 chambers are filled"):
+        find_cavities(cubes(block), robot, "block.vtk")
+
+
+def test_wrong_number_of_cavities_is_named(cubes, block, robot) -> None:
+    with pytest.raises(MeshError, match=r"2 cavities \(3\.00, 3\.00 cm3\).*3 chambers"):
+        find_cavities(cubes(hollow(block, *THREE[:2])), robot, "block")
+
+
+def test_cavity_open_to_the_outside_does_not_count(cubes, block, robot) -> None:
+    cells = hollow(block, *THREE)
+    cells[5, 1, 4] = False
+    with pytest.raises(MeshError, match=r"2 cavities.*open to the outside is no cavity"):
+        find_cavities(cubes(cells), robot, "block")
+
+
+def test_cavity_that_touches_the_outside_is_refused(cubes, block, robot) -> None:
+    along_edge = hollow(block, *THREE)
+    along_edge[4, 0, 2] = False  # a dent whose vertical edge is one of the cavity's
+    with pytest.raises(MeshError, match="touch along an edge"):
+        find_cavities(cubes(along_edge), robot, "block")
+    in_a_point = hollow(block, *THREE)
+    in_a_point[4, 0, 4] = False  # a dent whose corner is one of the cavity's
+    with pytest.raises(MeshError, match="touches the outside or another cavity in 1 nodes"):
+        find_cavities(cubes(in_a_point), robot, "block")
+
+
+def test_cavities_at_other_angles_are_refused(cubes, block, robot) -> None:
+    with pytest.raises(MeshError, match=r"cavities at .* deg around z.*-90, -210, -330 deg"):
+        find_cavities(cubes(hollow(block, (5, 9), (2, 3), (8, 3))), robot, "block")
+
+
+def test_two_bodies_are_refused(cubes, block, robot) -> None:
+    cells = hollow(block, *THREE)
+    cells[:, 4, :] = False
+    with pytest.raises(MeshError, match="2 separate solids"):
+        find_cavities(cubes(cells), robot, "block")

@@ -1,0 +1,72 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from softrl.artifacts.mesh import BASE, FIRST_RIB, PLATE
+from softrl.core.errors import ConfigError, MeshError
+from softrl.core.tracking import NullTracker
+from softrl.mesh.region import tag_nodes
+from softrl.mesh.stage import run
+
+
+@pytest.fixture(scope="module")
+def mesh(configure, robot):
+    return run(configure(), robot, tracker=NullTracker())
+
+
+def test_each_rib_is_one_flat_part_between_all_bellows(mesh, configure) -> None:
+    regions = configure().regions
+    for i, (low, high) in enumerate(zip(regions.rib_from_m, regions.rib_to_m, strict=True)):
+        points = mesh.points[mesh.node_region == FIRST_RIB + i]
+        assert points[:, 2].min() > low - regions.tolerance_m
+        assert points[:, 2].max() < high + regions.tolerance_m
+        # centred on the axis, and as wide towards each of the three bellows
+        assert np.abs(points[:, :2].mean(axis=0)).max() < 5e-3
+        for angle in np.deg2rad([-90.0, 150.0, 30.0]):
+            assert (points[:, :2] @ [np.cos(angle), np.sin(angle)]).max() > 0.025
+
+
+def test_whole_ribs_are_tagged(mesh, configure) -> None:
+    # an element well inside a rib's prism has four nodes of that rib: no soft remainder in a stiff part
+    regions = configure().regions
+    centre = mesh.points[mesh.tetrahedra].mean(axis=1)
+    within = np.hypot(centre[:, 0], centre[:, 1]) < 0.020
+    for i, (low, high) in enumerate(zip(regions.rib_from_m, regions.rib_to_m, strict=True)):
+        elements = mesh.tetrahedra[within & (centre[:, 2] > low) & (centre[:, 2] < high)]
+        assert len(elements) > 10
+        assert (mesh.node_region[elements] == FIRST_RIB + i).all()
+
+
+def test_base_and_plate(mesh) -> None:
+    assert mesh.points[mesh.node_region == BASE][:, 2].max() < 0.007
+    plate = mesh.points[mesh.node_region == PLATE]
+    assert plate[:, 2].min() > 0.169
+    assert np.hypot(plate[:, 0], plate[:, 1]).max() > 0.08
+
+
+def test_layers_count_upward(mesh) -> None:
+    centre = mesh.points[mesh.tetrahedra, 2].mean(axis=1)
+    assert set(mesh.element_layer.tolist()) == set(range(7))
+    for layer in range(6):
+        assert centre[mesh.element_layer == layer].max() <= centre[mesh.element_layer == layer + 1].min()
+
+
+def test_box_narrows_the_ribs(mesh, configure) -> None:
+    regions = dataclasses.replace(configure().regions, rib_box_m=(-0.1, 0.0, 0.1, 0.1))
+    ribs = tag_nodes(mesh.points, regions, "sample") >= FIRST_RIB
+    assert mesh.points[ribs, 1].min() >= -regions.tolerance_m
+    assert 0 < ribs.sum() < (mesh.node_region >= FIRST_RIB).sum()
+
+
+def test_region_without_nodes_is_an_error(mesh, configure) -> None:
+    regions = dataclasses.replace(configure().regions, plate_from_m=0.2, plate_to_m=0.3)
+    with pytest.raises(MeshError, match=r"0 nodes in the region of stage\.regions\.plate_from_m.*17\d\.\d mm"):
+        tag_nodes(mesh.points, regions, "sample")
+
+
+def test_planes_must_rise(configure) -> None:
+    with pytest.raises(ConfigError, match="expected them rising"):
+        configure("regions.base_below_m=0.03")
+    with pytest.raises(ConfigError, match="expected pairs"):
+        configure("regions.rib_from_m=[0.02]")

@@ -1,0 +1,150 @@
+import dataclasses
+
+import meshio
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from softrl.artifacts.mesh import Mesh
+from softrl.core.errors import ConfigError, MeshError
+from softrl.core.tracking import NullTracker
+from softrl.mesh.stage import run
+
+CM3 = 1e6
+
+
+@pytest.fixture(scope="module")
+def sample(configure, robot) -> Mesh:
+    return run(configure(), robot, tracker=NullTracker())
+
+
+def test_sample_is_the_robot(sample, configure, robot) -> None:
+    tracker = NullTracker()
+    run(configure(), robot, tracker=tracker)
+    metrics = tracker.metrics
+    assert 2000 < metrics["nodes_count"] < 3500
+    assert metrics["volume_cm3"] == pytest.approx(435.0, rel=0.01)
+    assert metrics["min_dihedral_deg"] > 6.0
+    volumes = [metrics[f"cavity_{k}_volume_cm3"] for k in (1, 2, 3)]
+    assert np.ptp(volumes) < 0.02 * np.mean(volumes)
+    assert sample.chambers == 3
+
+
+def test_sample_walls_are_nowhere_thin(sample) -> None:
+    # the tetrahedraliser may move a surface within its envelope; a pierced or paper-thin wall must not pass
+    solid_shell = _outside(sample)
+    weights = np.random.default_rng(1).dirichlet([1.0, 1.0, 1.0], 30)
+    cloud = np.einsum("sk,tkd->tsd", weights, sample.points[solid_shell]).reshape(-1, 3)
+    wall = cKDTree(cloud).query(sample.points[np.unique(sample.cavity_triangles)])[0]
+    assert wall.min() > 1.5e-3
+    assert np.median(wall) == pytest.approx(3.8e-3, rel=0.1)
+
+
+def _outside(mesh: Mesh) -> np.ndarray:
+    faces = np.concatenate([mesh.tetrahedra[:, list(f)] for f in ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))])
+    inner = {tuple(t) for t in np.sort(mesh.cavity_triangles, axis=1).tolist()}
+    key, first, uses = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    keep = [i for i, k in zip(first[uses == 1], key[uses == 1].tolist(), strict=True) if tuple(k) not in inner]
+    return faces[keep]
+
+
+def test_two_runs_agree_and_the_artifact_comes_back(sample, configure, robot, tmp_path) -> None:
+    again = run(configure(), robot, tracker=NullTracker())
+    sample.save(tmp_path / "mesh")
+    loaded = Mesh.load(tmp_path / "mesh")
+    for field in ("points", "tetrahedra", "node_region", "element_layer", "cavity_triangles", "cavity_of_triangle"):
+        assert np.array_equal(getattr(sample, field), getattr(again, field)), field
+        assert np.array_equal(getattr(sample, field), getattr(loaded, field)), field
+
+
+def test_tiny_sample_is_smaller(configure, robot) -> None:
+    tiny = run(configure(profile="tiny"), robot, tracker=NullTracker())
+    assert len(tiny.points) < 1200
+    assert set(np.unique(tiny.node_region).tolist()) == {0, 1, 2, 11, 12, 13}
+
+
+def test_changed_measure_is_not_without_effect(configure, robot) -> None:
+    with pytest.raises(ConfigError, match=r"stage\.geometry\.wall_m=0\.004.*made with 0\.0038.*source=generate"):
+        run(configure("geometry.wall_m=0.004"), robot, tracker=NullTracker())
+
+
+def test_sample_of_another_robot_is_refused(configure, robot) -> None:
+    turned = dataclasses.replace(robot, chamber_angle_deg=(90.0, -30.0, -150.0))
+    with pytest.raises(MeshError, match="turn the mesh"):
+        run(configure(), turned, tracker=NullTracker())
+
+
+def test_own_volume_mesh_gives_the_same_artifact(sample, configure, robot, tmp_path) -> None:
+    path = tmp_path / "own.vtu"
+    meshio.write(path, meshio.Mesh(1e3 * sample.points, [("tetra", sample.tetrahedra)]))
+    own = run(configure(f"source={path}"), robot, tracker=NullTracker())
+    assert own.volume() == pytest.approx(sample.volume(), rel=1e-9)
+    assert np.array_equal(own.node_region, sample.node_region)
+    assert np.array_equal(own.cavity_of_triangle, sample.cavity_of_triangle)
+
+
+def test_filled_surface_is_refused_before_it_is_meshed(sample, configure, robot, tmp_path) -> None:
+    path = tmp_path / "outside.stl"
+    meshio.write(path, meshio.Mesh(1e3 * sample.points, [("triangle", _outside(sample))]))
+    with pytest.raises(MeshError, match=r"outside\.stl has no cavity"):
+        run(configure(f"source={path}"), robot, tracker=NullTracker())
+
+
+def test_values_out_of_range(configure) -> None:
+    for override, message in (
+        ("unit_m=0", "unit_m=0 must be positive"),
+        ("min_dihedral_deg=80", "min_dihedral_deg=80"),
+        ("tetrahedra.envelope_m=0.1", "expected 0 < envelope < edge"),
+        ("cavity_surfaces=[a.stl]", "brings its own cavities"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            configure(override)
+
+
+@pytest.mark.slow
+def test_sample_is_what_its_recipe_makes(sample, configure, robot, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    made = run(configure("source=generate"), robot, tracker=NullTracker())
+    assert not list(tmp_path.iterdir()), "the tetrahedraliser left files in the working directory"
+    # fTetWild is not deterministic: numbers of nodes vary by a few per cent
+    assert len(made.points) == pytest.approx(len(sample.points), rel=0.15)
+    assert made.volume() == pytest.approx(sample.volume(), rel=0.01)
+    for chamber in range(3):
+        assert made.cavity_volume(chamber) == pytest.approx(sample.cavity_volume(chamber), rel=0.03)
+    for region in np.unique(sample.node_region)[1:]:
+        a, b = (m.points[m.node_region == region] for m in (made, sample))
+        assert a[:, 2].mean() == pytest.approx(b[:, 2].mean(), abs=1e-3), region
+        assert len(a) == pytest.approx(len(b), rel=0.5), region
+
+
+@pytest.mark.slow
+def test_surface_and_cavities_in_files_are_hollowed(sample, configure, robot, tmp_path) -> None:
+    outside, cavities = tmp_path / "outside.stl", []
+    meshio.write(outside, meshio.Mesh(1e3 * sample.points, [("triangle", _outside(sample))]))
+    for chamber in range(3):
+        cavities.append(str(tmp_path / f"cavity_{chamber}.stl"))
+        # outward normals, as a program that draws single parts would write them
+        triangles = sample.cavity_triangles[sample.cavity_of_triangle == chamber][:, ::-1]
+        meshio.write(cavities[-1], meshio.Mesh(1e3 * sample.points, [("triangle", triangles)]))
+    config = configure(f"source={outside}", f"cavity_surfaces=[{','.join(cavities)}]")
+    made = run(config, robot, tracker=NullTracker())
+    assert made.volume() == pytest.approx(sample.volume(), rel=0.02)
+    assert made.cavity_volume(0) == pytest.approx(sample.cavity_volume(0), rel=0.05)
+
+
+@pytest.mark.realdata
+def test_filled_mesh_of_the_modelled_robot_is_refused(configure, robot, real_data) -> None:
+    path = real_data / "paper_manipulator" / "ManipulatorWhole25.vtk"
+    with pytest.raises(MeshError, match=r"no cavity.*680\.\d cm3.*filled"):
+        run(configure(f"source={path}"), robot, tracker=NullTracker())
+
+
+@pytest.mark.slow
+@pytest.mark.realdata
+def test_surface_of_the_modelled_robot_is_hollowed(configure, robot, real_data) -> None:
+    path = real_data / "paper_manipulator" / "ManipulatorWhole25.stl"
+    box = "regions.rib_box_m=[-0.0325,-0.036,0.0325,0.024]"
+    mesh = run(configure(f"source={path}", box, "regions.rib_radius_m=0.05"), robot, tracker=NullTracker())
+    assert CM3 * mesh.volume() == pytest.approx(435.3, rel=0.02)
+    assert [CM3 * mesh.cavity_volume(k) for k in range(3)] == pytest.approx([81.8] * 3, rel=0.05)
+    assert set(np.unique(mesh.node_region).tolist()) == {0, 1, 2, *range(11, 17)}

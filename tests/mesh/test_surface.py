@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+
+from softrl.core.errors import MeshError
+from softrl.mesh.reader import join_surfaces
+from softrl.mesh.surface import (
+    Surface,
+    check_closed,
+    enclosed_volume,
+    label_shells,
+    merge_points,
+    orient_shells,
+    winding_number,
+)
+from softrl.mesh.tetrahedra import Tetrahedra, tidy
+
+CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+
+
+def tetrahedron(scale: float = 1.0, shift: float = 0.0) -> Surface:
+    solid = Tetrahedra(scale * (CORNERS - 0.25) + shift, np.array([[0, 1, 2, 3]]))
+    return Surface(solid.points, solid.boundary())
+
+
+def flipped(surface: Surface) -> Surface:
+    return Surface(surface.points, surface.triangles[:, ::-1])
+
+
+def test_enclosed_volume_is_that_of_the_solid_wherever_it_stands() -> None:
+    assert enclosed_volume(CORNERS, tetrahedron().triangles) == pytest.approx(1 / 6, rel=1e-12)
+    assert tetrahedron(2.0, shift=1e4).volume() == pytest.approx(8 / 6, rel=1e-9)
+    assert flipped(tetrahedron()).volume() == pytest.approx(-1 / 6, rel=1e-12)
+
+
+def test_winding_number_tells_inside_from_outside() -> None:
+    surface = tetrahedron()
+    query = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0], [-0.2, -0.2, -0.2], [-0.3, 0.0, 0.0]])
+    assert winding_number(query, surface.points, surface.triangles) == pytest.approx([1, 0, 1, 0], abs=1e-12)
+
+
+@pytest.mark.parametrize("turn_outer", [False, True])
+@pytest.mark.parametrize("turn_inner", [False, True])
+def test_nesting_decides_which_shell_is_a_cavity(turn_outer: bool, turn_inner: bool) -> None:
+    outer, inner, island = tetrahedron(4.0), tetrahedron(2.0), tetrahedron(1.0)
+    given = [flipped(outer) if turn_outer else outer, flipped(inner) if turn_inner else inner, island]
+    joined = join_surfaces(given[0], given[1:])
+    assert joined.volume() == pytest.approx((64 - 8 + 1) / 6, rel=1e-12)
+    shells = label_shells(joined.triangles)
+    signs = [np.sign(enclosed_volume(joined.points, joined.triangles[shells == k])) for k in range(3)]
+    assert signs == [1, -1, 1]
+    assert orient_shells(joined).triangles == pytest.approx(joined.triangles)
+
+
+def test_missing_triangle_is_an_open_surface() -> None:
+    surface = tetrahedron()
+    with pytest.raises(MeshError, match=r"part\.stl is open: 3 edges"):
+        check_closed(surface.triangles[1:], surface.points, "part.stl")
+
+
+def test_disagreeing_normals_are_named() -> None:
+    surface = tetrahedron()
+    triangles = surface.triangles.copy()
+    triangles[0] = triangles[0, ::-1]
+    with pytest.raises(MeshError, match="disagree on their normals"):
+        check_closed(triangles, surface.points, "part.stl")
+
+
+def test_parts_that_share_an_edge_are_refused() -> None:
+    # two tetrahedra back to back along the x axis
+    points = np.vstack([CORNERS, [[0, -1, 0], [0, 0, -1]]])
+    two = tidy(points, np.array([[0, 1, 2, 3], [0, 1, 4, 5]]))
+    with pytest.raises(MeshError, match="touch along an edge"):
+        check_closed(two.boundary(), two.points, "part")
+
+
+def test_shells_are_joined_by_edges_not_by_points() -> None:
+    points = np.vstack([CORNERS, -CORNERS[1:]])
+    two = tidy(points, np.array([[0, 1, 2, 3], [0, 4, 6, 5]]))
+    assert label_shells(two.boundary()).max() + 1 == 2
+
+
+def test_repeated_corners_of_stl_become_one_node() -> None:
+    surface = tetrahedron()
+    soup = surface.points[surface.triangles].reshape(-1, 3)
+    merged = merge_points(soup, np.arange(len(soup)).reshape(-1, 3), 1e-9)
+    assert len(merged.points) == 4
+    assert merged.volume() == pytest.approx(surface.volume(), rel=1e-8)
