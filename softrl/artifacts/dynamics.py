@@ -27,6 +27,7 @@ class ForwardDynamics(Artifact):
     physics_weight : lambda of eq. 10 in training
     load_low, load_high : (n + 3,) Pa and N, range of the training loads
     rest_tip : (3,) m
+    gravity_m_s2 : (3,) under which f_S was trained
     axis : direction of the backbone at rest
     chambers : n
     robot_name : the robot
@@ -46,6 +47,7 @@ class ForwardDynamics(Artifact):
     load_low: np.ndarray
     load_high: np.ndarray
     rest_tip: np.ndarray
+    gravity_m_s2: np.ndarray
     axis: str
     chambers: int
     robot_name: str

@@ -9,16 +9,16 @@ from softrl.pod.torch_twin import TorchRom
 
 
 class ReducedBody:
-    """A ``ReducedModel`` behind ``dataset.Body``; weight acts as in the model."""
+    """A ``ReducedModel`` behind ``dataset.Body``, under ``gravity_m_s2`` (3,) in the base frame."""
 
-    def __init__(self, model: ReducedModel) -> None:
-        self._model, self._twin = model, TorchRom(model)
+    def __init__(self, model: ReducedModel, gravity_m_s2: np.ndarray) -> None:
+        self._model, self._gravity, self._twin = model, gravity_m_s2, TorchRom(model, gravity_m_s2)
         self.chambers, self.rest_tip = model.chambers, model.rest_tip
-        self.rest = static_coordinates(model, np.zeros((1, model.order)))[0]
+        self.rest = static_coordinates(model, np.zeros((1, model.order)), gravity_m_s2)[0]
 
     def roll(self, load: np.ndarray, start: np.ndarray, velocity: np.ndarray, dt_s: float) -> np.ndarray:
         """Return z (B, steps, n + 3) under ``load`` (B, steps, n + 3) from ``start`` and ``velocity`` (B, n + 3)."""
-        return roll(self._model, dt_s, load, start, velocity)
+        return roll(self._model, dt_s, load, start, velocity, self._gravity)
 
     def residual(
         self, z: torch.Tensor, velocity: torch.Tensor, acceleration: torch.Tensor, load: torch.Tensor

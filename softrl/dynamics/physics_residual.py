@@ -15,39 +15,59 @@ class PhysicsResidual:
     Attributes
     ----------
     body : the reduced model
-    rest_tip : (3,) m
-    scale : (n + 3,) Pa and N, rms residual of the linear prediction on training windows
+    flexibility : (n + 3, n + 3) change of the rate of z per residual force, through the tangent of implicit Euler at rest
+    scale : (n + 3,) rms of ``flexibility`` R for the linear prediction on training windows, m^3/s and m/s
     dt_s : s
+
+    Notes
+    -----
+    Departure: forces are weighed by the rate that they would still change. Weighed by their own size, the stiff combinations of
+    volumes and tip rule the sum, and a larger lambda then made every prediction worse.
     """
 
     body: Body
-    rest_tip: torch.Tensor
+    flexibility: torch.Tensor
     scale: torch.Tensor
     dt_s: float
 
     @classmethod
     def fit(cls, body: Body, net: ForwardNet, windows: Windows, dt_s: float, samples: int, seed: int) -> "PhysicsResidual":
         """Return the residual whose scale is that of ``net``'s linear map on ``samples`` windows of the training set."""
-        rest_tip = torch.tensor(body.rest_tip, dtype=torch.float64)
-        unit = cls(body, rest_tip, torch.ones(body.chambers + 3, dtype=torch.float64), dt_s)
+        size = body.chambers + 3
+        unit = cls(body, _flexibility(body, dt_s), torch.ones(size, dtype=torch.float64), dt_s)
         index = torch.randint(len(windows), (samples,), generator=torch.Generator().manual_seed(seed))
         rows = windows.take(index)[0]
         with torch.no_grad():
             scale = unit(rows[:, -1], net.linear_rate(rows)[:, -1]).pow(2).mean(dim=0).sqrt()
-        return cls(body, rest_tip, scale.clamp(min=1e-9), dt_s)
+        return cls(body, unit.flexibility, torch.where(scale > 0.0, scale, 1.0), dt_s)
 
     def __call__(self, row: torch.Tensor, rate: torch.Tensor) -> torch.Tensor:
-        """Return M a + D v + dW/dz - load (B, n + 3), over its scale, of predicted ``rate`` (B, 8 + n) after ``row``.
+        """Return the dimensionless residual (B, n + 3) of predicted ``rate`` (B, 8 + n) after ``row`` (B, features)."""
+        return self.force(row, rate) @ self.flexibility.T / self.scale
+
+    def force(self, row: torch.Tensor, rate: torch.Tensor) -> torch.Tensor:
+        """Return M a + D v + dW/dz - load (B, n + 3), Pa and N, of predicted ``rate`` (B, 8 + n) after ``row``.
 
         Notes
         -----
-        Paper eq. 9; mass, damping and elastic force, pressure and tip force are the reduced model's, evaluated at the predicted
-        state and rate, with the backward difference of the rates as acceleration: the balance that implicit Euler solves.
+        Paper eq. 9; mass, damping and elastic force, weight, pressure and tip force are the reduced model's, evaluated at the
+        predicted state and rate, with the backward difference of the rates as acceleration: the balance of implicit Euler.
         """
         states = rate.shape[-1]
         row, rate = row.double(), rate.double()
         now, before, load = row[:, :states], row[:, states : 2 * states], row[:, 2 * states :]
-        z = coordinates_of(now + self.dt_s * rate, self.rest_tip)
+        z = coordinates_of(now + self.dt_s * rate, torch.tensor(self.body.rest_tip))
         nowhere = torch.zeros(3, dtype=torch.float64)  # rates have no rest position to take off
         velocity, last = coordinates_of(rate, nowhere), coordinates_of(before, nowhere)
-        return self.body.residual(z, velocity, (velocity - last) / self.dt_s, load) / self.scale
+        return self.body.residual(z, velocity, (velocity - last) / self.dt_s, load)
+
+
+def _flexibility(body: Body, dt_s: float) -> torch.Tensor:
+    rest = torch.tensor(body.rest)
+
+    def residual(velocity: torch.Tensor) -> torch.Tensor:
+        z = (rest + dt_s * velocity)[None]
+        return body.residual(z, velocity[None], velocity[None] / dt_s, torch.zeros_like(z))[0]
+
+    tangent = torch.autograd.functional.jacobian(residual, torch.zeros_like(rest))
+    return torch.linalg.inv(tangent)

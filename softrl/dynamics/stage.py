@@ -32,6 +32,8 @@ class Config:
     Attributes
     ----------
     training_runs, validation_runs, heldout_runs, run_s, dt_s : random runs of the reduced model
+    weight : whether the robot's weight acts; the full model's trajectories are without it, so f_S is compared with them
+        only if it is off
     window : rows that the Transformer sees;  width, heads, layers, feedforward : its size
     linear_rows, ridge : rows of its linear part, and their relative ridge (also of the inverse's linear part)
     batch, onestep_updates, rollout_updates, rollout_steps, learning_rate : training; the second part predicts
@@ -47,6 +49,7 @@ class Config:
     heldout_runs: int
     run_s: float
     dt_s: float
+    weight: bool
     window: int
     width: int
     heads: int
@@ -109,16 +112,18 @@ def run(
 ) -> Dynamics:
     """Return f_S and its inverse; errors on held-out runs and on the full model's are logged beside baselines."""
     torch.set_num_threads(1)
-    body = ReducedBody(reduced_model)
+    gravity = np.array(robot.gravity_m_s2) * config.weight
+    body = ReducedBody(reduced_model, gravity)
     low, high = _load_range(robot, reduced_model)
     sets = generate(config, robot, body, low, high)
     net, history = learn_forward(config, sets, body)
     inverse, inverse_losses = learn_inverse(config, net, sets.train)
     tracker.figure("losses", draw_losses(history, inverse_losses))
-    report(config, net, inverse, body, sets.heldout, full_order(snapshots, robot.axis, config.dt_s), tracker)
+    full = None if config.weight else full_order(snapshots, robot.axis, config.dt_s)
+    report(config, net, inverse, body, sets.heldout, full, tracker)
     forward = ForwardDynamics(
         weights_of(net), config.window, config.width, config.heads, config.layers, config.feedforward, config.linear_rows,
-        config.dt_s, config.physics_weight, low, high, np.asarray(body.rest_tip), robot.axis, robot.chambers, robot.name,
+        config.dt_s, config.physics_weight, low, high, np.asarray(body.rest_tip), gravity, robot.axis, robot.chambers, robot.name,
     )  # fmt: skip
     backward = InverseDynamics(
         weights_of(inverse), config.inverse_hidden, config.dt_s, config.cycle_weight, robot.chambers, robot.name
@@ -190,7 +195,7 @@ def report(
     for name, value in inverse_errors(inverse, net, windows).items():
         tracker.metric(f"heldout/{name}", value)
     if full is None or full.state.shape[1] < config.window + 3:
-        log.info("the snapshots hold no trajectories on dt_s=%g: f_S is not compared with the full model", config.dt_s)
+        log.info("f_S is not compared with the full model: that needs stage.weight=false and its trajectories on stage.dt_s")
         return
     _report_set("full_model", known, Windows(full, config.window, from_rest=False), config, tracker)
 

@@ -22,7 +22,7 @@ class Cost(NamedTuple):
     Attributes
     ----------
     iterations, factorisations : over all load steps
-    seconds : wall clock in its process
+    seconds : processor time
     steps_m : largest nodal shift of each iteration of the last load step, m
     """
 
@@ -55,10 +55,9 @@ def follow(
     """Yield the equilibrium of each row of ``loads`` (samples, chambers + 3), or None where it is not found.
 
     A change of load longer than ``largest_step`` (in units of ``scale``) is divided. After a failure the path
-    starts again at rest.
+    starts again at rest, which is the equilibrium under no load but the model's weight.
     """
-    zero = np.zeros(loads.shape[1])
-    rest = Equilibrium(zero, model.rest(), model.tangent(model.rest(), zero), Cost(0, 0, 0.0, ()))
+    rest = _rest(model, loads.shape[1])
     here = rest
     for load in loads:
         found = _reach(model, here, load, scale, largest_step)
@@ -68,6 +67,17 @@ def follow(
             log.warning("no equilibrium found at load %s (Pa, N)", np.array2string(load, precision=4))
         here = found or rest
         yield found
+
+
+def _rest(model: FemModel, width: int) -> Equilibrium:
+    zero = np.zeros(width)
+    solve = model.static(zero)
+    if not solve.converged:
+        raise SolverError(
+            f"no equilibrium at rest: Newton stopped after {solve.iterations} iterations, {solve.residual_n:.1e} N left; "
+            "check the mesh, and the weight against the material's modulus"
+        )
+    return Equilibrium(zero, solve.pose, model.tangent(solve.pose, zero), Cost(0, 0, 0.0, ()))
 
 
 def _reach(
@@ -84,7 +94,7 @@ def _reach(
 
 
 def _walk(model: FemModel, start: Equilibrium, load: np.ndarray, count: int) -> Equilibrium:
-    pose, began = start.pose, time.monotonic()
+    pose, began = start.pose, time.process_time()
     guess = model.coupling.move(pose, start.tangent.change @ (load - start.load) / count)
     iterations, factorisations = 0, 1
     for share in np.arange(1, count + 1) / count:
@@ -96,5 +106,5 @@ def _walk(model: FemModel, start: Equilibrium, load: np.ndarray, count: int) -> 
         if share < 1.0:
             guess = model.predict(pose, (load - start.load) / count)
     tangent = model.tangent(pose, load)
-    cost = Cost(iterations, factorisations, time.monotonic() - began, solve.steps_m)
+    cost = Cost(iterations, factorisations, time.process_time() - began, solve.steps_m)
     return Equilibrium(load, pose, tangent, cost)

@@ -95,10 +95,12 @@ def minimise(
         else:
             fresh = False
         length = float(np.abs(step[:shifts]).max())
-        share, pose, value = _search(objective, coupling, pose, value, step, float(residual @ step))
+        done = length < settings.tolerance_m  # then energies differ by less than round-off: no search
+        slope = np.inf if done else float(residual @ step)
+        share, pose, value = _search(objective, coupling, pose, value, step, slope)
         residual = coupling.reduce(value.gradient, pose)
         steps.append(length)
-        if share == 1.0 and length < settings.tolerance_m:
+        if done and share == 1.0:
             return Solve(pose, True, len(steps), factorisations, _largest(residual, shifts), tuple(steps))
         if share == 0.0 and fresh:
             break

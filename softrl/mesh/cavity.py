@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrl.core.errors import MeshError
-from softrl.mesh.surface import Surface, check_closed, enclosed_volume, label_shells
+from softrl.mesh.surface import Surface, enclosed_volume, label_shells
 from softrl.mesh.tetrahedra import Tetrahedra
 from softrl.robots.robot import Robot
 
@@ -32,16 +32,14 @@ def find_cavities(solid: Tetrahedra, robot: Robot, name: str) -> Cavities:
         If the cavities are filled, too few or too many, open, touch each other or the outside, or lie at
         other angles than the robot's chambers.
     """
-    boundary = solid.boundary()
-    check_closed(boundary, solid.points, f"the boundary of {name}")
-    return cavities_of(Surface(solid.points, boundary), robot, name)
+    return cavities_of(Surface(solid.points, solid.boundary()), robot, name)
 
 
 def cavities_of(boundary: Surface, robot: Robot, name: str) -> Cavities:
     """Return the cavities among the shells of a closed ``boundary``; raises like ``find_cavities``."""
     shells = split_shells(boundary.triangles)
     volume = np.array([enclosed_volume(boundary.points, shell) for shell in shells])
-    _check_touch(boundary.points, shells)
+    _check_touch(boundary.points, shells, name)
     _check_numbers(volume, robot, name)
     cavities = [shell for shell, v in zip(shells, volume, strict=True) if v < 0]
     order = match_chambers(np.array([boundary.points[np.unique(c)].mean(axis=0) for c in cavities]), robot, name)
@@ -56,14 +54,15 @@ def split_shells(triangles: np.ndarray) -> list[np.ndarray]:
     return [triangles[label == k] for k in range(label.max() + 1)]
 
 
-def _check_touch(points: np.ndarray, shells: list[np.ndarray]) -> None:
+def _check_touch(points: np.ndarray, shells: list[np.ndarray], name: str) -> None:
     seen = np.concatenate([np.unique(shell) for shell in shells])
     node, uses = np.unique(seen, return_counts=True)
     if (uses > 1).any():
         at = 1e3 * points[node[uses > 1][0]]
         raise MeshError(
-            f"a cavity touches the outside or another cavity in {int((uses > 1).sum())} nodes, e.g. at "
-            f"({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm; expected a wall around every cavity: refine the mesh there"
+            f"a cavity touches the outside or another cavity in {int((uses > 1).sum())} nodes of {name}, the first at "
+            f"({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm; expected a wall around every cavity: refine the mesh there "
+            "(a surface is meshed finer with a smaller stage.tetrahedra.envelope_m)"
         )
 
 

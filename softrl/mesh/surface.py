@@ -43,21 +43,22 @@ def merge_points(points: np.ndarray, triangles: np.ndarray, tolerance: float) ->
 
 
 def check_closed(triangles: np.ndarray, points: np.ndarray, name: str) -> None:
-    """Raise ``MeshError`` unless every edge belongs to exactly two triangles that agree on their normals."""
+    """Raise ``MeshError`` unless the triangles at every edge close the surface and agree on their normals.
+
+    Four triangles at an edge are no hole: there the surface touches itself.
+    """
     directed = directed_edges(triangles)
-    _, index, uses = np.unique(np.sort(directed, axis=1), axis=0, return_index=True, return_counts=True)
+    edge, which, uses = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
+    sense = np.where(directed[:, 0] < directed[:, 1], 1, -1)
+    balance = np.bincount(which.reshape(-1), weights=sense)
     for wrong, what, remedy in (
-        (uses == 1, "open: {} edges belong to one triangle only", "close its holes, or export it again"),
-        (uses > 2, "no plain surface: {} edges belong to three or more triangles, where parts touch along an edge",
-         "separate the parts, for instance a cavity that touches the outside"),
-    ):  # fmt: skip
+        (uses % 2 == 1, "is open: {} edges lack a triangle", "close its holes, or export it again"),
+        (balance != 0, "has {} edges whose triangles disagree on their normals", "unify the normals"),
+    ):
         if wrong.any():
-            x, y, z = 1e3 * points[directed[index[wrong][0]]].mean(axis=0)
+            x, y, z = 1e3 * points[edge[wrong][0]].mean(axis=0)
             many = what.format(int(wrong.sum()))
-            raise MeshError(f"{name} is {many}, the first at ({x:.1f}, {y:.1f}, {z:.1f}) mm; {remedy}")
-    repeated = len(directed) - len(np.unique(directed, axis=0))
-    if repeated:
-        raise MeshError(f"{name} has {repeated} edges whose two triangles disagree on their normals; unify the normals")
+            raise MeshError(f"{name} {many}, the first at ({x:.1f}, {y:.1f}, {z:.1f}) mm; {remedy}")
 
 
 def directed_edges(triangles: np.ndarray) -> np.ndarray:
@@ -68,14 +69,16 @@ def directed_edges(triangles: np.ndarray) -> np.ndarray:
 def label_shells(triangles: np.ndarray) -> np.ndarray:
     """Return the number (triangles,) of the connected shell that each triangle belongs to.
 
-    Triangles are connected through edges, not through single nodes: two shells that touch in a point stay two.
+    Triangles are connected through edges that only two of them share, so that shells stay apart that touch in a
+    node or along an edge.
     """
     count = len(triangles)
-    edges = np.sort(directed_edges(triangles), axis=1)
-    owner = np.tile(np.arange(count), 3)
-    order = np.lexsort((edges[:, 1], edges[:, 0]))
-    same = (np.diff(edges[order], axis=0) == 0).all(axis=1)
-    left, right = owner[order][:-1][same], owner[order][1:][same]
+    _, which, uses = np.unique(
+        np.sort(directed_edges(triangles), axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    which = which.reshape(-1)
+    plain = np.flatnonzero(uses[which] == 2)
+    left, right = (np.tile(np.arange(count), 3)[plain][np.argsort(which[plain])]).reshape(-1, 2).T
     graph = coo_matrix((np.ones(len(left)), (left, right)), shape=(count, count))
     return connected_components(graph, directed=False)[1]
 

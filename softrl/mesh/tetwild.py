@@ -14,7 +14,7 @@ def main(source: str, target: str) -> None:
     import pytetwild  # here, because it brings a whole drawing library that reading a mesh does not need
 
     with np.load(source, allow_pickle=False) as data:
-        points, corners = pytetwild.tetrahedralize(
+        points, corners = pytetwild.tetrahedralize(  # type: ignore[attr-defined]
             data["points"],
             data["triangles"],
             edge_length_abs=float(data["edge"]),

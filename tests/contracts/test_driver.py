@@ -21,7 +21,7 @@ PERIOD_S = 0.01
 CONF = Path(__file__).parents[2] / "conf"
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def tripod() -> Robot:
     """Return the default robot."""
     return build(yaml.safe_load((CONF / "robot" / "tripod.yaml").read_text()), Robot, "robot")
@@ -46,9 +46,9 @@ def stub(robot: Robot) -> StubDriver:
 DRIVERS: dict[str, Callable[[Robot], StubDriver]] = {"stub": stub}
 
 
-@pytest.fixture(params=DRIVERS)
-def driver(request: pytest.FixtureRequest, tripod: Robot) -> Driver:
-    """Return each driver in turn."""
+@pytest.fixture(params=DRIVERS, scope="module")
+def driver(request: pytest.FixtureRequest, tripod: Robot) -> StubDriver:
+    """Return each driver in turn; every test enters it anew, whatever the test before did to it."""
     return DRIVERS[request.param](tripod)
 
 
@@ -62,7 +62,7 @@ def run_wildly(driver: Driver, robot: Robot, steps: int = 120) -> list[Sample]:
     return samples
 
 
-def test_limits_hold_for_everything_that_is_sent(driver: Driver, tripod: Robot) -> None:
+def test_limits_hold_for_everything_that_is_sent(driver: StubDriver, tripod: Robot) -> None:
     with driver:
         samples = run_wildly(driver, tripod)
     sent = np.stack([s.commanded for s in samples])
@@ -75,7 +75,7 @@ def test_limits_hold_for_everything_that_is_sent(driver: Driver, tripod: Robot) 
     assert np.ptp(sent) > 0.9 * (tripod.pressure_max_pa - tripod.pressure_min_pa)
 
 
-def test_a_step_larger_than_one_period_of_slew_arrives_in_the_end(driver: Driver, tripod: Robot) -> None:
+def test_a_step_larger_than_one_period_of_slew_arrives_in_the_end(driver: StubDriver, tripod: Robot) -> None:
     goal = np.array([30e3, -10e3, 99e3])
     with driver:
         first = driver.command(goal)
@@ -84,7 +84,7 @@ def test_a_step_larger_than_one_period_of_slew_arrives_in_the_end(driver: Driver
     np.testing.assert_array_equal(samples[-1].commanded, [30e3, -10e3, tripod.pressure_max_pa])
 
 
-def test_the_device_clock_increases_and_keeps_the_time_asked_for(driver: Driver, tripod: Robot) -> None:
+def test_the_device_clock_increases_and_keeps_the_time_asked_for(driver: StubDriver, tripod: Robot) -> None:
     with driver:
         samples = [s for _ in range(37) for s in driver.advance(0.0271)]
     time = np.array([s.time_s for s in samples])
@@ -95,7 +95,7 @@ def test_the_device_clock_increases_and_keeps_the_time_asked_for(driver: Driver,
 
 
 @pytest.mark.parametrize("bad", [np.array([1e3, np.nan, 0.0]), np.array([1e3, 0.0]), np.array([[1e3, 0.0, 0.0]])])
-def test_a_malformed_command_is_refused_and_the_robot_vented(driver: Driver, bad: np.ndarray) -> None:
+def test_a_malformed_command_is_refused_and_the_robot_vented(driver: StubDriver, bad: np.ndarray) -> None:
     with pytest.raises(DriverError, match="expected"), driver:
         driver.command(np.full(3, 20e3))
         driver.advance(0.2)
@@ -104,7 +104,7 @@ def test_a_malformed_command_is_refused_and_the_robot_vented(driver: Driver, bad
 
 
 @pytest.mark.parametrize("error", [None, ValueError, KeyboardInterrupt])
-def test_it_vents_on_exit_and_on_any_exception(driver: Driver, error: type[BaseException] | None) -> None:
+def test_it_vents_on_exit_and_on_any_exception(driver: StubDriver, error: type[BaseException] | None) -> None:
     def use() -> None:
         with driver:
             driver.command(np.full(3, 20e3))
@@ -124,7 +124,7 @@ def test_it_vents_on_exit_and_on_any_exception(driver: Driver, error: type[BaseE
     assert after.pressure.max() < 0.6 * before.pressure.max()
 
 
-def test_the_watchdog_vents_a_robot_that_nobody_commands(driver: Driver) -> None:
+def test_the_watchdog_vents_a_robot_that_nobody_commands(driver: StubDriver) -> None:
     with pytest.raises(DriverError, match="watchdog"), driver:
         driver.command(np.full(3, 20e3))
         driver.advance(3.0)
@@ -132,12 +132,12 @@ def test_the_watchdog_vents_a_robot_that_nobody_commands(driver: Driver) -> None
     assert 0.9 < vented[0] < 1.3
 
 
-def test_a_vented_robot_may_wait(driver: Driver) -> None:
+def test_a_vented_robot_may_wait(driver: StubDriver) -> None:
     with driver:
         assert driver.advance(3.0)
 
 
-def test_use_outside_a_with_block_is_refused(driver: Driver) -> None:
+def test_use_outside_a_with_block_is_refused(driver: StubDriver) -> None:
     with pytest.raises(DriverError, match="not connected"):
         driver.command(np.zeros(3))
     with pytest.raises(DriverError, match="not connected"):

@@ -19,7 +19,9 @@ from softrl.effects.hysteresis import Hysteresis
 from softrl.effects.payload import Payload
 from softrl.effects.tether import Tether
 from softrl.effects.viscoelasticity import Viscoelasticity
+from softrl.pod.simulator import RomSimulator
 from softrl.robots.robot import Robot
+from tests.pod.conftest import fitted
 
 CONF = Path(__file__).parents[2] / "conf"
 DT_S = 0.01
@@ -40,7 +42,14 @@ SIMULATORS: dict[str, Callable[[], tuple[Robot, Simulator]]] = {
     "pcc": lambda: (tripod(), configured("pcc", tripod())),
     "pcc_one_chamber": lambda: _pcc_with(replace(tripod(), chamber_angle_deg=(-90.0,))),
     "pcc_four_chambers": lambda: _pcc_with(replace(tripod(), chamber_angle_deg=(0.0, 90.0, 180.0, 270.0))),
+    "rom": lambda: _rom_of(3),
+    "rom_one_chamber": lambda: _rom_of(1),
 }
+
+
+def _rom_of(chambers: int) -> tuple[Robot, Simulator]:
+    robot, _, model = fitted(chambers)
+    return robot, RomSimulator(robot, model, youngs_modulus_scale=1.0, damping_scale=1.0, mass_scale=1.0)
 
 
 def _pcc_with(robot: Robot) -> tuple[Robot, Simulator]:

@@ -43,6 +43,24 @@ def test_it_vanishes_on_the_bodys_motions_and_is_one_for_the_linear_prediction(
         assert rms(physics(rows_only[:, -1], net.linear_rate(rows_only)[:, -1])) == pytest.approx(1.0, abs=0.01)
 
 
+def test_physics_alone_leads_to_the_true_rates(windows: Windows, physics: PhysicsResidual) -> None:
+    """Descent on the residual, without any label, takes the linear prediction to the motion of the body."""
+    rows, true = windows.take(torch.arange(100, len(windows), 23))
+    net = ForwardNet(STATES, 6, 4, 16, 4, 1, 16, 2)
+    fit_linear(net, windows, 1e-5)
+    with torch.no_grad():
+        start = net.linear_rate(rows)[:, -1]
+    correction = torch.zeros_like(start, requires_grad=True)
+    optimiser = torch.optim.Adam([correction], lr=0.05)
+    for _ in range(300):
+        optimiser.zero_grad()
+        physics(rows[:, -1], start + net.fine * correction).pow(2).sum().backward()
+        optimiser.step()
+    known = [0, 1, 2, 8, 9, 10]  # arc length, curvature and rotation have no force of their own
+    before, after = (((rate - true) / net.fine)[:, known] for rate in (start, start + net.fine * correction))
+    assert rms(after) < 0.1 * rms(before), f"errors {rms(before):.3g} -> {rms(after):.3g}"
+
+
 @pytest.mark.parametrize("what", ["rate", "load", "state"])
 def test_it_does_not_vanish_on_perturbed_motions(windows: Windows, physics: PhysicsResidual, what: str) -> None:
     rows, rate = windows.take(torch.arange(0, len(windows), 7))
@@ -70,8 +88,8 @@ def test_it_falls_with_the_time_step_of_finely_computed_motions(body: Body, robo
         still = np.tile([1.0, 0.0, 0.0, 0.0], (*part.shape[:2], 1))
         coarse = Windows(trajectories_from(part, still, held, body.rest_tip, "+z", 1e-3 * every), 2, from_rest=False)
         rows, rate = coarse.take(torch.arange(len(coarse)))
-        unit = PhysicsResidual(body, torch.tensor(body.rest_tip), torch.ones(6, dtype=torch.float64), 1e-3 * every)
-        left.append(rms(unit(rows[:, -1], rate)[:, 3:]))
+        unit = PhysicsResidual(body, torch.eye(6, dtype=torch.float64), torch.ones(6, dtype=torch.float64), 1e-3 * every)
+        left.append(rms(unit.force(rows[:, -1], rate)[:, 3:]))
     orders = np.log2(np.array(left[:-1]) / left[1:])
     assert (orders > 0.7).all(), f"residuals {left} N, orders {orders}"
 
@@ -81,6 +99,6 @@ def test_its_gradient_is_that_of_finite_differences(windows: Windows, physics: P
     row, rate = rows[:, -1].double(), rate.double().requires_grad_()
     (gradient,) = torch.autograd.grad(physics(row, rate).pow(2).sum(), rate)
     for i in (0, 2, 8, 10):
-        h = 1e-6 * max(float(rate[0, i].abs()), 1e-6)
+        h = 1e-6 * max(float(rate[0, i].detach().abs()), 1e-6)
         up, down = (physics(row, rate + s * h * torch.eye(STATES, dtype=torch.float64)[i]).pow(2).sum() for s in (1, -1))
         assert float(gradient[0, i]) == pytest.approx(float((up - down) / (2 * h)), rel=1e-3)

@@ -14,7 +14,6 @@ from softrl.core.tracking import NullTracker
 from softrl.dynamics.dataset import Body, Windows
 from softrl.dynamics.evaluate import onestep_errors, predictors, rollout_errors
 from softrl.dynamics.inverse import inverse_errors, inverse_net
-from softrl.dynamics.physics_residual import PhysicsResidual
 from softrl.dynamics.stage import Config, Sets, generate, learn_forward, learn_inverse, report
 from softrl.dynamics.transformer import ForwardNet, forward_net, weights_of
 from softrl.robots.robot import Robot
@@ -29,8 +28,8 @@ def config(**changes: float) -> Config:
     return Config(**OmegaConf.to_container(whole.stage, resolve=True))  # type: ignore[arg-type]
 
 
-FAST = {"training_runs": 24, "run_s": 1.5, "batch": 64, "onestep_updates": 350, "rollout_updates": 0, "width": 32,
-        "feedforward": 64, "inverse_updates": 300, "inverse_hidden": 32, "inverse_batch": 256, "learning_rate": 3e-3}  # fmt: skip
+FAST = {"training_runs": 24, "run_s": 1.5, "batch": 64, "onestep_updates": 300, "rollout_updates": 0, "width": 32,
+        "feedforward": 64, "inverse_updates": 200, "inverse_hidden": 32, "inverse_batch": 128, "learning_rate": 3e-3}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -53,18 +52,13 @@ def test_network_beats_the_linear_map_and_persistence_on_unseen_runs(body: Body,
     assert rollout_errors(known["rom"], windows, 30, 0.01)["position_rollout_mm"] < 1e-3
 
 
-def test_physics_weight_changes_the_answer_and_lowers_the_residual(body: Body, sets: Sets) -> None:
-    windows = Windows(sets.heldout, config().window)
-    rows, _ = windows.take(torch.arange(len(windows)))
-    left, answers = [], []
-    for weight in (0.0, 1.0):
-        net, _ = learn_forward(config(**FAST | {"physics_weight": weight, "onestep_updates": 200}), sets, body)
-        physics = PhysicsResidual.fit(body, net, windows, 0.01, 500, 0)
-        with torch.no_grad():
-            answers.append(net(rows)[:, -1])
-            left.append(float(physics(rows[:, -1], answers[-1]).pow(2).mean()))
-    assert left[1] < 0.9 * left[0], f"mean squared residual {left} without and with physics"
-    assert not torch.equal(*answers)
+def test_physics_weight_changes_the_answer(body: Body, sets: Sets) -> None:
+    rows, _ = Windows(sets.heldout, config().window).take(torch.arange(50))
+    nets = [learn_forward(config(physics_weight=weight), sets, body)[0] for weight in (0.0, 0.1, 1.0)]
+    with torch.no_grad():
+        answers = [net(rows)[:, -1] for net in nets]
+    assert not torch.equal(answers[0], answers[1])
+    assert not torch.equal(answers[1], answers[2])
 
 
 def test_scalers_and_training_see_training_runs_only(body: Body, sets: Sets) -> None:
@@ -93,7 +87,7 @@ def test_tiny_training_with_one_seed_is_identical_and_survives_the_disk(
             np.testing.assert_array_equal(weight, weights_of(pair[1])[name], err_msg=name)
     forward = ForwardDynamics(
         weights_of(nets[0]), c.window, c.width, c.heads, c.layers, c.feedforward, c.linear_rows, c.dt_s, c.physics_weight,
-        LOW, HIGH, body.rest_tip, robot.axis, 3, robot.name,
+        LOW, HIGH, body.rest_tip, np.zeros(3), robot.axis, 3, robot.name,
     )  # fmt: skip
     inverse = InverseDynamics(weights_of(inverses[0]), c.inverse_hidden, c.dt_s, c.cycle_weight, 3, robot.name)
     forward.save(tmp_path / "forward")

@@ -165,3 +165,18 @@ def test_order_of_the_list_does_not_matter() -> None:
         typical(name) for name in ("delay", "lag", "viscoelasticity", "payload", "mount_tilt", "gain", "hysteresis")
     ]
     np.testing.assert_array_equal(simulate(effects).position, simulate(effects[::-1]).position)
+
+
+def test_members_within_their_bounds_converge_together() -> None:
+    rng = np.random.default_rng(7)
+    for _ in range(40):
+        chosen = []
+        for name in rng.choice(NAMES, 3, replace=False):
+            cls = library.effect_class(str(name))
+            values = {
+                f.name: float(rng.choice([f.metadata["neutral"], f.metadata["typical"], rng.uniform(0.5, 2.0)]))
+                for f in cls.parameter_fields()
+            }
+            bounds = {f.name: (f.metadata["low"], f.metadata["high"]) for f in cls.parameter_fields()}
+            chosen.append(cls(**{k: float(np.clip(v, *bounds[k])) for k, v in values.items()}))
+        assert np.isfinite(simulate(chosen).position).all(), chosen

@@ -9,6 +9,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from softrl.core.simulator import Motion
+from softrl.effects.area_growth import AreaGrowth
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.contact import Contact
 from softrl.effects.crosstalk import Crosstalk
@@ -48,6 +49,7 @@ from softrl.effects.offset import Offset
 from softrl.effects.payload import Payload
 from softrl.effects.rate_limit import RateLimit
 from softrl.effects.stiffness_scale import StiffnessScale
+from softrl.effects.strain_softening import StrainSoftening
 from softrl.effects.strain_stiffening import StrainStiffening
 from softrl.effects.supply_limit import SupplyLimit
 from softrl.effects.tether import Tether
@@ -165,6 +167,12 @@ def test_gain_offset_crosstalk_are_linear_maps() -> None:
     np.testing.assert_allclose(signal(Crosstalk(share=0.1), command), [[1.1e4, 2e4, -0.7e4]])
 
 
+def test_area_growth_is_quadratic_and_odd() -> None:
+    command = np.array([[1e4, 2e4, -1e4]])
+    acting = signal(AreaGrowth(growth=0.7), command)
+    np.testing.assert_allclose(acting - command, 0.7 * command * np.abs(command) / FULL)
+
+
 def test_stiffness_scale_equals_a_stiffer_body() -> None:
     pressure = 2e4 * np.sin(0.02 * np.arange(500))[:, None] ** 2 * [1.0, 0.3, 0.0]
     body = simulator()
@@ -187,6 +195,14 @@ def test_stiffness_of_one_chamber_bends_the_others_way() -> None:
 def test_strain_stiffening_doubles_at_ten_percent_and_is_odd() -> None:
     added = pull(StrainStiffening(cubic=1.0), np.array([0.1, -0.1, 0.05]))
     np.testing.assert_allclose(added, STIFFNESS * np.array([0.1, -0.1, 0.05 / 4]))
+
+
+def test_strain_softening_levels_off_and_never_falls() -> None:
+    strain = np.linspace(0.0, 2.0, 400)
+    total = STIFFNESS * strain + pull(StrainSoftening(curvature=20.0), strain)
+    assert (np.diff(total) > 0.0).all()
+    np.testing.assert_allclose(total[-1], STIFFNESS / 20.0, rtol=1e-3)
+    np.testing.assert_allclose(pull(StrainSoftening(curvature=20.0), -strain), STIFFNESS * strain - total, atol=1e-9)
 
 
 def test_viscoelastic_stress_relaxes_to_the_known_modulus() -> None:
@@ -324,6 +340,7 @@ SLOPED = [
     StiffnessScale(1.5),
     StiffnessScale(1.5, chamber=0),
     StrainStiffening(2.0),
+    StrainSoftening(10.0),
     Viscoelasticity(0.4, 2.0, 0.2, 20.0),
     Hysteresis(0.2, 0.02),
     Friction(0.1, 0.1),

@@ -53,7 +53,7 @@ def test_nesting_decides_which_shell_is_a_cavity(turn_outer: bool, turn_inner: b
 
 def test_missing_triangle_is_an_open_surface() -> None:
     surface = tetrahedron()
-    with pytest.raises(MeshError, match=r"part\.stl is open: 3 edges"):
+    with pytest.raises(MeshError, match=r"part\.stl is open: 3 edges lack"):
         check_closed(surface.triangles[1:], surface.points, "part.stl")
 
 
@@ -65,18 +65,20 @@ def test_disagreeing_normals_are_named() -> None:
         check_closed(triangles, surface.points, "part.stl")
 
 
-def test_parts_that_share_an_edge_are_refused() -> None:
-    # two tetrahedra back to back along the x axis
-    points = np.vstack([CORNERS, [[0, -1, 0], [0, 0, -1]]])
-    two = tidy(points, np.array([[0, 1, 2, 3], [0, 1, 4, 5]]))
-    with pytest.raises(MeshError, match="touch along an edge"):
+def test_shells_that_touch_stay_apart() -> None:
+    along_an_edge = tidy(np.vstack([CORNERS, [[0, -1, 0], [0, 0, -1]]]), np.array([[0, 1, 2, 3], [0, 1, 4, 5]]))
+    in_a_point = tidy(np.vstack([CORNERS, -CORNERS[1:]]), np.array([[0, 1, 2, 3], [0, 4, 6, 5]]))
+    for two in (along_an_edge, in_a_point):
         check_closed(two.boundary(), two.points, "part")
+        assert label_shells(two.boundary()).max() + 1 == 2
 
 
-def test_shells_are_joined_by_edges_not_by_points() -> None:
-    points = np.vstack([CORNERS, -CORNERS[1:]])
-    two = tidy(points, np.array([[0, 1, 2, 3], [0, 4, 6, 5]]))
-    assert label_shells(two.boundary()).max() + 1 == 2
+def test_surface_that_touches_itself_is_one_shell(cubes) -> None:
+    cells = np.ones((3, 3, 2), bool)
+    cells[0, 0, 1] = cells[1, 1, 1] = False  # two dents with one edge in common
+    body = cubes(cells)
+    check_closed(body.boundary(), body.points, "part")
+    assert label_shells(body.boundary()).max() + 1 == 1
 
 
 def test_repeated_corners_of_stl_become_one_node() -> None:

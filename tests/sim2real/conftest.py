@@ -1,6 +1,5 @@
 """Robot, lumped body and rigs that the tests of this room share."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self, cast
 
@@ -56,12 +55,13 @@ class BenchDriver:
 
     def __init__(self, robot: Robot, body: Simulator, noise: Noise, effects: tuple[Effect, ...] = (), seed: int = 0) -> None:
         self.robot = robot
-        self.hardware = Hardware(body, chain_of(robot, effects), noise, 100.0, 200.0, watchdog_s=2.0, seed=(seed,))
+        self.hardware = Hardware(body, chain_of(robot, effects), noise, 100.0, 200.0, watchdog_s=2.0)
+        self.seed = seed
         self.entries = 0
         self.connected = False
 
     def __enter__(self) -> Self:
-        self.rig = Rig(replace(self.hardware, seed=(*self.hardware.seed[:1], self.entries)))
+        self.rig = Rig(self.hardware, (self.seed, self.entries))
         self.setpoint, self.due = Setpoint(self.robot, 0.01), 0.0
         self.entries += 1
         self.connected = True

@@ -18,7 +18,10 @@ LEVEL = np.array([20e3, 5e3, -5e3])
 
 
 def hardware(body: Simulator, robot: Robot, noise: Noise, *effects: Effect, rate_hz: float = 100.0) -> Hardware:
-    return Hardware(body, chain_of(robot, effects), noise, rate_hz, 400.0, watchdog_s=10.0, seed=(1, 2))
+    return Hardware(body, chain_of(robot, effects), noise, rate_hz, 400.0, watchdog_s=10.0)
+
+
+SEED = (1, 2)
 
 
 def positions(rig: Rig, ticks: int = 150) -> np.ndarray:
@@ -30,33 +33,33 @@ def positions(rig: Rig, ticks: int = 150) -> np.ndarray:
 def test_without_noise_and_effects_it_is_the_simulator(body: Simulator, tripod: Robot, silence: Noise) -> None:
     alone = replace(hardware(body, tripod, silence), physics_rate_hz=100.0)
     motion = body.simulate(0.01 * np.arange(1, 151), np.tile(LEVEL, (150, 1)))
-    np.testing.assert_allclose(positions(Rig(alone)), motion.position, atol=1e-9)
+    np.testing.assert_allclose(positions(Rig(alone, SEED)), motion.position, atol=1e-9)
 
 
 def test_with_effects_it_is_the_plant_at_its_own_rate(body: Simulator, tripod: Robot, silence: Noise) -> None:
     lag = Lag(fill_s=0.2, vent_s=0.4)
     fine = Plant(body, chain_of(tripod, [lag])).simulate(0.0025 * np.arange(1, 601), np.tile(LEVEL, (600, 1)))
-    np.testing.assert_allclose(positions(Rig(hardware(body, tripod, silence, lag))), fine.position[3::4], atol=1e-9)
+    np.testing.assert_allclose(positions(Rig(hardware(body, tripod, silence, lag), SEED)), fine.position[3::4], atol=1e-9)
 
 
 def test_hidden_effects_change_the_motion(body: Simulator, tripod: Robot, silence: Noise) -> None:
-    plain = positions(Rig(hardware(body, tripod, silence)))
-    lagged = positions(Rig(hardware(body, tripod, silence, Lag(fill_s=0.2, vent_s=0.4))))
+    plain = positions(Rig(hardware(body, tripod, silence), SEED))
+    lagged = positions(Rig(hardware(body, tripod, silence, Lag(fill_s=0.2, vent_s=0.4)), SEED))
     assert np.abs(plain - lagged).max() > 1e-3
 
 
 def test_the_same_seed_gives_the_same_samples(body: Simulator, tripod: Robot, silence: Noise) -> None:
     noisy = replace(silence, position_white_mm=0.1, position_coloured_mm=0.1, dropped_share=0.1)
     same = hardware(body, tripod, noisy)
-    np.testing.assert_array_equal(positions(Rig(same)), positions(Rig(same)))
-    other = positions(Rig(replace(same, seed=(1, 3))))
-    assert len(other) != len(positions(Rig(same))) or not np.array_equal(other, positions(Rig(same)))
+    np.testing.assert_array_equal(positions(Rig(same, SEED)), positions(Rig(same, SEED)))
+    other = positions(Rig(same, (1, 3)))
+    assert len(other) != len(positions(Rig(same, SEED))) or not np.array_equal(other, positions(Rig(same, SEED)))
 
 
 def test_the_watchdog_counts_only_under_pressure(body: Simulator, tripod: Robot, silence: Noise) -> None:
     quick = replace(hardware(body, tripod, silence), watchdog_s=0.2)
-    assert Rig(quick).advance(100, np.zeros((0, 3)))[1] is None
-    rows, fault = Rig(quick).advance(100, LEVEL[None])
+    assert Rig(quick, SEED).advance(100, np.zeros((0, 3)))[1] is None
+    rows, fault = Rig(quick, SEED).advance(100, LEVEL[None])
     assert fault is not None and "watchdog" in fault
     under_pressure = [row[0] for row in rows if sample_of(row).commanded.any()]
     assert under_pressure[-1] == pytest.approx(0.2, abs=0.021)

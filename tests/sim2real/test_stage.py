@@ -23,8 +23,7 @@ from softrl.sim2real.drivers.rig import Noise
 from softrl.sim2real.identification import session_program
 from softrl.sim2real.rollout import Pace, follow
 from softrl.sim2real.stage import Config, run
-
-from .conftest import BenchDriver
+from tests.sim2real.conftest import BenchDriver
 
 HIDDEN = (Lag(fill_s=0.137, vent_s=0.219), Viscoelasticity(0.313, 0.71, 0.0, 1.0))
 

@@ -1,14 +1,14 @@
 """A rig: hardware that is simulated in a process of its own, on its own clock, with physics that nobody is told.
 
-Messages to the rig: ``(number, "advance", ticks, setpoints)``, ``(number, "vent", ticks)``, ``(number, "close")``.
-It answers the first two by ``(number, rows, fault)``: samples as rows of numbers, and None or one line.
+Messages to the rig: ``(number, "start", seed)``, ``(number, "advance", ticks, setpoints)``, ``(number, "vent", ticks)``.
+It answers each by ``(number, rows, fault)``: samples as rows of numbers, and None or one line. It ends with its link.
 """
 
 import logging
 import signal
+from collections.abc import Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from typing import Any
 
 import numpy as np
 
@@ -106,14 +106,16 @@ class Hardware:
     rate_hz: float
     physics_rate_hz: float
     watchdog_s: float
-    seed: tuple[int, ...]
 
 
 class Rig:
-    """The hardware in motion: valves, chambers, body, load and sensors, one physics step after the other."""
+    """The hardware in motion: valves, chambers, body, load and sensors, one physics step after the other.
 
-    def __init__(self, hardware: Hardware) -> None:
-        rng = np.random.default_rng(hardware.seed)
+    It begins vented and at rest, its clock at zero; ``seed`` is that of its noise.
+    """
+
+    def __init__(self, hardware: Hardware, seed: Sequence[int]) -> None:
+        rng = np.random.default_rng(seed)
         hidden = hardware.hidden
         self._body = hardware.body
         self._substeps = round(hardware.physics_rate_hz / hardware.rate_hz)
@@ -184,25 +186,20 @@ def sample_of(row: np.ndarray) -> Sample:
 
 
 def serve(line: Connection, hardware: Hardware) -> None:
-    """Run a rig until it is told to close or loses its driver; the body of the rig's process."""
+    """Run rigs, one after the other, until the driver is gone; the body of the rig's process."""
     # an interrupt from the terminal is for the driver, which then vents; the rig must live to do so
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    number = 0
+    rig: Rig | None = None
+    number, nothing = 0, np.empty((0, 0))
     try:
-        rig = Rig(hardware)
-        line.send((number, np.empty((0, 0)), None))
         while True:
             number, kind, *content = line.recv()
-            if kind == "close":
-                return
-            line.send((number, *_run(rig, kind, content)))
+            if kind == "start":
+                rig = Rig(hardware, *content)
+                line.send((number, nothing, None))
+            elif rig is not None:
+                line.send((number, *(rig.vent(*content) if kind == "vent" else rig.advance(*content))))
     except (EOFError, OSError):
-        log.warning("the rig lost its driver; it vents and ends")
+        log.debug("the driver is gone; the rig vents and ends")
     except (SoftrlError, ArithmeticError, ValueError, TypeError) as error:
-        line.send((number, np.empty((0, 0)), f"the rig stopped: {type(error).__name__}: {error}"))
-
-
-def _run(rig: Rig, kind: str, content: list[Any]) -> tuple[np.ndarray, str | None]:
-    if kind == "vent":
-        return rig.vent(*content)
-    return rig.advance(*content)
+        line.send((number, nothing, f"it stopped: {type(error).__name__}: {error}"))

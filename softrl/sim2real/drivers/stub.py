@@ -18,25 +18,24 @@ from softrl.sim2real.drivers.rig import Hardware, Noise, sample_of, serve
 log = logging.getLogger(__name__)
 # device time in one message, so that an answer is due soon however long the wait that was asked for
 MESSAGE_S = 1.0
+CLOSE_S = 5.0
 
 
 class RigLink:
-    """A rig's process and the line to it."""
+    """A rig's process and the line to it; the process ends when the line is closed or forgotten."""
 
-    def __init__(self, hardware: Hardware, start_timeout_s: float, answer_timeout_s: float) -> None:
+    def __init__(self, hardware: Hardware) -> None:
         context = multiprocessing.get_context("spawn")
         self._line, far_end = context.Pipe()
         self.process = context.Process(target=serve, args=(far_end, hardware), name="softrl-rig", daemon=True)
         self.process.start()
         far_end.close()
-        self._timeout_s = answer_timeout_s
         self._number = 0
-        _, fault = self._answer(start_timeout_s)
-        if fault is not None:
-            raise DriverError(fault)
 
-    def ask(self, *message: Any) -> tuple[list[Sample], str | None]:
+    def ask(self, timeout_s: float, *message: Any) -> tuple[list[Sample], str | None]:
         """Return the rig's samples and fault in answer to ``message``.
+
+        Samples of answers that an interrupt left unread come first.
 
         Raises
         ------
@@ -44,48 +43,39 @@ class RigLink:
             If the rig's process has ended or does not answer in time.
         """
         self._number += 1
-        try:
-            self._line.send((self._number, *message))
-        except OSError as error:
-            raise self._lost() from error
-        return self._answer(self._timeout_s)
-
-    def _answer(self, timeout_s: float) -> tuple[list[Sample], str | None]:
-        """Return the answer to the last message, with the samples of answers that an interrupt left unread."""
         samples: list[Sample] = []
         number = -1
-        while number != self._number:
-            try:
+        try:
+            self._line.send((self._number, *message))
+            while number != self._number:
                 if not self._line.poll(timeout_s):
                     self.process.kill()
                     raise DriverError(f"the rig did not answer within {timeout_s:g} s and was stopped")
-                number, arrived, fault = self._line.recv()
-            except (EOFError, OSError) as error:
-                raise self._lost() from error
-            samples += map(sample_of, arrived)
+                number, rows, fault = self._line.recv()
+                samples += map(sample_of, rows)
+        except (EOFError, OSError) as error:
+            raise self._lost() from error
         return samples, fault
 
     def _lost(self) -> DriverError:
-        self.process.join(self._timeout_s)
+        self.process.join(CLOSE_S)
         code = self.process.exitcode
         ended = f"was killed by signal {-code}" if code is not None and code < 0 else f"ended with exit code {code}"
         return DriverError(f"lost the link to the rig: its process {ended}; what it had sent is kept")
 
     def close(self) -> None:
-        """End the rig's process; a rig that does not end by itself is killed."""
-        try:
-            self._line.send((-1, "close"))
-        except OSError:
-            log.debug("the rig had ended before it was told to")
+        """End the rig's process; one that does not end by itself is killed."""
         self._line.close()
-        self.process.join(self._timeout_s)
+        self.process.join(CLOSE_S)
         if self.process.is_alive():
             self.process.kill()
             self.process.join()
 
 
 class StubDriver:
-    """The driver contract over a rig with hidden physics. Each entry starts the rig anew, with other noise.
+    """The driver contract over a rig with hidden physics. Each entry switches the rig on anew, with other noise.
+
+    The rig's process outlives an entry, since starting one takes a second, and ends with the driver.
 
     Parameters
     ----------
@@ -116,39 +106,39 @@ class StubDriver:
             )
         self._robot, self._seed = robot, seed
         self._rate_hz, self._vent_s = rate_hz, vent_s
-        self._timeouts_s = (start_timeout_s, answer_timeout_s)
+        self._start_timeout_s, self._answer_timeout_s = start_timeout_s, answer_timeout_s
         chain = EffectChain(robot, tuple(hidden.values()))
-        self._hardware = (body, chain, noise, rate_hz, physics_rate_hz, watchdog_s)
-        self._entries = 0
+        self._hardware = Hardware(body, chain, noise, rate_hz, physics_rate_hz, watchdog_s)
         self._link: RigLink | None = None
+        self._entries = 0
+        self._entered = False
         self._setpoint = Setpoint(robot, 1.0 / rate_hz)
         self._due = 0.0
         self.samples: list[Sample] = []
 
     def __enter__(self) -> Self:
-        """Start the rig and connect; it is vented and at rest."""
-        if self._link is not None:
+        """Switch the rig on and connect; it is vented and at rest."""
+        if self._entered:
             raise DriverError(f"the driver of {self._robot.name} is connected already; leave the first 'with' block")
-        hardware = Hardware(*self._hardware, seed=(self._seed, self._entries))
-        self._entries += 1
         self._setpoint.vent()
         self._due, self.samples = 0.0, []
-        self._link = RigLink(hardware, *self._timeouts_s)
+        if self._link is None:
+            self._link = RigLink(self._hardware)
+        self._ask(self._start_timeout_s, "start", (self._seed, self._entries))
+        self._entries += 1
+        self._entered = True
         return self
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         """Vent and disconnect, whatever happened; a failure to vent never hides the error that led here."""
-        link = self._connected()
+        self._entered = False
         self._setpoint.vent()
         try:
-            self._keep(link.ask("vent", round(self._vent_s * self._rate_hz)))
+            self._ask(self._answer_timeout_s, "vent", round(self._vent_s * self._rate_hz))
         except DriverError as failure:
             if error is None:
                 raise
             log.error("could not vent %s: %s", self._robot.name, failure)
-        finally:
-            link.close()
-            self._link = None
 
     def command(self, pressure: np.ndarray) -> np.ndarray:
         """Return the first setpoint (chambers,) Pa on the way to ``pressure``.
@@ -156,7 +146,7 @@ class StubDriver:
         The rest of the way, as far as the slew asks for more than one period, is sent while time advances;
         ``Sample.commanded`` tells what was sent when.
         """
-        self._connected()
+        self._require_entry()
         return self._setpoint.request(pressure)
 
     def advance(self, dt_s: float) -> list[Sample]:
@@ -167,32 +157,37 @@ class StubDriver:
         DriverError
             If the rig was lost or its watchdog vented it; ``samples`` keeps what had arrived.
         """
-        link, before = self._connected(), len(self.samples)
+        self._require_entry()
+        before = len(self.samples)
         self._due += dt_s * self._rate_hz
         # a period counts as over despite the rounding of many small dt_s
         ticks = int(self._due + 1e-6)
         self._due -= ticks
-        for start in range(0, ticks, self._per_message):
-            share = min(self._per_message, ticks - start)
-            self._keep(link.ask("advance", share, self._setpoint.advance(share)))
+        most = max(round(MESSAGE_S * self._rate_hz), 1)
+        for start in range(0, ticks, most):
+            share = min(most, ticks - start)
+            self._ask(self._answer_timeout_s, "advance", share, self._setpoint.advance(share))
         return self.samples[before:]
 
     @property
     def rig_pid(self) -> int | None:
-        """Process id of the connected rig."""
-        return self._connected().process.pid
+        """Process id of the rig, None before the first entry and after it was lost."""
+        return self._link.process.pid if self._link is not None else None
 
-    @property
-    def _per_message(self) -> int:
-        return max(round(MESSAGE_S * self._rate_hz), 1)
-
-    def _connected(self) -> RigLink:
-        if self._link is None:
+    def _require_entry(self) -> None:
+        if not self._entered:
             raise DriverError(f"the driver of {self._robot.name} is not connected; use it in a 'with' block")
-        return self._link
 
-    def _keep(self, answer: tuple[list[Sample], str | None]) -> None:
-        samples, fault = answer
+    def _ask(self, timeout_s: float, *message: Any) -> None:
+        """Keep the samples that answer ``message``; a rig that was lost or reports a fault raises."""
+        if self._link is None:
+            raise DriverError(f"the rig of {self._robot.name} was lost; it cannot be reached until the next 'with' block")
+        try:
+            samples, fault = self._link.ask(timeout_s, *message)
+        except DriverError:
+            self._link.close()
+            self._link = None
+            raise
         self.samples += samples
         if fault is not None:
             raise DriverError(f"rig of {self._robot.name} after {len(self.samples)} samples: {fault}")

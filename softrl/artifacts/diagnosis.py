@@ -1,0 +1,101 @@
+"""What a simulator leaves out, as found in recordings."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from softrl.artifacts.artifact import Artifact
+from softrl.core.errors import ArtifactError
+
+VERDICTS = ("nothing missing", "named", "indistinguishable", "unknown")
+COMPETITORS = ("noise_floor", "nominal", "retuned", "corrected")
+
+
+@dataclass(frozen=True)
+class Diagnosis(Artifact):
+    """A verdict with its evidence, and what rebuilds the corrected simulator.
+
+    Attributes
+    ----------
+    robot_name : the robot
+    simulator_name : class of the body that was diagnosed
+    verdict : one of ``VERDICTS``
+    sentences : the finding in plain words, the verdict first
+    effects : one entry a named effect: name, site, where, chamber (-1 all), parameters ({value, low, high, unit}),
+        evidence (one sentence with numbers)
+    simulator_parameters : tunable parameter -> identified value, in the unit of its name; empty if the nominal ones stay
+    retuned : tunable parameter -> {nominal, value, plausible}: the competitor that changes parameters only
+    rivals : {name, score_gap, low, high, equivalent}, score gaps in mm of held-out error, best first
+    located : {site, channel, chamber, region, effect_size, p_value}, p-values corrected for their number
+    errors_mm : train and heldout -> competitor -> rms error, mm; of an angle-only robot arc length times angle
+    errors_deg : the same in degrees for an angle-only robot, else empty
+    unexplained : what is left after the correction: rms, share, structure
+    next_experiment : the program that would separate what is left, or None
+    data : findings about the recordings: warnings, runs used for training and held out
+    """
+
+    stage: ClassVar[str] = "diagnosis"
+
+    robot_name: str
+    simulator_name: str
+    verdict: str
+    sentences: list[str]
+    effects: list[dict[str, Any]]
+    simulator_parameters: dict[str, float]
+    retuned: dict[str, Any]
+    rivals: list[dict[str, Any]]
+    located: list[dict[str, Any]]
+    errors_mm: dict[str, Any]
+    errors_deg: dict[str, Any]
+    unexplained: dict[str, Any]
+    next_experiment: dict[str, Any] | None
+    data: dict[str, Any]
+
+    def validate(self) -> None:
+        """Check the verdict against what is named, and the parameters of every effect."""
+        super().validate()
+        if self.verdict not in VERDICTS:
+            raise ArtifactError(f"Diagnosis.verdict='{self.verdict}' is unknown; expected one of {', '.join(VERDICTS)}")
+        if self.verdict in ("named", "indistinguishable") and not self.effects:
+            raise ArtifactError(f"Diagnosis.verdict='{self.verdict}' without an effect")
+        if self.verdict == "nothing missing" and self.effects:
+            raise ArtifactError(f"Diagnosis.verdict='nothing missing' but {len(self.effects)} effects")
+        for effect in self.effects:
+            for name, entry in effect["parameters"].items():
+                if not entry["low"] <= entry["value"] <= entry["high"]:
+                    raise ArtifactError(
+                        f"Diagnosis: {effect['name']}.{name}={entry['value']:g} lies outside its interval "
+                        f"{entry['low']:g}..{entry['high']:g}"
+                    )
+
+    def corrections(self) -> list[dict[str, Any]]:
+        """Return {name, chamber, parameters (name -> value)} of every effect, as effects are built from."""
+        return [
+            {
+                "name": effect["name"],
+                "chamber": effect["chamber"],
+                "parameters": {name: entry["value"] for name, entry in effect["parameters"].items()},
+            }
+            for effect in self.effects
+        ]
+
+    def document(self) -> dict[str, Any]:
+        """Return the content of ``diagnosis.json``."""
+        document: dict[str, Any] = {
+            "verdict": self.verdict,
+            "summary": self.sentences,
+            "effects": self.effects,
+            "rivals": self.rivals,
+            "located": self.located,
+            "errors_mm": self.errors_mm,
+            "unexplained": self.unexplained,
+            "next_experiment": self.next_experiment,
+            "robot": self.robot_name,
+            "simulator": self.simulator_name,
+            "simulator_parameters": self.simulator_parameters,
+            "retuned": self.retuned,
+            "data": self.data,
+        }
+        if self.errors_deg:
+            document["errors_deg"] = self.errors_deg
+            document["errors_mm_note"] = "arc length times angle: the robot reports an angle only"
+        return document

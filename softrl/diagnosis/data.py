@@ -1,0 +1,189 @@
+"""What the recordings can carry: checks, the split into runs that fits see and runs that judge, the noise floor."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from softrl.core.errors import RecordingError
+from softrl.diagnosis.problem import place
+from softrl.recordings.check import DataCheck, check
+from softrl.recordings.recording import Recording, RecordingSet
+from softrl.recordings.split import split
+from softrl.robots.robot import Robot
+
+MIN_RUN_S = 3.0  # a shorter run says nothing about dynamics
+MIN_SIGNAL = 3.0  # travel over noise below which nothing can be told
+FEW_SESSIONS = 2  # with this many sessions or fewer, runs are held out within each instead
+OTHER_FRAME_RAD = 0.3  # sessions whose best placements turn apart by more were recorded in different frames
+
+
+@dataclass(frozen=True)
+class Data:
+    """Recordings sorted by use.
+
+    Attributes
+    ----------
+    check : findings
+    fitting, validation : training runs that fits see, and that choose between hypotheses
+    heldout : runs that judge once
+    pressure : whether every run has measured pressure
+    orientation : whether orientations are recorded and can be trusted
+    noise : rms of the noise of one sample of the motion, m over all its components
+    pressure_noise : the same of the measured pressure, Pa
+    travel, pressure_travel : rms about the mean of what the training runs measured, m and Pa
+    """
+
+    check: DataCheck
+    fitting: tuple[Recording, ...]
+    validation: tuple[Recording, ...]
+    heldout: tuple[Recording, ...]
+    pressure: bool
+    orientation: bool
+    noise: float
+    pressure_noise: float
+    travel: float
+    pressure_travel: float
+
+    @property
+    def training(self) -> tuple[Recording, ...]:
+        """Runs that are not held out."""
+        return self.fitting + self.validation
+
+
+class Refusal(NamedTuple):
+    """Why nothing can be told."""
+
+    check: DataCheck
+    reason: str
+
+
+def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, fit_s: float, seed: int) -> Data | Refusal:
+    """Return the recordings sorted by use, or the reason why they cannot tell anything."""
+    found = check(recordings, robot)
+    channel = "bend_angle" if robot.output == "bend_angle" else "position"
+    usable = [r for r in recordings.recordings if np.ptp(r.time) >= MIN_RUN_S and getattr(r, channel) is not None]
+    reason = _refuse(usable, found, robot, channel)
+    if reason:
+        return Refusal(found, reason)
+    kept = replace(recordings, recordings=tuple(usable))
+    training, heldout = hold_out(kept, heldout_share, seed)
+    fitting, validation = _inner(training, heldout_share, fit_s, seed)
+    noise, pressure_noise = _noise(found, robot, channel)
+    travel = rms_about_mean([_seen(r, robot) for r in training.recordings])
+    if travel < MIN_SIGNAL * noise:
+        return Refusal(
+            found, f"the motion ({1e3 * travel:.3g} mm rms) hardly exceeds its noise ({1e3 * noise:.3g} mm); drive harder"
+        )
+    pressure = all(r.pressure_meas is not None for r in usable)
+    return Data(
+        found,
+        fitting,
+        validation,
+        heldout.recordings,
+        pressure,
+        _orientation_trusted(usable, found, robot),
+        noise,
+        pressure_noise,
+        travel,
+        rms_about_mean([r.pressure_meas for r in training.recordings if r.pressure_meas is not None]),
+    )
+
+
+def hold_out(recordings: RecordingSet, share: float, seed: int) -> tuple[RecordingSet, RecordingSet]:
+    """Return (training, heldout): whole sessions if there are more than two, else whole runs out of each session."""
+    sessions = recordings.sessions()
+    if len(sessions) > FEW_SESSIONS:
+        return split(recordings, share, seed, by="session")
+    parts = [
+        replace(recordings, recordings=tuple(r for r in recordings.recordings if r.session == session))
+        for session in sessions
+    ]
+    if any(len(part.recordings) < 2 for part in parts):
+        return split(recordings, share, seed, by="run")
+    halves = [split(part, share, seed, by="run") for part in parts]
+    training, heldout = (tuple(r for half in halves for r in half[side].recordings) for side in (0, 1))
+    return replace(recordings, recordings=training), replace(recordings, recordings=heldout)
+
+
+def _inner(
+    training: RecordingSet, share: float, fit_s: float, seed: int
+) -> tuple[tuple[Recording, ...], tuple[Recording, ...]]:
+    """Return (fitting, validation): whole runs, or the two halves of a run that is the only one."""
+    if len(training.recordings) == 1:
+        run = training.recordings[0]
+        middle = run.time[0] + 0.6 * np.ptp(run.time)
+        return (cut(run, middle),), (run,)
+    fitting, validation = hold_out(training, share, seed + 1)
+    return _within(fitting.recordings, fit_s), _within(validation.recordings, 0.7 * fit_s)
+
+
+def _within(runs: Sequence[Recording], seconds: float) -> tuple[Recording, ...]:
+    """Return runs cut at one common length such that together they last at most ``seconds``; all start as recorded."""
+    lengths = np.array([np.ptp(r.time) for r in runs])
+    if lengths.sum() <= seconds:
+        return tuple(runs)
+    limits = np.linspace(0.0, lengths.max(), 200)
+    limit = limits[np.flatnonzero(np.minimum(lengths, limits[:, None]).sum(axis=1) <= seconds)[-1]]
+    return tuple(cut(run, run.time[0] + limit) for run in runs)
+
+
+def cut(run: Recording, end: float) -> Recording:
+    """Return the run up to ``end`` s."""
+    count = int(np.searchsorted(run.time, end, side="right"))
+    changed = {name: values[:count] for name, values in run.channels() if name not in run.markers}
+    return replace(run, **changed, markers={name: values[:count] for name, values in run.markers.items()})
+
+
+def other_frames(simulated: Sequence[Recording], runs: Sequence[Recording]) -> float:
+    """Return the largest angle, rad, between the best placements of the simulation in any two sessions' frames."""
+    turns = []
+    for session in dict.fromkeys(r.session for r in runs):
+        mine = [k for k, r in enumerate(runs) if r.session == session]
+        points = np.concatenate([np.asarray(simulated[k].position) for k in mine])
+        turns.append(place(points, np.concatenate([np.asarray(runs[k].position) for k in mine])).turn)
+    cosines = [0.5 * (np.trace(a.T @ b) - 1.0) for i, a in enumerate(turns) for b in turns[:i]]
+    return float(np.arccos(np.clip(min(cosines, default=1.0), -1.0, 1.0)))
+
+
+def rms_about_mean(series: Sequence[np.ndarray]) -> float:
+    """Return the rms of the rows' distance from their common mean."""
+    rows = np.concatenate(series) if series else np.zeros((1, 1))
+    return float(np.sqrt(np.mean(np.sum((rows - rows.mean(axis=0)) ** 2, axis=1))))
+
+
+def _seen(run: Recording, robot: Robot) -> np.ndarray:
+    if robot.output == "bend_angle":
+        return robot.length_m * np.asarray(run.bend_angle)[:, None]
+    return np.asarray(run.position)
+
+
+def _noise(found: DataCheck, robot: Robot, channel: str) -> tuple[float, float]:
+    floor = {c: max(v, found.repeatability.get(c, 0.0)) for c, v in found.noise_floor.items()}
+    motion = floor[channel] * (robot.length_m if channel == "bend_angle" else np.sqrt(3.0))
+    return float(motion), float(floor.get("pressure_meas", 0.0) * np.sqrt(robot.chambers))
+
+
+def _orientation_trusted(usable: Sequence[Recording], found: DataCheck, robot: Robot) -> bool:
+    jumped = any("orientation jumps" in warning for warning in found.warnings)
+    return robot.output == "tip_pose" and not jumped and all(r.quaternion is not None for r in usable)
+
+
+def _refuse(usable: Sequence[Recording], found: DataCheck, robot: Robot, channel: str) -> str | None:
+    if not usable:
+        return f"no run of {MIN_RUN_S:g} s or more holds {channel}, which robot {robot.name} is said to report"
+    if not found.excited:
+        return "no chamber is driven in any run"
+    if len(usable) < 2:
+        return f"only one run ({usable[0].name}) can be used; a held-out error needs a second one"
+    return None
+
+
+def require_robot(recordings: RecordingSet, robot: Robot) -> None:
+    """Raise ``RecordingError`` if the recordings belong to another robot."""
+    if recordings.robot_name != robot.name:
+        raise RecordingError(
+            f"the recordings are of robot {recordings.robot_name}, but robot={robot.name}; choose "
+            f"robot={recordings.robot_name}"
+        )

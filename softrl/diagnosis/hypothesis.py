@@ -1,0 +1,179 @@
+"""A hypothesis: which effects act, which simulator parameters are free, and their scaled coordinates."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from softrl.core.simulator import Simulator
+from softrl.effects.effect import Effect
+from softrl.effects.library import effect_class
+from softrl.robots.robot import Robot
+
+FULL_TURN_RAD = 6.0  # a parameter in rad with a wider range than this is a direction: several starts
+
+
+class Choice(NamedTuple):
+    """One effect of the library; ``chamber`` is -1 for all chambers, or where the effect knows none."""
+
+    name: str
+    chamber: int = -1
+
+    def label(self) -> str:
+        """Return the name, with the chamber (counted from 1) if it is one alone."""
+        return self.name if self.chamber < 0 else f"{self.name} (chamber {self.chamber + 1})"
+
+    @property
+    def site(self) -> str:
+        """Where along the pipeline it acts."""
+        return effect_class(self.name).site
+
+
+class Axis(NamedTuple):
+    """One free parameter and its scaled coordinate u: ``zero + scale u``, or ``zero exp(u)`` if ``log``."""
+
+    owner: str
+    name: str
+    unit: str
+    low: float
+    high: float
+    zero: float
+    scale: float
+    log: bool
+
+    def scaled(self, value: float) -> float:
+        """Return u of a physical value."""
+        return math.log(value / self.zero) if self.log else (value - self.zero) / self.scale
+
+    def physical(self, u: float) -> float:
+        """Return the value at u, within the bounds."""
+        value = self.zero * math.exp(min(max(u, -50.0), 50.0)) if self.log else self.zero + self.scale * u
+        return min(max(value, self.low), self.high)
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Effects that act, and names of the simulator parameters that are refitted with them."""
+
+    effects: tuple[Choice, ...]
+    tuned: tuple[str, ...]
+
+    def label(self) -> str:
+        """Return the names joined."""
+        return " + ".join(choice.label() for choice in self.effects) or "retuned"
+
+    def with_effect(self, choice: Choice) -> "Hypothesis":
+        """Return the hypothesis with one effect more."""
+        return Hypothesis((*self.effects, choice), self.tuned)
+
+    def without(self, choice: Choice) -> "Hypothesis":
+        """Return the hypothesis with one effect less."""
+        return Hypothesis(tuple(c for c in self.effects if c != choice), self.tuned)
+
+
+@dataclass(frozen=True)
+class Space:
+    """The free parameters of a hypothesis: effects first, in order, then the simulator's."""
+
+    hypothesis: Hypothesis
+    simulator: Simulator
+    tuned_factor: float
+
+    @cached_property
+    def axes(self) -> tuple[Axis, ...]:
+        """One axis a free parameter."""
+        mine = [axis for choice in self.hypothesis.effects for axis in effect_axes(choice)]
+        nominal = self.simulator.parameters
+        factor = self.tuned_factor
+        mine += [
+            Axis("simulator", name, "", nominal[name] / factor, nominal[name] * factor, nominal[name], 1.0, True)
+            for name in self.hypothesis.tuned
+        ]
+        return tuple(mine)
+
+    @cached_property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest scaled point (p,)."""
+        ends = np.array([sorted((a.scaled(a.low), a.scaled(a.high))) for a in self.axes]).reshape(-1, 2)
+        return ends[:, 0], ends[:, 1]
+
+    def values(self, point: np.ndarray) -> list[float]:
+        """Return the physical values at a scaled point (p,)."""
+        return [axis.physical(float(u)) for axis, u in zip(self.axes, point, strict=True)]
+
+    def effects(self, point: np.ndarray) -> tuple[Effect, ...]:
+        """Return the effects with their parameters at a scaled point."""
+        values, made = iter(self.values(point)), []
+        for choice in self.hypothesis.effects:
+            made.append(build_effect(choice, [next(values) for _ in effect_axes(choice)]))
+        return tuple(made)
+
+    def tuned(self, point: np.ndarray) -> dict[str, float]:
+        """Return the simulator's parameters at a scaled point."""
+        count = len(self.hypothesis.tuned)
+        return dict(zip(self.hypothesis.tuned, self.values(point)[len(self.axes) - count :], strict=True))
+
+
+def effect_axes(choice: Choice) -> list[Axis]:
+    """Return the axes of one effect's parameters."""
+    found = []
+    for field in effect_class(choice.name).parameter_fields():
+        m = field.metadata
+        log = bool(m["log"]) and m["low"] > 0.0
+        scale = abs(m["typical"] - m["neutral"]) or 0.1 * (m["high"] - m["low"])
+        zero = m["typical"] if log else m["neutral"]
+        found.append(Axis(choice.label(), field.name, m["unit"], m["low"], m["high"], zero, scale, log))
+    return found
+
+
+def build_effect(choice: Choice, values: Sequence[float]) -> Effect:
+    """Return the effect with ``values`` in the order of its parameters."""
+    cls = effect_class(choice.name)
+    named = dict(zip((f.name for f in cls.parameter_fields()), values, strict=True))
+    fixed = {"chamber": choice.chamber} if has_chamber(choice.name) else {}
+    return cls(**named, **fixed)
+
+
+def has_chamber(name: str) -> bool:
+    """Return whether the effect can act in one chamber alone."""
+    return any(field.name == "chamber" for field in fields(effect_class(name)))
+
+
+def candidates(names: Sequence[str], sites: Sequence[str], robot: Robot, excited: Sequence[int]) -> list[Choice]:
+    """Return every effect out of ``names`` at ``sites``: for all chambers, and for each that was driven."""
+    found = []
+    for name in names:
+        if effect_class(name).site not in sites:
+            continue
+        found.append(Choice(name))
+        if has_chamber(name) and robot.chambers > 1 and len(excited) > 1:
+            found += [Choice(name, chamber) for chamber in excited]
+    return found
+
+
+def starts(choice: Choice) -> list[np.ndarray]:
+    """Return scaled points (p,) of an effect that is plain to see: typical values, and spread-out shapes of it."""
+    fields_ = list(effect_class(choice.name).parameter_fields())
+    axes = effect_axes(choice)
+    typical = np.array([axis.scaled(field.metadata["typical"]) for axis, field in zip(axes, fields_, strict=True)])
+    found = [typical]
+    for k, (axis, field) in enumerate(zip(axes, fields_, strict=True)):
+        wide = axis.unit == "rad" and axis.high - axis.low > FULL_TURN_RAD
+        shifts = (-1.4, 1.4) if axis.log else (-2.1 / axis.scale, 2.1 / axis.scale) if wide else ()
+        if axis.log and field.metadata["neutral"] in (axis.low, axis.high):
+            shifts = (-1.0,)
+        for shift in shifts:
+            moved = typical.copy()
+            moved[k] += shift
+            found.append(moved)
+    low, high = zip(*(sorted((a.scaled(a.low), a.scaled(a.high))) for a in axes), strict=True)
+    return [np.clip(point, low, high) for point in found]
+
+
+def neutral(choice: Choice) -> np.ndarray:
+    """Return the scaled point (p,) at which the effect does nothing."""
+    fields_ = effect_class(choice.name).parameter_fields()
+    return np.array([a.scaled(f.metadata["neutral"]) for a, f in zip(effect_axes(choice), fields_, strict=True)])

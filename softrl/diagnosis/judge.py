@@ -1,0 +1,122 @@
+"""What pays: errors on unseen runs, with intervals that respect how long errors stay alike."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from softrl.core.errors import ConfigError
+from softrl.diagnosis.problem import Problem
+from softrl.diagnosis.statistics import MIN_BLOCKS, blocks_of, bootstrap_means, correlation_time
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """When an improvement counts.
+
+    Attributes
+    ----------
+    material_share : of the travel (rms about its mean) of what is measured: less would not be noticed
+    material_gain : an addition must lower the error above the noise floor by this share
+    explained_share : share of the squared error above the floor that named effects must explain together
+    confidence : of one-sided decisions and of two-sided parameter intervals, 0.5..1
+    draws : of the block bootstrap
+    block_s : shortest block
+    """
+
+    material_share: float
+    material_gain: float
+    explained_share: float
+    confidence: float
+    draws: int
+    block_s: float
+
+    def __post_init__(self) -> None:
+        for name in ("material_share", "material_gain", "explained_share"):
+            if not 0.0 <= getattr(self, name) < 1.0:
+                raise ConfigError(f"stage.thresholds.{name}={getattr(self, name):g}; expected a share in 0..1")
+        if not 0.5 < self.confidence < 1.0:
+            raise ConfigError(f"stage.thresholds.confidence={self.confidence:g}; expected 0.5 to 1")
+        if self.draws < 100 or self.block_s <= 0.0:
+            raise ConfigError(
+                f"stage.thresholds.draws={self.draws}, block_s={self.block_s:g}; expected 100 or more, and positive"
+            )
+
+
+class Gap(NamedTuple):
+    """Difference of two rms errors above the floor, and the bootstrap interval of it, m (Pa for pressures)."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Scores squared errors on the runs of ``problem``.
+
+    Attributes
+    ----------
+    problem : on runs that no fit saw
+    floor : rms that noise alone leaves in a bin, m (Pa)
+    travel : rms of what is measured about its mean, m (Pa)
+    thresholds : when an improvement counts
+    seed : of the bootstrap
+    """
+
+    problem: Problem
+    floor: float
+    travel: float
+    thresholds: Thresholds
+    seed: int
+
+    @property
+    def material(self) -> float:
+        """The smallest difference of errors that counts, m (Pa)."""
+        return max(self.thresholds.material_share * self.travel, 0.25 * self.floor)
+
+    def rms(self, squares: np.ndarray | float) -> float:
+        """Return the rms error."""
+        return float(np.sqrt(np.mean(squares)))
+
+    def excess(self, mean_square: np.ndarray | float) -> Any:
+        """Return the rms error above the floor of a mean square."""
+        return np.sqrt(np.maximum(np.asarray(mean_square) - self.floor**2, 0.0))
+
+    def gap(self, worse: np.ndarray, better: np.ndarray) -> Gap:
+        """Return by how much ``better`` (bins,) lowers the error above the floor against ``worse`` (bins,)."""
+        blocks = self._blocks(worse - better)
+        draws, seed = self.thresholds.draws, self.seed
+        a = self.excess(bootstrap_means(worse, blocks, draws, np.random.default_rng(seed)))
+        b = self.excess(bootstrap_means(better, blocks, draws, np.random.default_rng(seed)))
+        low, high = np.quantile(a - b, [1.0 - self.thresholds.confidence, self.thresholds.confidence])
+        return Gap(float(self.excess(worse.mean()) - self.excess(better.mean())), float(low), float(high))
+
+    def pays(self, worse: np.ndarray, better: np.ndarray) -> bool:
+        """Return whether ``better`` is better for sure, and by more than anybody would overlook."""
+        gap = self.gap(worse, better)
+        needed = max(self.material, self.thresholds.material_gain * float(self.excess(worse.mean())))
+        return gap.low > 0.0 and gap.value >= needed
+
+    def simplest(self, trials: Sequence[Any]) -> Any:
+        """Return the best trial, or one with fewer free parameters that is as good within what counts."""
+        best = min(trials, key=lambda trial: trial.mean_square)
+        alike = [t for t in trials if self.gap(t.squares, best.squares).value < 0.5 * self.material]
+        return min(alike or [best], key=lambda t: (len(t.fit.point), _alone(t), t.mean_square))
+
+    def _blocks(self, series: np.ndarray) -> np.ndarray:
+        runs = self.problem.run_of_bin
+        longest = max(correlation_time(series[runs == run]) for run in np.unique(runs))
+        length = max(self.thresholds.block_s / self.problem.numerics.bin_s, 2.0 * longest)
+        return blocks_of(runs, max(int(min(length, len(series) / MIN_BLOCKS)), 1))
+
+    @cached_property
+    def blocks(self) -> np.ndarray:
+        """Block number (bins,) at the shortest block."""
+        return blocks_of(self.problem.run_of_bin, max(round(self.thresholds.block_s / self.problem.numerics.bin_s), 1))
+
+
+def _alone(trial: Any) -> int:
+    return sum(choice.chamber >= 0 for choice in trial.hypothesis.effects)

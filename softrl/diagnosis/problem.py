@@ -1,0 +1,248 @@
+"""Recordings, a body and what is compared: the residual of any hypothesis, binned in time."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from softrl.core.errors import SolverError
+from softrl.core.simulator import Hook, Motion, Simulator
+from softrl.diagnosis.hypothesis import Hypothesis, Space
+from softrl.effects.chain import Plant, chain_of
+from softrl.effects.replay import replay
+from softrl.recordings.recording import Recording
+from softrl.robots.robot import Robot
+
+AT_REST_SHARE = 0.02  # a run whose first pressures stay below this share of the limit begins at rest
+ORIENTATION_LEVER = 0.5  # lengths of the robot: turns orientation errors into displacements
+
+
+class Registration(NamedTuple):
+    """Rigid placement of the simulator's base frame in a session's frame: ``turn @ p + shift``."""
+
+    turn: np.ndarray
+    shift: np.ndarray
+
+
+@dataclass(frozen=True)
+class Numerics:
+    """Steps and bounds that every replay shares; fields as in the stage's Config."""
+
+    dt_s: float
+    bin_s: float
+    settle_s: float
+    tuned_factor: float
+
+
+class Residual(NamedTuple):
+    """Measured less simulated, run by run.
+
+    Attributes
+    ----------
+    runs : one array (bins, channels) a run, m (Pa for pressures)
+    registrations : session -> placement that was used; empty without registration
+    """
+
+    runs: list[np.ndarray]
+    registrations: dict[str, Registration]
+
+    @property
+    def squares(self) -> np.ndarray:
+        """Squared norm (bins,) over channels, runs joined."""
+        return np.concatenate([np.sum(run**2, axis=1) for run in self.runs])
+
+    @property
+    def flat(self) -> np.ndarray:
+        """All numbers (rows,)."""
+        return np.concatenate([run.ravel() for run in self.runs])
+
+
+@dataclass(frozen=True)
+class StillBody:
+    """A body that never moves: behind it the valve is simulated alone."""
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """None."""
+        return {}
+
+    def with_parameters(self, **values: float) -> "StillBody":
+        """Return itself."""
+        return self
+
+    def reset(self, rng: np.random.Generator | None = None) -> None:
+        """Return no state."""
+
+    def step(self, state: Any, pressure: np.ndarray, dt_s: float, *_: Any) -> None:
+        """Return no state."""
+
+    def observe(self, state: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return the origin."""
+        return np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+
+    def simulate(
+        self,
+        time: np.ndarray,
+        pressure: np.ndarray,
+        tip_force: np.ndarray | None = None,
+        body: Sequence[Hook] = (),
+        load: Sequence[Hook] = (),
+    ) -> Motion:
+        """Return no motion under the pressures."""
+        quaternion = np.zeros((len(time), 4))
+        quaternion[:, 0] = 1.0
+        return Motion(time, np.zeros((len(time), 3)), quaternion, pressure)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is replayed and compared.
+
+    Attributes
+    ----------
+    robot, simulator : the body
+    runs : recordings
+    numerics : steps
+    target : "motion", or "pressure" to compare measured with supplied pressure
+    drive : "command" or "measured", see ``effects.replay``
+    register : place the simulator in each session's frame by the best rigid motion
+    orientation : compare orientations too, not positions only
+    """
+
+    robot: Robot
+    simulator: Simulator
+    runs: tuple[Recording, ...]
+    numerics: Numerics
+    target: str
+    drive: str
+    register: bool
+    orientation: bool
+
+    def on(self, runs: Sequence[Recording]) -> "Problem":
+        """Return the same problem on other runs."""
+        return replace(self, runs=tuple(runs))
+
+    def space(self, hypothesis: Hypothesis) -> Space:
+        """Return the free parameters of a hypothesis."""
+        return Space(hypothesis, self.simulator, self.numerics.tuned_factor)
+
+    @cached_property
+    def bins(self) -> list[np.ndarray]:
+        """Bin number (steps,) of every sample, one array a run, without empty bins."""
+        return [
+            np.unique(((run.time - run.time[0]) / self.numerics.bin_s).astype(int), return_inverse=True)[1]
+            for run in self.runs
+        ]
+
+    @cached_property
+    def run_of_bin(self) -> np.ndarray:
+        """Run number (bins,) of every bin, runs joined."""
+        return np.repeat(np.arange(len(self.runs)), [int(b[-1]) + 1 for b in self.bins])
+
+    def binned(self, number: int, values: np.ndarray) -> np.ndarray:
+        """Return bin means (bins, n) of ``values`` (steps, n) of run ``number``."""
+        which = self.bins[number]
+        sums = np.stack([np.bincount(which, column) for column in values.T], axis=1)
+        return np.asarray(sums / np.bincount(which)[:, None])
+
+    def replayed(self, hypothesis: Hypothesis, point: np.ndarray) -> list[Recording]:
+        """Return what the hypothesis predicts for every run.
+
+        Raises
+        ------
+        SolverError
+            If the body diverges.
+        """
+        space = self.space(hypothesis)
+        body = StillBody() if self.target == "pressure" else self.simulator
+        tuned = space.tuned(point)
+        plant = Plant(body.with_parameters(**tuned) if tuned else body, chain_of(self.robot, space.effects(point)))
+        return [self._replay(plant, run) for run in self.runs]
+
+    def _replay(self, plant: Plant, run: Recording) -> Recording:
+        first = run.pressure_cmd[0] if run.pressure_meas is None else run.pressure_meas[0]
+        rest = AT_REST_SHARE * self.robot.pressure_max_pa
+        settle = 0.0 if np.abs(first).max() <= rest else self.numerics.settle_s
+        made = replay(plant, run, self.numerics.dt_s, self.drive, settle)
+        seen = made.pressure_meas if self.target == "pressure" else made.position
+        if seen is None or not np.isfinite(seen).all():
+            raise SolverError(f"run {run.name}: the simulation did not stay finite; try a smaller dt_s")
+        return made
+
+    def residual(
+        self, hypothesis: Hypothesis, point: np.ndarray, registrations: dict[str, Registration] | None = None
+    ) -> Residual:
+        """Return measured less predicted; ``registrations`` found elsewhere are kept, else they are fitted here."""
+        return self.compare(self.replayed(hypothesis, point), registrations)
+
+    def compare(
+        self, simulated: Sequence[Recording], registrations: dict[str, Registration] | None = None
+    ) -> Residual:
+        """Return measured less ``simulated``."""
+        if self.target == "pressure":
+            return Residual([self._pressure(k, simulated[k]) for k in range(len(self.runs))], {})
+        if self.robot.output == "bend_angle":
+            return Residual([self._angle(k, simulated[k]) for k in range(len(self.runs))], {})
+        placed = self._placements(simulated, registrations) if self.register else {}
+        return Residual([self._motion(k, simulated[k], placed) for k in range(len(self.runs))], placed)
+
+    def _pressure(self, k: int, simulated: Recording) -> np.ndarray:
+        difference = self.binned(k, _present(self.runs[k].pressure_meas) - _present(simulated.pressure_meas))
+        return np.asarray(difference - difference.mean(axis=0))  # a sensor's constant offset is not the valve's
+
+    def _angle(self, k: int, simulated: Recording) -> np.ndarray:
+        difference = _present(self.runs[k].bend_angle) - _present(simulated.bend_angle)
+        return self.robot.length_m * self.binned(k, difference[:, None])
+
+    def _motion(self, k: int, simulated: Recording, placed: dict[str, Registration]) -> np.ndarray:
+        run = self.runs[k]
+        position = _present(simulated.position)
+        if run.session in placed:
+            turn, shift = placed[run.session]
+            position = position @ turn.T + shift
+        parts = [_present(run.position) - position]
+        if self.orientation and run.quaternion is not None:
+            parts.append(ORIENTATION_LEVER * self.robot.length_m * _turn_between(simulated.quaternion, run.quaternion))
+        return self.binned(k, np.hstack(parts))
+
+    def _placements(
+        self, simulated: Sequence[Recording], known: dict[str, Registration] | None
+    ) -> dict[str, Registration]:
+        placed = dict(known or {})
+        for session in dict.fromkeys(run.session for run in self.runs):
+            if session not in placed:
+                mine = [k for k, run in enumerate(self.runs) if run.session == session]
+                placed[session] = place(
+                    np.concatenate([_present(simulated[k].position) for k in mine]),
+                    np.concatenate([_present(self.runs[k].position) for k in mine]),
+                )
+        return placed
+
+
+def place(points: np.ndarray, seen: np.ndarray) -> Registration:
+    """Return the rigid motion that brings ``points`` (steps, 3) closest to ``seen`` (steps, 3).
+
+    Notes
+    -----
+    Kabsch's solution by singular values, reflections excluded (textbook form, no equation number checked).
+    """
+    centre, target = points.mean(axis=0), seen.mean(axis=0)
+    u, _, vt = np.linalg.svd((points - centre).T @ (seen - target))
+    sign = np.sign(np.linalg.det(vt.T @ u.T))
+    turn = vt.T @ np.diag([1.0, 1.0, sign]) @ u.T
+    return Registration(turn, target - turn @ centre)
+
+
+def _turn_between(simulated: np.ndarray | None, measured: np.ndarray) -> np.ndarray:
+    """Return the rotation vector (steps, 3) rad from simulated to measured orientation."""
+    wanted = Rotation.from_quat(measured, scalar_first=True)
+    return np.asarray((wanted * Rotation.from_quat(_present(simulated), scalar_first=True).inv()).as_rotvec())
+
+
+def _present(values: np.ndarray | None) -> np.ndarray:
+    if values is None:
+        raise SolverError("a channel that is compared is missing from a run; record it, or drop the run")
+    return values

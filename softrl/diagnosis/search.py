@@ -1,0 +1,116 @@
+"""Bounded nonlinear least squares for expensive simulations: few evaluations, failures allowed."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from softrl.core.errors import SolverError
+
+Residual = Callable[[np.ndarray], np.ndarray]
+
+
+class Fit(NamedTuple):
+    """Outcome of a search: point (p,), residual (rows,), Jacobian (rows, p), half squared sum, evaluations used."""
+
+    point: np.ndarray
+    residual: np.ndarray
+    jacobian: np.ndarray
+    cost: float
+    evaluations: int
+
+
+def jacobian_at(
+    residual: Residual, point: np.ndarray, value: np.ndarray, low: np.ndarray, high: np.ndarray, step: float
+) -> np.ndarray:
+    """Return forward differences (rows, p) with ``step``, backward at an upper bound; a failed column is zero."""
+    columns = np.zeros((len(value), len(point)))
+    for k in range(len(point)):
+        signed = step if point[k] + step <= high[k] else -step
+        moved = point.copy()
+        moved[k] = np.clip(point[k] + signed, low[k], high[k])
+        if moved[k] != point[k]:
+            try:
+                columns[:, k] = (residual(moved) - value) / (moved[k] - point[k])
+            except SolverError:
+                continue
+    return columns
+
+
+def least_squares(
+    residual: Residual,
+    start: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    iterations: int,
+    step: float = 0.02,
+    tolerance: float = 1e-4,
+) -> Fit:
+    """Return a minimiser of the squared ``residual`` within bounds, by projected Levenberg-Marquardt.
+
+    Parameters
+    ----------
+    residual : may raise ``SolverError``, which counts as a rejected step
+    start, low, high : (p,) in scaled units, in which a change of 1 is plain to see
+    iterations : Jacobians at most
+    step : of the finite differences, scaled units
+    tolerance : relative decrease of the cost that ends the search
+    """
+    point = np.clip(start, low, high)
+    value = residual(point)
+    cost, used, damping = 0.5 * float(value @ value), 1, 1e-3
+    jacobian = jacobian_at(residual, point, value, low, high, step)
+    used += len(point)
+    for _ in range(iterations):
+        found = _try_steps(residual, point, value, jacobian, cost, low, high, damping)
+        used += found.tries
+        if found.point is None:
+            break
+        decrease = (cost - found.cost) / max(cost, 1e-300)
+        point, value, cost, damping = found.point, found.value, found.cost, found.damping
+        jacobian = jacobian_at(residual, point, value, low, high, step)
+        used += len(point)
+        if decrease < tolerance:
+            break
+    return Fit(point, value, jacobian, cost, used)
+
+
+class _Step(NamedTuple):
+    point: np.ndarray | None
+    value: np.ndarray
+    cost: float
+    damping: float
+    tries: int
+
+
+def _try_steps(
+    residual: Residual,
+    point: np.ndarray,
+    value: np.ndarray,
+    jacobian: np.ndarray,
+    cost: float,
+    low: np.ndarray,
+    high: np.ndarray,
+    damping: float,
+) -> _Step:
+    """Return the first damped step that lowers the cost, with more damping after every refusal."""
+    gradient = jacobian.T @ value
+    stuck = ((point <= low) & (gradient > 0.0)) | ((point >= high) & (gradient < 0.0))
+    free = np.flatnonzero(~stuck)
+    if not len(free) or not np.isfinite(gradient).all():
+        return _Step(None, value, cost, damping, 0)
+    normal = jacobian[:, free].T @ jacobian[:, free]
+    scale = np.diag(normal) + 1e-6 * np.trace(normal) / len(free)
+    for tries in range(1, 7):
+        moved = point.copy()
+        moved[free] -= np.linalg.lstsq(normal + damping * np.diag(scale), gradient[free], rcond=None)[0]
+        moved = np.clip(moved, low, high)
+        try:
+            trial = residual(moved)
+            trial_cost = 0.5 * float(trial @ trial)
+        except SolverError:
+            trial_cost = np.inf
+        if trial_cost < cost:
+            return _Step(moved, trial, trial_cost, max(damping / 5.0, 1e-6), tries)
+        damping *= 8.0
+    return _Step(None, value, cost, damping, 6)

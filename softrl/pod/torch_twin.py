@@ -1,0 +1,168 @@
+"""The energy ROM in torch: batched and differentiable, the same equations as ``pod.kernel`` to round-off."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from softrl.artifacts.reduced_model import ReducedModel
+from softrl.pod.rom import tables_of
+
+NEWTON = 30
+TOLERANCE = 1e-10
+
+
+class TorchRom(torch.nn.Module):
+    """Equations of motion of a reduced model, without effects.
+
+    Parameters
+    ----------
+    model : the reduced model
+    gravity_m_s2 : (3,) in the base frame; the model's own if None. Snapshots of the full model are without weight.
+    youngs_modulus_scale, damping_scale, mass_scale : as in ``RomSimulator``
+    dtype : of all tensors; single precision resolves about 1e-5 of the motion
+
+    Notes
+    -----
+    Coordinates z are (B, n + 3) m^3 and m, loads Pa and N, in the order of ``ReducedModel``.
+    """
+
+    def __init__(
+        self, model: ReducedModel, gravity_m_s2: np.ndarray | None = None, youngs_modulus_scale: float = 1.0,
+        damping_scale: float = 1.0, mass_scale: float = 1.0, dtype: torch.dtype = torch.float64,
+    ) -> None:
+        super().__init__()
+        tables = tables_of(model, gravity_m_s2, youngs_modulus_scale, damping_scale, mass_scale)
+        self.order = r = model.order
+        for name in ("frame", "inverse", "gradient", "mass_root", "stiffness_root", "degrees", "quadratic"):
+            self.register_buffer(name, torch.tensor(getattr(tables, name), dtype=dtype))
+        pairs = np.zeros((r, r), dtype=int)
+        pairs[np.triu_indices(r)] = np.arange(r * (r + 1) // 2)
+        pairs = pairs + np.triu(pairs, 1).T
+        self.register_buffer("hessian", torch.tensor(tables.hessian[pairs.ravel()], dtype=dtype))
+        self.mass_scale, self.mass_damping, self.stiffness_damping = (float(s) for s in tables.scales)
+        most = max(tables.gradient.shape[1], tables.mass_root.shape[1], tables.stiffness_root.shape[1])
+        self._levels: list[tuple[Tensor, Tensor]] = []
+        for degree in range(1, int(tables.degrees[most - 1]) + 1):
+            level = np.flatnonzero(tables.degrees == degree)
+            first = int(np.flatnonzero(tables.degrees == degree - 1)[0])
+            self._levels.append(
+                (torch.tensor(tables.parent[level] - first), torch.tensor(tables.variable[level]))
+            )
+
+    def residual(self, z: Tensor, velocity: Tensor, acceleration: Tensor, load: Tensor) -> Tensor:
+        """Return M a + D v + dW/dz - weight - load, (B, n + 3) Pa and N; zero along a motion."""
+        y, rate, change = z @ self.inverse.T, velocity @ self.inverse.T, acceleration @ self.inverse.T
+        mass, damping = self._mass_and_damping(y)
+        inside = _times(self.mass_scale * mass, change) + _times(damping, rate) + self._slope(y)
+        return inside @ self.inverse - load
+
+    def step(self, z: Tensor, velocity: Tensor, load: Tensor, dt_s: float) -> tuple[Tensor, Tensor]:
+        """Return z and its rate ``dt_s`` later, (B, n + 3) each, by implicit Euler with the load held.
+
+        The iteration runs outside the graph; a last Newton step from its end carries the exact first derivatives.
+        """
+        start, rate, force = z @ self.inverse.T, velocity @ self.inverse.T, load @ self.frame
+        mass, damping = self._mass_and_damping(start)
+        free = self.mass_scale * mass / dt_s**2
+        inertia = free + damping / dt_s
+        right = _times(free, start + dt_s * rate) + _times(damping, start) / dt_s + force
+        with torch.no_grad():
+            y = self._solve(start + dt_s * rate, inertia, right)
+            jacobian = self._curvature(y) + inertia
+        left = self._slope(y) + _times(inertia, y) - right
+        y = y - torch.linalg.solve(jacobian, left.unsqueeze(-1)).squeeze(-1)
+        moved = (y - start) / dt_s
+        later, _ = self._mass_and_damping(y)
+        before, after = (moved * _times(mass, moved)).sum(1), (moved * _times(later, moved)).sum(1)
+        still = after <= 0.0
+        ratio = torch.where(still, torch.ones_like(after), before / torch.where(still, torch.ones_like(after), after))
+        return y @ self.frame.T, (moved * ratio.sqrt().unsqueeze(1)) @ self.frame.T
+
+    def _solve(self, y: Tensor, inertia: Tensor, right: Tensor) -> Tensor:
+        """Return the solution of the implicit step, by Newton with halved steps where the slope along them turns."""
+        left = self._slope(y) + _times(inertia, y) - right
+        for _ in range(NEWTON):
+            jacobian = self._curvature(y) + inertia
+            _, bad = torch.linalg.cholesky_ex(jacobian)
+            jacobian = jacobian + (bad > 0).to(y.dtype)[:, None, None] * self.quadratic
+            step = torch.linalg.solve(jacobian, left.unsqueeze(-1)).squeeze(-1)
+            step = step / (step.abs().amax(1, keepdim=True) / 0.5).clamp(min=1.0)
+            before = (left * step).sum(1)
+            share = torch.ones_like(before).unsqueeze(1)
+            for _ in range(6):
+                trial = y - share * step
+                left = self._slope(trial) + _times(inertia, trial) - right
+                past = (left * step).sum(1) < -0.9 * before.abs()
+                if not past.any() or step.abs().max() < TOLERANCE:
+                    break
+                share = torch.where(past.unsqueeze(1), 0.5 * share, share)
+            y = trial
+            if step.abs().max() < (TOLERANCE if y.dtype == torch.float64 else 1e-5):
+                break
+        return y
+
+    def _ball(self, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the point (B, r) in the unit ball on the ray to ``y``, and max(|y|, 1) (B, 1)."""
+        radius = (y * y).sum(1, keepdim=True).clamp(min=1.0).sqrt()
+        return y / radius, radius
+
+    def _monomials(self, point: Tensor, count: int) -> Tensor:
+        """Return the first ``count`` monomials (B, count)."""
+        levels, total = [torch.ones_like(point[:, :1])], 1
+        for parent, variable in self._levels:
+            if total >= count:
+                break
+            levels.append(levels[-1][:, parent] * point[:, variable])
+            total += len(parent)
+        return torch.cat(levels, dim=1)
+
+    def _slope(self, y: Tensor) -> Tensor:
+        """Return the potential's gradient (B, r) J."""
+        u, radius = self._ball(y)
+        count = self.gradient.shape[1]
+        values, degree = self._monomials(u, count), self.degrees[:count] + 1.0
+        weight, slope, _ = _ray(degree, radius)
+        along = ((slope - degree * weight / radius) / degree * values) @ self.gradient.T
+        return (weight / radius * values) @ self.gradient.T + u * (u * along).sum(1, keepdim=True)
+
+    def _curvature(self, y: Tensor) -> Tensor:
+        """Return the potential's Hessian (B, r, r) J."""
+        u, radius = self._ball(y)
+        count, few = self.gradient.shape[1], self.hessian.shape[1]
+        values, degree = self._monomials(u, count), self.degrees[:count] + 1.0
+        weight, slope, bend = _ray(degree, radius)
+        first = slope - degree * weight / radius
+        second = bend - 2.0 * degree * slope / radius + degree * (degree + 1.0) * weight / radius**2
+        side = (first * values) @ self.gradient.T / radius
+        along = (u * ((first / degree * values) @ self.gradient.T)).sum(1)[:, None, None] / radius.unsqueeze(-1)
+        bending = (u * ((second / degree * values) @ self.gradient.T)).sum(1)[:, None, None]
+        flat, _, _ = _ray(self.degrees[:few] + 2.0, radius)
+        inner = ((flat / radius**2 * values[:, :few]) @ self.hessian.T).reshape(-1, self.order, self.order)
+        cross = side.unsqueeze(2) * u.unsqueeze(1)
+        outer = u.unsqueeze(2) * u.unsqueeze(1)
+        identity = torch.eye(self.order, dtype=y.dtype, device=y.device)
+        return inner + cross + cross.transpose(1, 2) + (bending - along) * outer + along * identity
+
+    def _mass_and_damping(self, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Return mass at scale 1 and damping (B, r, r) in y."""
+        u, _ = self._ball(y)
+        values = self._monomials(u, max(self.mass_root.shape[1], self.stiffness_root.shape[1]))
+        mass, stiffness = (
+            _square((values[:, : root.shape[1]] @ root.T).reshape(-1, self.order, self.order))
+            for root in (self.mass_root, self.stiffness_root)
+        )
+        return mass, self.mass_damping * mass + self.stiffness_damping * stiffness
+
+
+def _ray(degree: Tensor, radius: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return w_d and its two derivatives (B, k) at ``radius`` (B, 1); see ``pod.kernel``."""
+    beyond, bend = radius - 1.0, degree * (degree - 1.0)
+    return 1.0 + beyond * (degree + 0.5 * bend * beyond), degree + bend * beyond, bend.expand(len(radius), -1)
+
+
+def _times(matrix: Tensor, vector: Tensor) -> Tensor:
+    return (matrix @ vector.unsqueeze(-1)).squeeze(-1)
+
+
+def _square(root: Tensor) -> Tensor:
+    return root.transpose(1, 2) @ root

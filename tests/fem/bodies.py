@@ -1,0 +1,93 @@
+"""Small bodies with known answers: a bar, a hollow box and a hollow sphere."""
+
+import numpy as np
+
+from softrl.artifacts.mesh import BASE, PLATE, Mesh, tetrahedron_volumes
+from softrl.fem.material import Material, StableNeoHookean
+from softrl.fem.model import FemModel
+from softrl.fem.newton import NewtonSettings
+from softrl.robots.robot import Robot
+
+KUHN = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])
+NEWTON = NewtonSettings(tolerance_m=1e-9, max_iterations=60, reuse_below=0.3)
+
+
+def grid(cells: tuple[int, int, int], size: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return points (nodes, 3) m, tetrahedra and the cell (elements, 3) of each, of a box cut into cubes of six."""
+    x, y, z = (np.linspace(0.0, s, n + 1) for s, n in zip(size, cells, strict=True))
+    points = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1).reshape(-1, 3)
+    cell = np.stack(np.meshgrid(*(np.arange(n) for n in cells), indexing="ij"), axis=-1).reshape(-1, 3)
+    bits = np.array([[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)])
+    corner = cell[:, None] + bits
+    node = (corner[..., 0] * (cells[1] + 1) + corner[..., 1]) * (cells[2] + 1) + corner[..., 2]
+    tetrahedra = node[:, KUHN].reshape(-1, 4)
+    return points, oriented(points, tetrahedra), np.repeat(cell, 6, axis=0)
+
+
+def oriented(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
+    """Return ``tetrahedra`` with positive volume."""
+    wrong = tetrahedron_volumes(points, tetrahedra) < 0
+    return np.where(wrong[:, None], tetrahedra[:, [1, 0, 2, 3]], tetrahedra)
+
+
+def boundary(tetrahedra: np.ndarray) -> np.ndarray:
+    """Return the faces (faces, 3) that belong to one tetrahedron, normals out of the solid."""
+    faces = np.concatenate([tetrahedra[:, f] for f in ([1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1])])
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    return faces[first[count == 1]]
+
+
+def hollow_box(cells: int = 3, width: float = 0.03, height: float = 0.05, chambers: int = 1) -> Mesh:
+    """Return a box on its base with ``chambers`` closed cavities side by side and a rigid plate on top."""
+    shape = (cells + (chambers - 1) * (cells - 1), cells, cells + 1)
+    points, tetrahedra, cell = grid(shape, (width * shape[0] / cells, width, height))
+    hollow = (cell[:, 1] > 0) & (cell[:, 1] < cells - 1) & (cell[:, 2] > 0) & (cell[:, 2] < cells - 1)
+    number = np.full(len(cell), -1)
+    for k in range(chambers):
+        low = 1 + k * (cells - 1)
+        number[hollow & (cell[:, 0] >= low) & (cell[:, 0] < low + cells - 2)] = k
+    solid = tetrahedra[number < 0]
+    faces = boundary(solid)
+    air = [np.unique(np.sort(boundary(tetrahedra[number == k]), axis=1), axis=0) for k in range(chambers)]
+    owner = np.full(len(faces), -1)
+    for k, own in enumerate(air):
+        sorted_faces = np.sort(faces, axis=1)
+        owner[(sorted_faces[:, None] == own).all(axis=2).any(axis=1)] = k
+    used, renumbered = np.unique(solid, return_inverse=True)
+    new = np.full(len(points), -1)
+    new[used] = np.arange(len(used))
+    points = points[used]
+    region = np.zeros(len(points), dtype=int)
+    region[points[:, 2] < 1e-9] = BASE
+    region[points[:, 2] > height * (cells / (cells + 1)) - 1e-9] = PLATE
+    cavity = owner >= 0
+    return Mesh(points, renumbered.reshape(-1, 4), region, np.zeros(len(solid), int), new[faces[cavity]], owner[cavity], "box")
+
+
+def bar(cells: tuple[int, int, int], size: tuple[float, float, float]) -> Mesh:
+    """Return a bar along z: base at the bottom, plate at its top face, and no use of its one (dummy) cavity.
+
+    The cavity is the whole outer surface turned inside out, so that its volume is that of the bar.
+    """
+    points, tetrahedra, _ = grid(cells, size)
+    region = np.zeros(len(points), dtype=int)
+    region[points[:, 2] < 1e-9] = BASE
+    region[points[:, 2] > size[2] - 1e-9] = PLATE
+    faces = boundary(tetrahedra)[:, ::-1]
+    return Mesh(points, tetrahedra, region, np.zeros(len(tetrahedra), int), faces, np.zeros(len(faces), int), "bar")
+
+
+def model_of(mesh: Mesh, material: Material | None = None, **changes: object) -> FemModel:
+    """Return a model of ``mesh`` in rubber, 1 MPa unless given, without damping."""
+    settings = {"density_kg_m3": 1000.0, "rayleigh_mass_per_s": 0.0, "rayleigh_stiffness_s": 0.0, "newton": NEWTON}
+    return FemModel(mesh, material or StableNeoHookean(1e6, 0.45), **(settings | changes))  # type: ignore[arg-type]
+
+
+def box_robot(chambers: int) -> Robot:
+    """Return a robot whose limits suit ``hollow_box``."""
+    return Robot(
+        name="box", chamber_angle_deg=tuple(360.0 / chambers * k for k in range(chambers)), chamber_radius_m=0.01,
+        chamber_area_m2=1e-4, length_m=0.05, mass_kg=0.04, pressure_min_pa=-5e3, pressure_max_pa=1e4,
+        slew_pa_per_s=1e6, tip_force_max_n=0.5, axis="+z", output="tip_pose", command="pressure", command_to_pa=1.0,
+        gravity_m_s2=(0.0, 0.0, -9.81),
+    )

@@ -1,0 +1,12 @@
+"""Puts this folder's bodies within reach of its tests."""
+
+import pytest
+from tests.fem.bodies import hollow_box
+
+from softrl.artifacts.mesh import Mesh
+
+
+@pytest.fixture(scope="session")
+def box() -> Mesh:
+    """Return a box with two chambers."""
+    return hollow_box(chambers=2)

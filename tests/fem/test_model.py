@@ -1,0 +1,254 @@
+"""Laws of the full model: patch test, closed forms, equilibrium, tangents, energy and units."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from softrl.artifacts.mesh import BASE, PLATE, Mesh
+from softrl.core.errors import MeshError
+from softrl.fem.assembly import assemble_elastic, node_pairs
+from softrl.fem.coupling import Coupling
+from softrl.fem.elements import quadratic_mesh
+from softrl.fem.material import TANGENT, StableNeoHookean, StVenantKirchhoff
+from softrl.fem.newton import NewtonSettings, Value, minimise
+from softrl.fem.solver import SuperLuSolver, linear_solver
+from tests.fem.bodies import NEWTON, bar, boundary, grid, hollow_box, model_of, oriented
+
+LOAD = np.array([4e3, -2e3, 0.2, -0.1, 0.15])  # two chambers, Pa and N
+
+
+def solved_inside(cells: int, exact, material, size: float = 0.02):  # type: ignore[no-untyped-def]
+    """Return (nodes found, nodes exact) of a cube whose whole surface follows ``exact`` (nodes, 3) -> (nodes, 3)."""
+    points, tetrahedra, _ = grid((cells, cells, cells), (size, size, size))
+    region = np.zeros(len(points), int)
+    region[np.unique(boundary(tetrahedra))] = BASE
+    region[(np.abs(points - size / 2) < size / 2 - 1e-9).all(axis=1)] = 0
+    faces = boundary(tetrahedra)[:, ::-1]
+    mesh = Mesh(points, tetrahedra, region, np.zeros(len(tetrahedra), int), faces, np.zeros(len(faces), int), "cube")
+    q = quadratic_mesh(mesh)
+    outer = (np.abs(q.points - size / 2) > size / 2 - 1e-9).any(axis=1)
+    region10 = np.where(outer, BASE, 0)
+    pairs = node_pairs(len(q.points), q.elements, q.cavity_triangles)
+    coupling = Coupling(q.points, region10, [], np.zeros((0, 3)), pairs)
+    rest = coupling.rest()
+    start = replace(rest, position=np.where(outer[:, None], exact(q.points), rest.position))
+
+    def objective(pose, order):  # type: ignore[no-untyped-def]
+        gradient = np.zeros_like(pose.position)
+        blocks = np.zeros((len(pairs.first), 3, 3))
+        energy = assemble_elastic(
+            type(material).kernel, material.pack(), pose.position, q.elements, q.gradients, q.weights, order,
+            pairs.element_slots, gradient, blocks,
+        )
+        return Value(energy, gradient, blocks if order >= TANGENT else None)
+
+    solve = minimise(objective, start, coupling, linear_solver(), NewtonSettings(1e-13, 60, 0.0))
+    assert solve.converged
+    return solve.pose.position, exact(q.points)
+
+
+def test_patch_a_uniform_strain_is_exact() -> None:
+    change = np.eye(3) + 0.1 * np.random.default_rng(0).standard_normal((3, 3))
+    found, exact = solved_inside(2, lambda x: x @ change.T, StableNeoHookean(1e6, 0.45))
+    assert np.abs(found - exact).max() < 1e-12
+
+
+def test_patch_a_pure_bending_is_exact_for_quadratic_elements() -> None:
+    # small bending about y: u = k (x z, -nu y z, (nu (y^2 - z^2) ... ) solves Navier's equations and is quadratic
+    nu, k = 0.4, 1e-7
+
+    def exact(x: np.ndarray) -> np.ndarray:
+        a, b, c = x.T
+        return x + k * np.stack([a * c, -nu * b * c, -0.5 * a * a + 0.5 * nu * (b * b - c * c)], axis=1)
+
+    def off(x: np.ndarray) -> np.ndarray:
+        return x + k * 0.0
+
+    found, wanted = solved_inside(2, exact, StVenantKirchhoff(1e6, nu))
+    assert np.abs(found - wanted).max() < 1e-6 * np.abs(wanted - off(wanted)).max() + 1e-15
+
+
+def test_error_falls_with_the_third_power_of_the_edge() -> None:
+    # u = grad(exp(q x) cos(q y)) solves Navier's equations for any moduli
+    amplitude, q = 1e-9, 60.0
+
+    def exact(x: np.ndarray) -> np.ndarray:
+        grown = amplitude * np.exp(q * x[:, 0])
+        return x + np.stack([grown * np.cos(q * x[:, 1]), -grown * np.sin(q * x[:, 1]), 0 * grown], axis=1)
+
+    errors = []
+    for cells in (2, 4):
+        found, wanted = solved_inside(cells, exact, StableNeoHookean(1e6, 0.45))
+        errors.append(np.sqrt(np.mean((found - wanted) ** 2)))
+    order = np.log2(errors[0] / errors[1])
+    assert order > 2.6, f"measured order {order:.2f}"
+
+
+def test_cantilever_bends_as_timoshenko_says() -> None:
+    width, length, young, force = 0.01, 0.10, 1e6, 1e-3
+    model = model_of(bar((2, 2, 10), (width, width, length)), StableNeoHookean(young, 0.3))
+    solve = model.static(np.array([0.0, force, 0.0, 0.0]))
+    inertia, shear = width**4 / 12, young / 2.6
+    # the rigid end face keeps plane sections plane, which is what the beam assumes
+    expected = force * length**3 / (3 * young * inertia) + force * length / (5 / 6 * shear * width**2)
+    assert solve.converged
+    assert model.coordinate(solve.pose)[1] == pytest.approx(expected, rel=0.02)
+
+
+def test_pressure_in_a_thick_sphere_widens_it_as_lame_says() -> None:
+    inner, outer, young, nu, pressure = 0.01, 0.02, 1e6, 0.4, 10.0
+    mesh = hollow_sphere(inner, outer)
+    model = model_of(mesh, StableNeoHookean(young, nu))
+    solve = model.static(np.r_[pressure, np.zeros(3)])
+    share = pressure * inner**3 / (young * (outer**3 - inner**3))
+    widening = share * ((1 - 2 * nu) * inner + (1 + nu) * outer**3 / (2 * inner**2))
+    expected = 3 * widening / inner  # relative change of volume, which hardly sees the facets
+    assert model.coordinate(solve.pose)[0] / model.rest_volume[0] == pytest.approx(expected, rel=0.04)
+
+
+def hollow_sphere(inner: float, outer: float, layers: int = 3, cells: int = 3) -> Mesh:
+    """Return a thick sphere of cube-shaped patches, held at three nodes' neighbourhood at its lowest point."""
+    points, tetrahedra, cell = grid((cells + 2 * layers,) * 3, (2.0, 2.0, 2.0))
+    points = points - 1.0
+    core = ((cell >= layers) & (cell < layers + cells)).all(axis=1)
+    edge = cells / (cells + 2 * layers)  # cube half-width of the cavity
+    reach = np.abs(points).max(axis=1)
+    length = np.maximum(np.linalg.norm(points, axis=1), 1e-12)
+    radius = np.where(reach > edge, inner + (outer - inner) * (reach - edge) / (1 - edge), inner * reach / edge)
+    points = points / length[:, None] * radius[:, None]
+    solid = oriented(points, tetrahedra[~core])
+    used, renumbered = np.unique(solid, return_inverse=True)
+    points, solid = points[used], renumbered.reshape(-1, 4)
+    faces = boundary(solid)
+    cavity = faces[np.linalg.norm(points[faces].mean(axis=1), axis=1) < 0.5 * (inner + outer)]
+    region = np.zeros(len(points), int)
+    lowest, highest = solid[points[solid].mean(axis=1)[:, 2].argmin()], solid[points[solid].mean(axis=1)[:, 2].argmax()]
+    region[lowest], region[highest] = BASE, PLATE
+    return Mesh(points, solid, region, np.zeros(len(solid), int), cavity, np.zeros(len(cavity), int), "sphere")
+
+
+def test_equilibrium_balances_the_base(box: Mesh) -> None:
+    # a closed cavity pushes with no net force, so the base carries the tip force and the weight, and their moment
+    model = model_of(box, gravity_m_s2=(0.0, -3.0, -9.81))
+    pose = model.static(LOAD).pose
+    elastic = model._elastic(pose, 1).gradient
+    base = model.coupling.body == -2
+    push = np.zeros_like(elastic)
+    total = np.zeros(3)
+    reaction = elastic[base].sum(axis=0)
+    carried = model.nodal_mass[~base].sum() * model.gravity_m_s2 + LOAD[2:]
+    total += reaction + carried + push.sum(axis=0)
+    assert np.abs(total).max() < 1e-6 * np.abs(LOAD[2:]).max()
+
+
+def test_compliance_is_symmetric_and_the_derivative_of_the_coordinate(box: Mesh) -> None:
+    model = model_of(box)
+    pose = model.static(LOAD).pose
+    compliance = model.tangent(pose, LOAD).compliance
+    scale = np.sqrt(np.outer(np.diag(compliance), np.diag(compliance)))
+    assert (np.abs(compliance - compliance.T) / scale).max() < 1e-9
+    for k, step in enumerate([10.0, 10.0, 1e-3, 1e-3, 1e-3]):
+        change = step * np.eye(5)[k]
+        above, below = (model.coordinate(model.static(LOAD + s * change, pose).pose) for s in (1, -1))
+        numeric = (above - below) / (2 * step)
+        assert (np.abs(numeric - compliance[:, k]) / scale[:, k]).max() < 1e-4
+
+
+def test_load_does_the_work_that_the_body_stores(box: Mesh) -> None:
+    # dW = load . dz along a path of equilibria: Simpson's rule over two load steps
+    model = model_of(box)
+    poses = [model.static(s * LOAD).pose for s in (0.5, 0.75, 1.0)]
+    rates = [s * LOAD @ model.tangent(p, s * LOAD).compliance @ LOAD for p, s in zip(poses, (0.5, 0.75, 1.0), strict=True)]
+    work = 0.5 * (rates[0] + 4 * rates[1] + rates[2]) / 6
+    assert model.elastic_energy(poses[2]) - model.elastic_energy(poses[0]) == pytest.approx(work, rel=1e-4)
+
+
+def test_scaling_modulus_and_load_alike_changes_no_shape(box: Mesh) -> None:
+    one = model_of(box).static(LOAD).pose
+    ten = model_of(box, StableNeoHookean(1e7, 0.45)).static(10 * LOAD).pose
+    scaled = model_of(box, stiffness_scale=10.0).static(10 * LOAD).pose
+    assert np.abs(one.position - ten.position).max() < 1e-9
+    assert np.abs(scaled.position - ten.position).max() < 1e-12
+
+
+def test_scaling_lengths_by_ten_scales_forces_by_a_hundred(box: Mesh) -> None:
+    small = model_of(box).static(LOAD).pose.position
+    force = LOAD * np.r_[1, 1, 100, 100, 100]
+    large = model_of(replace(box, points=10 * box.points)).static(force).pose.position
+    assert np.abs(large / 10 - small).max() < 1e-9
+
+
+def test_free_vibration_loses_energy_and_keeps_none(box: Mesh) -> None:
+    model = model_of(box, rayleigh_stiffness_s=2e-4)
+    state = model.state(model.static(LOAD).pose)
+    energies = [model.elastic_energy(state.pose)]
+    for _ in range(60):
+        state, solve = model.step(state, np.zeros(5), 1e-3)
+        assert solve.converged
+        kinetic = 0.5 * float((model.nodal_mass[:, None] * state.velocity**2).sum())
+        energies.append(model.elastic_energy(state.pose) + kinetic)
+    assert (np.diff(energies) < 1e-9 * energies[0]).all()
+    assert energies[-1] < 1e-2 * energies[0]
+
+
+def test_vibration_without_damping_has_the_frequency_of_stiffness_and_mass(box: Mesh) -> None:
+    # pull the tip slightly aside and let go: the period of the lowest mode, by Rayleigh's quotient of the static shape
+    model = model_of(box)
+    pull = np.array([0.0, 0.0, 0.0, 1e-3, 0.0])
+    tangent = model.tangent(model.rest(), np.zeros(5))
+    frequency = np.sqrt(tangent.stiffness[3, 3] / tangent.mass[3, 3])
+    dt = 2 * np.pi / frequency / 400
+    state = model.state(model.static(pull).pose)
+    history = []
+    for _ in range(330):
+        state, _ = model.step(state, np.zeros(5), dt)
+        history.append(model.coordinate(state.pose)[3])
+    crossing = np.flatnonzero(np.diff(np.sign(history)))[:2]
+    period = 2 * dt * (crossing[1] - crossing[0])
+    assert period == pytest.approx(2 * np.pi / frequency, rel=0.03)
+
+
+def test_implicit_euler_is_of_first_order(box: Mesh) -> None:
+    model = model_of(box, rayleigh_stiffness_s=2e-3)
+    ends = []
+    for dt in (8e-4, 4e-4, 2e-4):
+        state = model.state()
+        for _ in range(round(8e-3 / dt)):
+            state, _ = model.step(state, LOAD, dt)
+        ends.append(model.coordinate(state.pose))
+    ratio = np.linalg.norm((ends[0] - ends[1])[2:]) / np.linalg.norm((ends[1] - ends[2])[2:])
+    assert 1.6 < ratio < 2.6, f"measured ratio {ratio:.2f}"
+
+
+def test_both_linear_solvers_agree(box: Mesh) -> None:
+    best = model_of(box).static(LOAD).pose
+    plain = model_of(box, solver=SuperLuSolver()).static(LOAD).pose
+    assert np.abs(best.position - plain.position).max() < 1e-12
+
+
+def test_reused_factors_give_the_same_equilibrium(box: Mesh) -> None:
+    always = model_of(box, newton=replace(NEWTON, reuse_below=0.0)).static(LOAD)
+    often = model_of(box).static(LOAD)
+    assert often.factorisations < always.factorisations
+    assert np.abs(always.pose.position - often.pose.position).max() < 1e-9
+
+
+def test_newton_converges_quadratically(box: Mesh) -> None:
+    steps = np.array(model_of(box, newton=NewtonSettings(1e-10, 60, 0.0)).static(LOAD).steps_m)
+    assert steps[-1] < 50.0 * steps[-2] ** 1.6
+
+
+def test_turning_load_and_body_together_turns_the_answer() -> None:
+    mesh = hollow_box(chambers=1)
+    turn = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix()
+    force = np.array([0.1, 0.05, -0.2])
+    straight = model_of(mesh).static(np.r_[2e3, force]).pose.position
+    turned = model_of(replace(mesh, points=mesh.points @ turn.T)).static(np.r_[2e3, turn @ force]).pose.position
+    assert np.abs(turned - straight @ turn.T).max() < 1e-9
+
+
+def test_a_mesh_without_plate_is_refused(box: Mesh) -> None:
+    with pytest.raises(MeshError, match="no plate"):
+        model_of(replace(box, node_region=np.where(box.node_region == PLATE, 0, box.node_region)))

@@ -1,0 +1,126 @@
+"""The compiled equations: derivatives, passivity, convergence in time, extrapolation."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from softrl.artifacts.reduced_model import ReducedModel
+from softrl.artifacts.snapshots import Snapshots
+from softrl.pod.kernel import fill_potential, fill_square, run_kernel, solve_general
+from softrl.pod.polynomial import basis
+from softrl.pod.rom import mechanical_energy, no_hooks, roll, static_coordinates, tables_of
+from softrl.robots.robot import Robot
+
+Body = tuple[Robot, Snapshots, ReducedModel]
+
+
+def potential(model: ReducedModel) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Return y -> (gradient, Hessian) of the potential."""
+    tables, r = tables_of(model), model.order
+    values, point = np.empty(len(tables.parent)), np.empty(r)
+
+    def derivatives(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        gradient, hessian = np.empty(r), np.empty((r, r))
+        fill_potential(y, tables, values, point, gradient, hessian)
+        return gradient, hessian
+
+    return derivatives
+
+
+@pytest.mark.parametrize("radius", [0.4, 1.3, 4.0])
+def test_the_hessian_is_the_gradients_derivative(body: Body, radius: float) -> None:
+    derivatives, r = potential(body[2]), body[2].order
+    y = np.random.default_rng(1).standard_normal(r)
+    y *= radius / np.linalg.norm(y)
+    step = 1e-6
+    numeric = np.array([(derivatives(y + e)[0] - derivatives(y - e)[0]) / (2 * step) for e in step * np.eye(r)])
+    hessian = derivatives(y)[1]
+    error = np.abs(numeric - hessian).max() / np.abs(hessian).max()
+    assert error < 1e-7, f"relative error {error:g} at radius {radius:g}"
+    np.testing.assert_allclose(hessian, hessian.T, atol=1e-12 * np.abs(hessian).max())
+
+
+def test_the_gradient_is_the_energys_derivative(body: Body) -> None:
+    model = body[2]
+    z = model.frame @ np.full(model.order, 0.2)
+    step = 1e-4 * np.diag(model.frame)
+    still = np.zeros((1, model.order))
+    numeric = [
+        (mechanical_energy(model, (z + e)[None], still) - mechanical_energy(model, (z - e)[None], still))[0]
+        for e in np.diag(step)
+    ] / (2 * step)
+    gradient = np.linalg.inv(model.frame).T @ potential(model)(np.full(model.order, 0.2))[0]
+    np.testing.assert_allclose(gradient * step, numeric * step, rtol=1e-5, atol=1e-9)
+
+
+def test_the_continuation_has_no_kink_and_stays_convex_and_bounded(body: Body) -> None:
+    derivatives, r = potential(body[2]), body[2].order
+    rng = np.random.default_rng(3)
+    at_rest = np.abs(derivatives(np.zeros(r))[1]).max()
+    for _ in range(20):
+        u = rng.standard_normal(r)
+        u /= np.linalg.norm(u)
+        for inside, outside in zip(derivatives((1 - 1e-9) * u), derivatives((1 + 1e-9) * u), strict=True):
+            np.testing.assert_allclose(outside, inside, atol=1e-6 * at_rest)
+        curvature = [np.linalg.eigvalsh(derivatives(radius * u)[1]) for radius in (1.0, 2.0, 5.0, 50.0)]
+        assert curvature[-1].max() < 10.0 * at_rest
+        assert derivatives(50.0 * u)[0] @ u > 0.0
+
+
+@pytest.mark.parametrize("dt_s", [0.001, 0.01, 0.02])
+def test_an_unforced_body_never_gains_energy(body: Body, dt_s: float) -> None:
+    robot, snapshots, model = body
+    n = model.chambers
+    load = np.zeros((1, n + 3))
+    load[0, :n] = 0.7 * robot.pressure_max_pa * np.linspace(1.0, -0.5, n)
+    tables = tables_of(model)
+    y = tables.inverse @ static_coordinates(model, load)[0]
+    velocity, energy = np.random.default_rng(0).standard_normal(model.order), []
+    for _ in range(200):
+        energy.append(mechanical_energy(model, (model.frame @ y)[None], (model.frame @ velocity)[None])[0])
+        failed, _ = run_kernel(
+            y, velocity, np.zeros(model.order), dt_s, np.zeros((1, model.order)), tables, no_hooks(),
+            np.empty((0, model.order)), np.empty((0, 3)), np.empty((0, 4)),
+        )
+        assert failed == 0
+        if np.linalg.norm(y) > 1.0:     # the polynomial is the energy only inside
+            energy.clear()
+    gain = np.diff(energy).max()
+    assert gain <= 1e-12 * np.ptp(energy), f"energy rises by {gain:g} J"
+    assert len(energy) > 150
+
+
+def test_motion_converges_with_the_time_step(tripod: Body) -> None:
+    robot, _, model = tripod
+    end = []
+    for steps in (500, 1000, 2000, 4000):
+        load = np.zeros((1, steps, 6))
+        load[..., 0] = 0.5 * robot.pressure_max_pa
+        end.append(roll(model, 0.12 / steps, load)[0, -1, 3:])
+    change = np.linalg.norm(np.diff(end, axis=0), axis=1)
+    order = np.log2(change[:-1] / change[1:])
+    assert (order > 0.8).all(), f"orders {order}"
+
+
+def test_a_long_step_is_the_equilibrium(tripod: Body) -> None:
+    robot, _, model = tripod
+    load = np.zeros((1, 400, 6))
+    load[..., 1] = 0.5 * robot.pressure_max_pa
+    settled = roll(model, 0.02, load)[0, -1]
+    np.testing.assert_allclose(settled[3:], static_coordinates(model, load[0, :1])[0, 3:], atol=1e-7)
+
+
+def test_masses_are_never_indefinite(tripod: Body) -> None:
+    model = tripod[2]
+    for y in np.random.default_rng(0).uniform(-1.0, 1.0, (50, 6)):
+        values, root, square = basis(6, 1).values(y[None])[0], np.empty((6, 6)), np.empty((6, 6))
+        fill_square(model.mass_root, values, root, square)
+        assert np.linalg.eigvalsh(square)[0] >= -1e-12 * np.abs(square).max()
+
+
+def test_elimination_solves() -> None:
+    matrix = np.random.default_rng(0).standard_normal((6, 6)) + 3.0 * np.eye(6)
+    right, answer = np.arange(6.0) - 2.0, np.empty(6)
+    assert solve_general(matrix.copy(), right, answer)
+    np.testing.assert_allclose(matrix @ answer, right, atol=1e-12)

@@ -1,0 +1,63 @@
+"""The stage on a synthetic body: what it promises in its metrics and its artifact."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from softrl.artifacts.reduced_model import ReducedModel
+from softrl.artifacts.snapshots import Snapshots
+from softrl.core.config import build
+from softrl.core.errors import ArtifactError, ConfigError
+from softrl.core.tracking import NullTracker
+from softrl.pod.stage import Config, run
+from softrl.robots.robot import Robot
+from tests.pod.synthetic import robot_with
+
+CONF = Path(__file__).parents[2] / "conf" / "stage"
+Body = tuple[Robot, Snapshots, ReducedModel]
+
+
+def config(**overrides: object) -> Config:
+    """Return the tiny config."""
+    node = {name: yaml.safe_load((CONF / name / "pod.yaml").read_text()) for name in (".", "tiny")}
+    return build({**node["."], **node["tiny"], "seed": 3, **overrides}, Config, "stage")
+
+
+def test_it_reduces_a_body_and_says_how_well(tripod: Body, tmp_path: Path) -> None:
+    robot, snapshots, _ = tripod
+    tracker = NullTracker()
+    model = run(config(), robot, snapshots, tracker=tracker)
+    metrics = tracker.metrics
+    assert metrics["heldout/static_tip_rms_mm"] < 0.05 * metrics["heldout/baseline_linear_static_tip_rms_mm"]
+    assert metrics["heldout/dynamic_tip_rms_mm"] < 0.2 * metrics["heldout/baseline_linear_dynamic_tip_rms_mm"]
+    assert metrics["heldout/dynamic_tip_rms_mm"] < 0.2 * metrics["heldout/baseline_static_dynamic_tip_rms_mm"]
+    assert metrics["heldout/pod_projection_rms_mm"] < 0.1 * metrics["heldout/baseline_no_modes_rms_mm"]
+    assert metrics["rom_steps_failed"] == 0
+    model.save(tmp_path / "model")
+    again = ReducedModel.load(tmp_path / "model")
+    np.testing.assert_array_equal(again.energy, model.energy)
+    assert again.robot_name == robot.name
+
+
+def test_it_is_deterministic_and_does_without_trajectories(tripod: Body) -> None:
+    robot, snapshots, _ = tripod
+    still = replace(
+        snapshots, trajectory_load=snapshots.trajectory_load[:0], trajectory_coordinate=snapshots.trajectory_coordinate[:0],
+        trajectory_quaternion=snapshots.trajectory_quaternion[:0],
+    )
+    first, second = (run(config(), robot, still, tracker=NullTracker()) for _ in range(2))
+    np.testing.assert_array_equal(first.energy, second.energy)
+    np.testing.assert_array_equal(first.modes, second.modes)
+
+
+def test_another_robots_snapshots_are_refused(tripod: Body) -> None:
+    with pytest.raises(ArtifactError, match="3 chambers"):
+        run(config(), robot_with(2), tripod[1], tracker=NullTracker())
+
+
+def test_a_wrong_share_is_refused() -> None:
+    with pytest.raises(ConfigError, match="heldout_share=2"):
+        config(heldout_share=2.0)

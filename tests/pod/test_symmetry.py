@@ -1,0 +1,41 @@
+"""Symmetries of chamber layouts, and that they leave a symmetric body's energy alone."""
+
+import numpy as np
+import pytest
+
+from softrl.pod.symmetry import equilibria, reflected, rotation_vector, symmetries
+from tests.pod.synthetic import law_of, quaternion, robot_with, synthetic_snapshots
+
+
+@pytest.mark.parametrize(("chambers", "turns", "all_of_them"), [(1, 1, 2), (2, 2, 4), (3, 3, 6), (4, 4, 8)])
+def test_regular_layouts_have_all_their_symmetries(chambers: int, turns: int, all_of_them: int) -> None:
+    direction = robot_with(chambers).chamber_direction
+    assert [len(symmetries(direction, kind)) for kind in ("none", "rotations", "all")] == [1, turns, all_of_them]
+
+
+def test_an_uneven_layout_keeps_only_its_mirror() -> None:
+    angle = np.deg2rad([90.0, 200.0, 340.0])
+    direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    assert [len(symmetries(direction, kind)) for kind in ("rotations", "all")] == [1, 2]
+
+
+@pytest.mark.parametrize("chambers", [1, 2, 3])
+def test_images_are_equilibria_of_the_same_body(chambers: int) -> None:
+    robot = robot_with(chambers)
+    law, samples = law_of(robot), equilibria(synthetic_snapshots(robot, 3, seed=4, trajectories=0))
+    images = reflected(samples, symmetries(robot.chamber_direction, "all"))
+    for load, z, energy, compliance, centre, turn in zip(
+        images.load, images.coordinate, images.energy, images.compliance, images.centre_of_mass, images.rotation,
+        strict=True,
+    ):
+        np.testing.assert_allclose(law.gradient(z), load, rtol=1e-9, atol=1e-6)
+        np.testing.assert_allclose(law.energy(z), energy, rtol=1e-9)
+        np.testing.assert_allclose(law.hessian(z) @ compliance, np.eye(len(z)), atol=1e-6)
+        np.testing.assert_allclose(law.centre_of_mass(z), centre, atol=1e-12)
+        np.testing.assert_allclose(law.rotation(z), turn, atol=1e-12)
+
+
+def test_rotation_vectors_invert_quaternions() -> None:
+    turns = np.random.default_rng(0).uniform(-1.5, 1.5, (20, 3))
+    found = rotation_vector(np.array([quaternion(turn) * sign for turn, sign in zip(turns, [1, -1] * 10, strict=True)]))
+    np.testing.assert_allclose(found, turns, atol=1e-12)
