@@ -14,7 +14,7 @@ class ReducedModel(Artifact):
     """A body with ``n`` chambers in ``r = n + 3`` coordinates ``z = (V - V_rest, tip - tip_rest)``, m^3 and m.
 
     Rest is the stress-free shape without weight. All maps are polynomials of ``y`` with ``z = frame y``; the samples
-    fill the ball ``|y| <= 1``. Coefficients follow the monomials of ``r`` variables ordered by degree.
+    lie in the ball ``|y| <= 1``. Coefficients follow the monomials of ``r`` variables ordered by degree.
 
     Attributes
     ----------
@@ -81,7 +81,12 @@ class ReducedModel(Artifact):
         order = self.chambers + 3
         if self.frame.shape != (order, order):
             raise ArtifactError(f"ReducedModel.frame has shape {self.frame.shape}; expected {(order, order)}")
-        for name, rows in (("mass_root", order**2), ("stiffness_root", order**2), ("centre_of_mass", 3), ("rotation", 3)):
+        for name, rows in (
+            ("mass_root", order**2),
+            ("stiffness_root", order**2),
+            ("centre_of_mass", 3),
+            ("rotation", 3),
+        ):
             if len(getattr(self, name)) != rows:
                 raise ArtifactError(f"ReducedModel.{name} has {len(getattr(self, name))} rows; expected {rows}")
         if np.abs(self.energy[: 1 + order]).max() > 0.0:

@@ -17,18 +17,18 @@ class EnsembleSettings:
     hidden: int
     epochs: int
     learning_rate: float
-    weight_decay: float
+    weight_decays: tuple[float, ...]
     seed: int
 
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Trained networks: stacked ``weights``, and the scalers (n,) Pa of input and correction; ``loss`` (epochs,)."""
+    """Trained networks: stacked ``weights``, the scalers (n,) Pa of input and correction, the chosen decay of weights."""
 
     weights: dict[str, np.ndarray]
     pressure: Scaler
     correction_spread: np.ndarray
-    loss: np.ndarray
+    weight_decay: float
 
 
 def forward(weights: dict[str, torch.Tensor], scaled: torch.Tensor) -> torch.Tensor:
@@ -45,7 +45,8 @@ def fit_ensemble(pressure_real: np.ndarray, pressure_sim: np.ndarray, settings: 
 
     Notes
     -----
-    Member i never trains on every ``members``-th hold from the i-th on; those choose the epoch at which it is kept.
+    Member i never trains on every ``members``-th hold from the i-th on; those choose the epoch at which it is kept, and
+    the decay of weights.
     The spread of the members so shows both what the start and what the choice of holds leaves open. All weights of the
     last layer and the linear part start at zero and decay towards it: without data the map is the identity.
     """
@@ -54,8 +55,9 @@ def fit_ensemble(pressure_real: np.ndarray, pressure_sim: np.ndarray, settings: 
     correction = pressure_sim - pressure_real
     spread = np.maximum(np.sqrt(np.mean(correction**2, axis=0)), 1.0)
     inputs, targets = torch.tensor(scaler.scale(pressure_real)), torch.tensor(correction / spread)
-    weights, loss = _train(inputs, targets, settings)
-    return Ensemble({name: w.numpy() for name, w in weights.items()}, scaler, spread, np.array(loss))
+    tried = [(*_train(inputs, targets, settings, decay), decay) for decay in settings.weight_decays]
+    weights, _, decay = min(tried, key=lambda one: one[1])
+    return Ensemble({name: w.numpy() for name, w in weights.items()}, scaler, spread, decay)
 
 
 def _initial(chambers: int, settings: EnsembleSettings) -> dict[str, torch.Tensor]:
@@ -71,27 +73,27 @@ def _initial(chambers: int, settings: EnsembleSettings) -> dict[str, torch.Tenso
 
 
 def _train(
-    inputs: torch.Tensor, targets: torch.Tensor, settings: EnsembleSettings
-) -> tuple[dict[str, torch.Tensor], list[float]]:
+    inputs: torch.Tensor, targets: torch.Tensor, settings: EnsembleSettings, weight_decay: float
+) -> tuple[dict[str, torch.Tensor], float]:
+    """Return the weights at each member's best epoch, and the mean squared error on what the members left out."""
     weights = {name: w.requires_grad_() for name, w in _initial(inputs.shape[1], settings).items()}
     turn = torch.arange(len(inputs)) % max(settings.members, 2)
     own = turn[None] != torch.arange(settings.members)[:, None]  # (members, holds): what each member trains on
     optimiser = torch.optim.Adam(list(weights.values()), lr=settings.learning_rate)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.epochs)
     best = {name: w.detach().clone() for name, w in weights.items()}
-    lowest, losses = torch.full((settings.members,), torch.inf, dtype=torch.float64), []
+    lowest = torch.full((settings.members,), torch.inf, dtype=torch.float64)
     for _ in progress(range(settings.epochs), "f_RS training"):
         optimiser.zero_grad()
         error = (forward(weights, inputs) - targets).pow(2).mean(dim=2)
         fit = (error * own).sum(dim=1) / own.sum(dim=1)
         decay = sum(w.pow(2).sum() for name, w in weights.items() if not name.startswith("bias"))
-        (fit.sum() + settings.weight_decay * decay).backward()
+        (fit.sum() + weight_decay * decay).backward()
         judged = ((error * ~own).sum(dim=1) / (~own).sum(dim=1)).detach()
         better = judged < lowest
         for name, w in weights.items():
             best[name][better] = w.detach()[better]
         lowest = torch.where(better, judged, lowest)
-        losses.append(float(fit.mean().detach()))
         optimiser.step()
         schedule.step()
-    return best, losses
+    return best, float(lowest.mean())

@@ -41,7 +41,8 @@ class Config:
     residual_max_mm : holds whose tip the simulator cannot reach within this distance are left out
     settle_s : duration simulated per constant pressure where no reduced model inverts the tip
     heldout_share : share of the runs that training never sees
-    members, hidden, epochs, learning_rate, weight_decay : the ensemble of networks and its training
+    members, hidden, epochs, learning_rate, weight_decays : the ensemble of networks and its training; of the decays that is
+        kept which is best on holds that members left out
     """
 
     material_curve: str | None
@@ -62,7 +63,7 @@ class Config:
     hidden: int
     epochs: int
     learning_rate: float
-    weight_decay: float
+    weight_decays: tuple[float, ...]
     seed: int
 
     def __post_init__(self) -> None:
@@ -75,6 +76,8 @@ class Config:
             raise ConfigError(f"stage.heldout_share={self.heldout_share:g}; expected a share between 0 and 1")
         if self.members < 2:
             raise ConfigError(f"stage.members={self.members}; expected 2 or more, their spread is the uncertainty")
+        if not self.weight_decays or min(self.weight_decays) < 0.0:
+            raise ConfigError(f"stage.weight_decays={list(self.weight_decays)}; expected one or more, none negative")
         if self.stretch_max <= 1.05:
             raise ConfigError(f"stage.stretch_max={self.stretch_max:g}; expected a stretch above 1.05")
         if self.hold_min_s > self.hold_s or self.average_s > self.hold_min_s:
@@ -103,6 +106,7 @@ def run(
     holds, pressure_sim = _invert(config, robot, simulator, holds)
     heldout = split_holds(holds, config.heldout_share, rng)
     ensemble = _train(config, holds.pressure[~heldout], pressure_sim[~heldout])
+    tracker.metric("train/weight_decay", ensemble.weight_decay)
     inverted_by = "reduced model" if has_exact_inverse(simulator, robot) else "simulator"
     calibration = _assemble(robot, ensemble, holds, pressure_sim, heldout, material, inverted_by)
     _report_map(calibration, tracker)
@@ -144,7 +148,7 @@ def _invert(config: Config, robot: Robot, simulator: Simulator, holds: Holds) ->
 
 def _train(config: Config, pressure_real: np.ndarray, pressure_sim: np.ndarray) -> Ensemble:
     settings = EnsembleSettings(
-        config.members, config.hidden, config.epochs, config.learning_rate, config.weight_decay, config.seed
+        config.members, config.hidden, config.epochs, config.learning_rate, config.weight_decays, config.seed
     )
     return fit_ensemble(pressure_real, pressure_sim, settings)
 

@@ -70,7 +70,7 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, fit_s:
     kept = replace(recordings, recordings=tuple(usable))
     training, heldout = hold_out(kept, heldout_share, seed)
     fitting, validation = _inner(training, heldout_share, fit_s, seed)
-    noise, pressure_noise = _noise(found, robot, channel)
+    noise, pressure_noise = _noise(found, usable, robot, channel)
     travel = rms_about_mean([_seen(r, robot) for r in training.recordings])
     if travel < MIN_SIGNAL * noise:
         return Refusal(
@@ -159,10 +159,26 @@ def _seen(run: Recording, robot: Robot) -> np.ndarray:
     return np.asarray(run.position)
 
 
-def _noise(found: DataCheck, robot: Robot, channel: str) -> tuple[float, float]:
-    floor = {c: max(v, found.repeatability.get(c, 0.0)) for c, v in found.noise_floor.items()}
+def _noise(found: DataCheck, usable: Sequence[Recording], robot: Robot, channel: str) -> tuple[float, float]:
+    """Return the noise of one sample, from holds or from neighbouring samples, whichever is less, or from repeats."""
+    floor = {}
+    for name in (channel, "pressure_meas"):
+        series = [getattr(run, name) for run in usable if getattr(run, name) is not None]
+        if series:
+            quick = float(np.median([jitter(values.reshape(len(values), -1)) for values in series]))
+            floor[name] = max(min(quick, found.noise_floor[name]), found.repeatability.get(name, 0.0))
     motion = floor[channel] * (robot.length_m if channel == "bend_angle" else np.sqrt(3.0))
     return float(motion), float(floor.get("pressure_meas", 0.0) * np.sqrt(robot.chambers))
+
+
+def jitter(values: np.ndarray) -> float:
+    """Return the standard deviation of the white part of ``values`` (steps, n), from their second differences.
+
+    Notes
+    -----
+    A second difference of white noise has 6 times its variance; the median of its square is 0.4549 of the mean.
+    """
+    return float(np.sqrt(np.mean(np.median(np.diff(values, n=2, axis=0) ** 2, axis=0)) / 0.4549 / 6.0))
 
 
 def _orientation_trusted(usable: Sequence[Recording], found: DataCheck, robot: Robot) -> bool:

@@ -17,6 +17,9 @@ from softrl.diagnosis.search import Fit, least_squares
 
 log = logging.getLogger(__name__)
 MIN_AMPLITUDE = 0.25  # a search begins at least at this share of an effect's typical size
+CLOSER = 8  # effects that are also screened in each chamber alone
+HOPELESS = 0.05  # leads that promise less than this share of the best one's gain are not fitted
+FIRST_ITERATIONS = 4  # of every start; only the best of them goes on
 SAME_NAME = 2  # leads of one effect (all chambers, one chamber) that are fitted
 
 
@@ -102,6 +105,9 @@ def forward(
     retuned = fit_trials(fitting, judge.problem, [(Hypothesis((), tuple(tuned)), [])], search)[0]
     current, screened = retuned, []
     for _ in range(search.max_effects):
+        if judge.excess(current.mean_square) < judge.material:
+            report(f"{current.hypothesis.label()}: what is left is less than counts")
+            break
         left = [c for c in choices if c.name not in {e.name for e in current.hypothesis.effects}]
         leads = screen(fitting, current, left, search.workers)
         screened.append(leads)
@@ -126,11 +132,11 @@ def fit_leads(
     tasks: list[tuple[Hypothesis, list[np.ndarray]]] = []
     seen: dict[str, int] = {}
     for lead in leads:
-        if len(tasks) == search.keep:
+        if len(tasks) == search.keep or lead.gain < HOPELESS * leads[0].gain:
             break
         seen[lead.choice.name] = seen.get(lead.choice.name, 0) + 1
         if seen[lead.choice.name] <= SAME_NAME:
-            points = [join(current, point) for point in lead.starts[: search.starts]]
+            points = starting_points(current, lead, search.starts)
             tasks.append((current.hypothesis.with_effect(lead.choice), points))
     return fit_trials(fitting, validation, tasks, search)
 
@@ -150,15 +156,19 @@ def _fit_trial(
     fitting: Problem, validation: Problem, hypothesis: Hypothesis, points: list[np.ndarray], iterations: int
 ) -> Trial | None:
     low, high = fitting.space(hypothesis).bounds
-    fits = []
+    rough = []
     for start in points or [np.zeros(len(low))]:
+        first = iterations if len(points) < 2 else FIRST_ITERATIONS
         try:
-            fits.append(least_squares(lambda u: fitting.residual(hypothesis, u).flat, start, low, high, iterations))
+            rough.append(least_squares(lambda u: fitting.residual(hypothesis, u).flat, start, low, high, first))
         except SolverError as error:
             log.debug("%s does not run from its start: %s", hypothesis.label(), error)
-    if not fits:
+    if not rough:
         return None
-    fit = min(fits, key=lambda found: found.cost)
+    fit = min(rough, key=lambda found: found.cost)
+    if len(points) > 1 and iterations > FIRST_ITERATIONS:
+        rest = iterations - FIRST_ITERATIONS
+        fit = least_squares(lambda u: fitting.residual(hypothesis, u).flat, fit.point, low, high, rest)
     try:
         placed = fitting.residual(hypothesis, fit.point).registrations
         squares = validation.residual(hypothesis, fit.point, placed).squares
@@ -175,8 +185,13 @@ def screen(fitting: Problem, current: Trial, choices: Sequence[Choice], workers:
     Jacobian, are fitted to the residual within the effect's bounds.
     """
     basis = np.linalg.qr(current.fit.jacobian)[0] if current.fit.jacobian.size else np.zeros((len(current.fit.residual), 0))
-    jobs = [(fitting, current, basis, choice) for choice in choices]
-    return sorted(parallel(_screen_one, jobs, workers), key=lambda lead: -lead.gain)
+    for_all = [choice for choice in choices if choice.chamber < 0]
+    leads = parallel(_screen_one, [(fitting, current, basis, choice) for choice in for_all], workers)
+    leads.sort(key=lambda lead: -lead.gain)
+    closer = {lead.choice.name for lead in leads[:CLOSER]}
+    alone = [choice for choice in choices if choice.chamber >= 0 and choice.name in closer]
+    leads += parallel(_screen_one, [(fitting, current, basis, choice) for choice in alone], workers)
+    return sorted(leads, key=lambda lead: -lead.gain)
 
 
 def _screen_one(fitting: Problem, current: Trial, basis: np.ndarray, choice: Choice) -> Lead:
@@ -202,9 +217,7 @@ def _screen_one(fitting: Problem, current: Trial, basis: np.ndarray, choice: Cho
             gain = cost - float(np.sum((residual + share * along) ** 2))
             begin = np.where(log_axis, point, zero + max(share, MIN_AMPLITUDE) * (point - zero))
             found.append((gain, begin))
-    if len(zero) > 1:
-        found += _jointly(direction, points[0], zero, log_axis, residual, cost, choice)
-    elif len(zero) == 1 and not log_axis[0]:
+    if len(zero) > 1 or not log_axis[0]:
         found += _jointly(direction, points[0], zero, log_axis, residual, cost, choice)
     if not found:
         return Lead(choice, [points[0]], 0.0)
@@ -240,6 +253,20 @@ def _jointly(
     for (k, by), share in zip(places, solved.x, strict=True):
         begin[k] = zero[k] + share * by
     return [(cost - 2.0 * float(solved.cost), begin)]
+
+
+def starting_points(current: Trial, lead: Lead, count: int) -> list[np.ndarray]:
+    """Return starts of a fit: beside ``current``, and with the simulator's parameters back at their nominal values.
+
+    Parameters that were retuned in an effect's place lie far off once it acts.
+    """
+    points = [join(current, lead.starts[0])]
+    if current.hypothesis.tuned and count > 1:
+        fresh = points[0].copy()
+        fresh[-len(current.hypothesis.tuned) :] = 0.0
+        points.append(fresh)
+    points += [join(current, start) for start in lead.starts[1:]]
+    return points[:count]
 
 
 def join(current: Trial, point: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ import numpy as np
 
 from softrl.core.errors import SolverError
 
+REUSE = 0.2  # a step that lowers the cost by more than this share updates the Jacobian instead of computing it anew
 Residual = Callable[[np.ndarray], np.ndarray]
 
 
@@ -59,20 +60,32 @@ def least_squares(
     point = np.clip(start, low, high)
     value = residual(point)
     cost, used, damping = 0.5 * float(value @ value), 1, 1e-3
-    jacobian = jacobian_at(residual, point, value, low, high, step)
+    jacobian, exact = jacobian_at(residual, point, value, low, high, step), True
     used += len(point)
     for _ in range(iterations):
         found = _try_steps(residual, point, value, jacobian, cost, low, high, damping)
         used += found.tries
-        if found.point is None:
+        if found.point is None and exact:
             break
         decrease = (cost - found.cost) / max(cost, 1e-300)
-        point, value, cost, damping = found.point, found.value, found.cost, found.damping
+        if found.point is not None:
+            jacobian = _updated(jacobian, found.point - point, found.value - value)
+            point, value, cost, damping = found.point, found.value, found.cost, found.damping
+        if exact and decrease < tolerance:
+            break
+        exact = decrease < REUSE
+        if exact:
+            jacobian = jacobian_at(residual, point, value, low, high, step)
+            used += len(point)
+    if not exact or used < 2 + len(point):
         jacobian = jacobian_at(residual, point, value, low, high, step)
         used += len(point)
-        if decrease < tolerance:
-            break
     return Fit(point, value, jacobian, cost, used)
+
+
+def _updated(jacobian: np.ndarray, moved: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Return the Jacobian after Broyden's rank-one update, which makes it explain the last step."""
+    return np.asarray(jacobian + np.outer(change - jacobian @ moved, moved) / max(float(moved @ moved), 1e-300))
 
 
 class _Step(NamedTuple):

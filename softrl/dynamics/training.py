@@ -49,7 +49,7 @@ def fit_linear(net: ForwardNet, windows: Windows, ridge: float) -> None:
     for index in torch.arange(len(windows)).split(4096):
         rows, target = windows.take(index)
         x = net.features(net.scaled(rows))[:, -1].double()
-        change = (target - rows[:, -1, states : 2 * states]).double()
+        change = (target - net.base(rows)[:, -1]).double()
         gram, moment = gram + x.T @ x, moment + x.T @ change
     net.linear.copy_(torch.linalg.solve(gram + ridge * len(windows) * torch.eye(size, dtype=torch.float64), moment))
     square = torch.zeros(states, dtype=torch.float64)

@@ -20,7 +20,7 @@ class ForwardNet(nn.Module):
     ----------
     row_mean, row_spread : scaler of a row
     read : (inputs,) columns of a row that the network reads
-    linear : (linear_rows * inputs + 1, states) SI; the rate's change over one step by scaled rows, newest first
+    linear : (linear_rows * inputs + 1, states) SI; what is added to the rate of ``base`` by scaled rows, newest first
     fine : (states,) SI, rms of what the linear map leaves; the unit of the Transformer's answer and of the losses
 
     Notes
@@ -28,7 +28,7 @@ class ForwardNet(nn.Module):
     Paper eqs. 5-8 and 11: two encoder layers, four heads, window m, then a linear head; the axes are (batch, time, feature).
     Departures: of a row the network reads tip, volumes, their rates and the load only, since arc length, curvature and rotation
     follow from these (read too, they spoil rollouts as soon as they no longer fit together); the mask is causal, so every row of a window is a training example; the rate is predicted as the present one
-    plus a linear map, fixed by least squares before training, plus the Transformer, which begins at zero.
+    (of tip and volumes) plus a linear map, fixed by least squares before training, plus the Transformer, which begins at zero.
     """
 
     def __init__(
@@ -41,6 +41,9 @@ class ForwardNet(nn.Module):
         self.states, self.window, self.linear_rows = states, window, linear_rows
         self.register_buffer("row_mean", torch.zeros(features))
         self.register_buffer("row_spread", torch.ones(features))
+        stays = torch.zeros(states)
+        stays[own] = 1.0
+        self.register_buffer("stays", stays, persistent=False)
         self.register_buffer("read", torch.tensor(read), persistent=False)
         self.register_buffer("linear", torch.zeros(linear_rows * len(read) + 1, states))
         self.register_buffer("fine", torch.ones(states))
@@ -76,7 +79,11 @@ class ForwardNet(nn.Module):
         return torch.cat([*past, torch.ones_like(scaled[..., :1])], dim=2)
 
     def _linear_rate(self, rows: torch.Tensor, scaled: torch.Tensor) -> torch.Tensor:
-        return rows[..., self.states : 2 * self.states] + self.features(scaled) @ self.linear
+        return self.base(rows) + self.features(scaled) @ self.linear
+
+    def base(self, rows: torch.Tensor) -> torch.Tensor:
+        """Return the rate to which linear map and Transformer add: the present one of tip and volumes, zero of the rest."""
+        return self.stays * rows[..., self.states : 2 * self.states]
 
 
 def forward_net(artifact: ForwardDynamics) -> ForwardNet:

@@ -99,8 +99,8 @@ class Effect:
         """Return the parameter vector that the kernel reads; by default the fitted fields, then ``chamber``."""
         if not -1 <= getattr(self, "chamber", -1) < robot.chambers:
             raise ConfigError(
-                f"effect {self.name()}.chamber={getattr(self, 'chamber', -1)} does not exist; robot {robot.name} has chambers "
-                f"0..{robot.chambers - 1}, and -1 means all"
+                f"effect {self.name()}.chamber={getattr(self, 'chamber', -1)} does not exist; "
+                f"robot {robot.name} has chambers 0..{robot.chambers - 1}, and -1 means all"
             )
         values = [float(getattr(self, field.name)) for field in self.parameter_fields()]
         return np.array([*values, float(getattr(self, "chamber", -1))])

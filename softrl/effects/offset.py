@@ -27,7 +27,7 @@ class Offset(Effect):
     title: ClassVar[str] = "offset of a chamber's pressure"
     kernel: ClassVar = offset_kernel
 
-    offset: float = parameter("1", -0.3, 0.3, 0.0, typical=0.05)
+    offset: float = parameter("1", -0.5, 0.5, 0.0, typical=0.05)
     chamber: int = -1
 
     def pack(self, robot: Robot) -> np.ndarray:

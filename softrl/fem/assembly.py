@@ -1,6 +1,7 @@
 """Elastic energy, forces and stiffness of quadratic tetrahedra, assembled into node-pair blocks."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numba as nb
 import numpy as np
@@ -58,7 +59,7 @@ def node_pairs(nodes: int, elements: np.ndarray, triangles: np.ndarray) -> NodeP
     cache=True, fastmath={"contract", "reassoc", "nsz", "arcp"},
 )
 def assemble_elastic(
-    law: object, parameters: np.ndarray, x: np.ndarray, elements: np.ndarray, gradients: np.ndarray,
+    law: Any, parameters: np.ndarray, x: np.ndarray, elements: np.ndarray, gradients: np.ndarray,
     weights: np.ndarray, order: int, slots: np.ndarray, gradient: np.ndarray, blocks: np.ndarray,
 ) -> float:
     """Return the elastic energy in J at nodes ``x`` (nodes, 3) m, infinite where the law ends.

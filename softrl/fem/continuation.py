@@ -74,7 +74,8 @@ def _rest(model: FemModel, width: int) -> Equilibrium:
     solve = model.static(zero)
     if not solve.converged:
         raise SolverError(
-            f"no equilibrium at rest: Newton stopped after {solve.iterations} iterations, {solve.residual_n:.1e} N left; "
+            f"no equilibrium at rest: Newton stopped after {solve.iterations} iterations with "
+            f"{solve.residual_n:.1e} N left; "
             "check the mesh, and the weight against the material's modulus"
         )
     return Equilibrium(zero, solve.pose, model.tangent(solve.pose, zero), Cost(0, 0, 0.0, ()))

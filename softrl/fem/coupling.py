@@ -161,7 +161,7 @@ class Coupling:
             for left_part in (0, 1):
                 for right_part in (0, 1):
                     i, j = block_of(left, left_part), block_of(right, right_part)
-                    keep = np.flatnonzero((i >= 0) & (j >= 0) & (i <= j) & ((first != second) | (swap == 0)))
+                    keep = np.flatnonzero((i >= 0) & (j >= i) & ((first != second) | (swap == 0)))
                     source.append(keep)
                     kind.append(8 * (i == j)[keep] + 4 * swap + 2 * left_part + right_part)
                     row.append(i[keep])
@@ -200,7 +200,8 @@ def _scatter(
 ) -> None:
     """Add every block to the reduced matrix, turned by the arms where a side spins with a rigid body.
 
-    ``kind`` = 8 (on the diagonal) + 4 (transposed) + 2 (left spins) + (right spins). A spin w moves a node by w x r = -[r]x w.
+    ``kind`` = 8 (on the diagonal) + 4 (transposed) + 2 (left spins) + (right spins).
+    A spin w moves a node by w x r = -[r]x w.
     """
     k = np.empty((3, 3))
     for n in range(len(source)):

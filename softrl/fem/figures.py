@@ -20,7 +20,7 @@ def draw_shapes(mesh: Mesh, snapshots: Snapshots) -> Figure:
     axes = figure.subplots(1, len(chosen) + 1, sharex=True, sharey=True)
     shapes = [("at rest", mesh.points)]
     for row in chosen:
-        pressures = ", ".join(f"{p / 1e3:.0f}" for p in snapshots.loads[row, : snapshots.chambers])
+        pressures = ", ".join(f"{round(p / 1e3)}" for p in snapshots.loads[row, : snapshots.chambers])
         shapes.append((f"p = {pressures} kPa", mesh.points + snapshots.displacement[row]))
     for axis, (title, points) in zip(axes, shapes, strict=True):
         axis.add_collection(LineCollection(1e3 * points[edges][:, :, [0, 2]], linewidths=0.25, colors="C0"))

@@ -328,5 +328,7 @@ def material_of(law: str, moduli_pa: Sequence[float], poisson: float) -> Materia
         raise ConfigError(f"law={law} is unknown; expected one of {', '.join(LAWS)}")
     names = [field.name for field in fields(LAWS[law]) if field.name != "poisson"]
     if len(moduli_pa) != len(names):
-        raise ConfigError(f"moduli_pa={list(moduli_pa)} holds {len(moduli_pa)} values; law {law} takes {', '.join(names)}")
+        raise ConfigError(
+            f"moduli_pa={list(moduli_pa)} holds {len(moduli_pa)} values; law {law} takes {', '.join(names)}"
+        )
     return LAWS[law](*moduli_pa, poisson)

@@ -11,7 +11,11 @@ from softrl.fem.assembly import assemble_elastic, multiply_blocks, node_pairs
 from softrl.fem.coupling import Coupling, Pose, quaternion_of
 from softrl.fem.elements import quadratic_mesh, rigid_bodies
 from softrl.fem.loads import (
-    USED_TRIPLES, WEIGHTS, add_volume_gradient, add_volume_stiffness, enclosed_volumes,
+    USED_TRIPLES,
+    WEIGHTS,
+    add_volume_gradient,
+    add_volume_stiffness,
+    enclosed_volumes,
 )
 from softrl.fem.material import ENERGY, STRESS, TANGENT, Material
 from softrl.fem.newton import NewtonSettings, Objective, Solve, Value, factorise, minimise

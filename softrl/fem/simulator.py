@@ -11,7 +11,18 @@ from softrl.artifacts.mesh import Mesh
 from softrl.core.errors import ArtifactError, ConfigError, SolverError
 from softrl.core.simulator import Hook, Motion
 from softrl.effects.effect import (
-    ADDED, BODY_PORT_ROWS, ELASTIC, ELASTIC_SLOPE, FORCE, GRAVITY, LOAD_PORT_ROWS, PRESSURE, RATE, REST, STRAIN, TIP,
+    ADDED,
+    BODY_PORT_ROWS,
+    ELASTIC,
+    ELASTIC_SLOPE,
+    FORCE,
+    GRAVITY,
+    LOAD_PORT_ROWS,
+    PRESSURE,
+    RATE,
+    REST,
+    STRAIN,
+    TIP,
     TIP_VELOCITY,
 )
 from softrl.fem.continuation import follow
@@ -89,7 +100,9 @@ class FemSimulator:
         """Return a copy with some tunable parameters replaced."""
         unknown = set(values) - set(TUNABLE)
         if unknown:
-            raise ConfigError(f"simulator fem has no parameter {', '.join(sorted(unknown))}; it has {', '.join(TUNABLE)}")
+            raise ConfigError(
+                f"simulator fem has no parameter {', '.join(sorted(unknown))}; it has {', '.join(TUNABLE)}"
+            )
         changed: dict[str, Any] = dict(values)
         return replace(self, **changed)
 

@@ -57,7 +57,9 @@ class PardisoCholesky:
             self._solver._call_pardiso(upper, none)
         except self._failure as failure:
             if failure.value != self.NOT_POSITIVE:
-                raise SolverError(f"PARDISO failed with error {failure.value} on {upper.shape[0]} unknowns") from failure
+                raise SolverError(
+                    f"PARDISO failed with error {failure.value} on {upper.shape[0]} unknowns"
+                ) from failure
             return False
         return True
 

@@ -183,7 +183,7 @@ def _move(body: Body, program: np.ndarray) -> Trajectory | None:
 
 
 def _refuse_failures(failed: int, config: Config) -> None:
-    if failed > config.max_failed_share * config.equilibria:
+    if failed > config.max_failed_share * config.equilibria or failed == config.equilibria:
         raise SolverError(
             f"{failed} of {config.equilibria} loads found no equilibrium, more than stage.max_failed_share="
             f"{config.max_failed_share:g}; use a smaller stage.load_step, or check mesh and material"

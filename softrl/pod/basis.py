@@ -8,7 +8,7 @@ from softrl.core.errors import ConfigError
 
 
 class PodBasis(NamedTuple):
-    """Modes (k, nodes, 3) kg^-0.5, orthonormal in the nodal masses; all singular values (samples,) kg^0.5 m, falling."""
+    """Modes (k, nodes, 3) kg^-0.5, orthonormal in the nodal masses; singular values (samples,) kg^0.5 m, falling."""
 
     modes: np.ndarray
     singular_values: np.ndarray

@@ -15,6 +15,7 @@ from softrl.pod.symmetry import Equilibria
 
 log = logging.getLogger(__name__)
 CHUNK = 64
+MARGIN = 1.15  # the polynomial is trusted this much beyond the farthest sample
 
 
 class Weights(NamedTuple):
@@ -31,25 +32,42 @@ class Normal(NamedTuple):
     right: np.ndarray
 
 
+class Scale(NamedTuple):
+    """What errors are measured in: rms coordinate (r,) m^3 and m, largest load (r,) Pa and N, rms energy J."""
+
+    coordinate: np.ndarray
+    load: np.ndarray
+    energy: float
+
+
+def scale_of(samples: Equilibria) -> Scale:
+    """Return the scales of ``samples``, about rest."""
+    return Scale(
+        np.sqrt((samples.coordinate**2).mean(axis=0)),
+        np.abs(samples.load).max(axis=0),
+        float(np.sqrt((samples.energy**2).mean())),
+    )
+
+
 def frame_of(samples: Equilibria) -> np.ndarray:
-    """Return the frame (r, r): each coordinate over its largest value, all samples in the unit ball, rest the origin.
+    """Return the frame (r, r): each coordinate over its largest value, all samples in the ball of radius 1 / MARGIN.
 
     Notes
     -----
-    Volumes and tip nearly depend on each other, so the samples are thin in some directions of it; whitening those would
-    condition the fit better, but inertia and weight push the body far along them in units of the samples' thickness, where
-    high powers of a whitened coordinate run wild. In this frame they stay small.
+    Volumes and tip nearly depend on each other, so the samples are thin in some directions. Whitening those makes
+    unseen equilibria a little outside the samples wrong by millimetres: high powers of a whitened thin coordinate run
+    wild. In this frame they stay small.
     """
     largest = np.abs(samples.coordinate).max(axis=0)
     radius = np.linalg.norm(samples.coordinate / largest, axis=1).max()
-    return np.diag(radius * largest)
+    return np.diag(MARGIN * radius * largest)
 
 
-def accumulate(samples: Equilibria, frame: np.ndarray, degree: int, weights: Weights) -> Normal:
+def accumulate(samples: Equilibria, frame: np.ndarray, scale: Scale, degree: int, weights: Weights) -> Normal:
     """Return the normal equations of ``samples`` for W up to ``degree`` in y.
 
     Equations are put in units of coordinates by the compliance, ``C (dW/dz - load) = 0`` and ``C W'' C - C = 0``, each
-    coordinate over its spread and each load over its spread: W is then fitted for the motion that it predicts.
+    coordinate and each load over its scale: W is then fitted for the motion that it predicts.
     """
     r = len(frame)
     inverse = np.linalg.inv(frame)
@@ -57,26 +75,27 @@ def accumulate(samples: Equilibria, frame: np.ndarray, degree: int, weights: Wei
     kept = slice(r + 1, None)
     size = table.monomials - r - 1
     normal = Normal(np.zeros((size, size)), np.zeros(size))
-    spread = samples.coordinate.std(axis=0)
-    load_spread = np.abs(samples.load).max(axis=0)
-    unit = max(samples.energy.std(), np.abs(samples.energy).max() * 1e-6)
     rows_of, columns_of = np.triu_indices(r)
-    pair_weight = weights.hessian * load_spread[:, None] / spread
+    pair_weight = weights.hessian * scale.load[:, None] / scale.coordinate
     pair_weight = np.sqrt(pair_weight**2 + np.where(np.eye(r, dtype=bool), 0.0, pair_weight.T**2))
     for first in range(0, len(samples.load), CHUNK):
         part = samples.rows(slice(first, first + CHUNK))
         points = part.coordinate @ inverse.T
-        to_coordinate = part.compliance @ inverse.T                   # dz/dload times dy/dz': maps dW/dy to dz
-        gradient = (to_coordinate / spread[:, None]) @ table.gradient_rows(points)[..., kept]
-        move = np.einsum("sij,sj->si", part.compliance, part.load) / spread
+        to_coordinate = part.compliance @ inverse.T  # dz/dload times dy/dz': maps dW/dy to dz
+        gradient = (to_coordinate / scale.coordinate[:, None]) @ table.gradient_rows(points)[..., kept]
+        move = np.einsum("sij,sj->si", part.compliance, part.load) / scale.coordinate
         _add(normal, gradient.reshape(-1, size), move.ravel())
-        _add(normal, table.values(points)[:, kept] * (weights.value / unit), part.energy * (weights.value / unit))
+        _add(
+            normal,
+            table.values(points)[:, kept] * (weights.value / scale.energy),
+            part.energy * (weights.value / scale.energy),
+        )
         bent = np.einsum("ski,sijm->skjm", to_coordinate, table.hessian_rows(points)[..., kept], optimize=True)
         bent = np.einsum("skjm,slj->sklm", bent, to_coordinate, optimize=True)[:, rows_of, columns_of]
-        scale = pair_weight[rows_of, columns_of]
         _add(
-            normal, (bent * scale[:, None]).reshape(-1, size),
-            (part.compliance[:, rows_of, columns_of] * scale).ravel(),
+            normal,
+            (bent * pair_weight[rows_of, columns_of, None]).reshape(-1, size),
+            (part.compliance[:, rows_of, columns_of] * pair_weight[rows_of, columns_of]).ravel(),
         )
     return normal
 

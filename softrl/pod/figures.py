@@ -30,9 +30,7 @@ def draw_choice(choices: list[Choice]) -> Figure:
     axes = figure.subplots()
     for kind in sorted({choice.symmetry for choice in choices}):
         degrees = sorted({choice.degree for choice in choices})
-        best = [
-            min(c.tip_error_m for c in choices if c.symmetry == kind and c.degree == degree) for degree in degrees
-        ]
+        best = [min(c.tip_error_m for c in choices if c.symmetry == kind and c.degree == degree) for degree in degrees]
         axes.semilogy(degrees, 1e3 * np.array(best), "o-", ms=4, label=f"symmetries: {kind}")
     axes.set(xlabel="degree of W", ylabel="tip rms [mm]", title="energy: cross-validation")
     axes.set_xticks(sorted({choice.degree for choice in choices}))

@@ -10,7 +10,7 @@ from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ConfigError
 from softrl.pod.basis import PodBasis
-from softrl.pod.energy import Normal, Weights, accumulate, frame_of, solve
+from softrl.pod.energy import Normal, Weights, accumulate, frame_of, scale_of, solve
 from softrl.pod.maps import best_degree, fit_map, root_targets
 from softrl.pod.rom import elastic_hessian_at_rest, static_points, tables_of
 from softrl.pod.symmetry import KINDS, Equilibria, reflected, symmetries
@@ -50,11 +50,15 @@ class Choice(NamedTuple):
 
 
 def fit_model(
-    settings: FitSettings, robot: Robot, snapshots: Snapshots, samples: Equilibria, pod: PodBasis,
+    settings: FitSettings,
+    robot: Robot,
+    snapshots: Snapshots,
+    samples: Equilibria,
+    pod: PodBasis,
     rng: np.random.Generator,
 ) -> tuple[ReducedModel, list[Choice]]:
     """Return the reduced model of the equilibria ``samples``, and every energy that was tried, best first."""
-    if len(samples.load) < 2 * settings.folds:
+    if len(samples.load) < settings.folds:
         raise ConfigError(
             f"{len(samples.load)} equilibria are too few for stage.folds={settings.folds}; run stage=fem with more"
         )
@@ -64,11 +68,25 @@ def fit_model(
     normals = _fold_normals(settings, robot, samples, frame, fold)
     choices = _tried(settings, draft, samples, fold, normals)
     best = choices[0]
+    energy = solve(_sum(normals[best.symmetry]), draft.order, best.degree, best.ridge)
+    if not _stands(replace(draft, energy=energy)):
+        log.warning(
+            "no energy fitted to %d equilibria is stable at rest; the reduced model is linear, from the compliance of "
+            "the equilibrium nearest to rest: run stage=fem with more equilibria",
+            len(samples.load),
+        )
+        energy = _linear_energy(samples, frame)
+        errors = _squared_tip_errors(replace(draft, energy=energy), samples)
+        best = Choice("none", 2, 0.0, float(np.sqrt(errors.mean())))
+        choices.insert(0, best)
     log.info(
         "energy of degree %d, ridge %g, symmetries %s: tip %.3f mm in cross-validation over %d equilibria",
-        best.degree, best.ridge, best.symmetry, 1e3 * best.tip_error_m, len(samples.load),
+        best.degree,
+        best.ridge,
+        best.symmetry,
+        1e3 * best.tip_error_m,
+        len(samples.load),
     )
-    energy = solve(_sum(normals[best.symmetry]), draft.order, best.degree, best.ridge)
     maps = _fit_maps(settings, robot, samples, frame, fold, best.symmetry)
     return replace(draft, energy=energy, symmetry=best.symmetry, **maps), choices
 
@@ -78,8 +96,11 @@ def linear_model(model: ReducedModel) -> ReducedModel:
     r = model.order
     few = 1 + r + r * (r + 1) // 2
     return replace(
-        model, energy=model.energy[:few].copy(), mass_root=model.mass_root[:, :1].copy(),
-        stiffness_root=model.stiffness_root[:, :1].copy(), centre_of_mass=model.centre_of_mass[:, : 1 + r].copy(),
+        model,
+        energy=model.energy[:few].copy(),
+        mass_root=model.mass_root[:, :1].copy(),
+        stiffness_root=model.stiffness_root[:, :1].copy(),
+        centre_of_mass=model.centre_of_mass[:, : 1 + r].copy(),
         rotation=model.rotation[:, : 1 + r].copy(),
     )
 
@@ -94,21 +115,31 @@ def _kinds(robot: Robot) -> list[str]:
     return list(counts.values())
 
 
-def _draft(
-    robot: Robot, snapshots: Snapshots, samples: Equilibria, pod: PodBasis, frame: np.ndarray
-) -> ReducedModel:
+def _draft(robot: Robot, snapshots: Snapshots, samples: Equilibria, pod: PodBasis, frame: np.ndarray) -> ReducedModel:
     """Return the model before its maps are fitted."""
     r = len(frame)
     return ReducedModel(
-        frame=frame, energy=np.zeros(1 + r), mass_root=np.eye(r).reshape(-1, 1), stiffness_root=np.zeros((r * r, 1)),
-        centre_of_mass=np.zeros((3, 1 + r)), rotation=np.zeros((3, 1)),
-        rest_tip=snapshots.rest_tip, rest_volume=snapshots.rest_volume, mass=snapshots.mass,
+        frame=frame,
+        energy=np.zeros(1 + r),
+        mass_root=np.eye(r).reshape(-1, 1),
+        stiffness_root=np.zeros((r * r, 1)),
+        centre_of_mass=np.zeros((3, 1 + r)),
+        rotation=np.zeros((3, 1)),
+        rest_tip=snapshots.rest_tip,
+        rest_volume=snapshots.rest_volume,
+        mass=snapshots.mass,
         gravity_m_s2=np.array(robot.gravity_m_s2, dtype=float),
-        pressure_min_pa=robot.pressure_min_pa, pressure_max_pa=robot.pressure_max_pa,
-        load_low=samples.load.min(axis=0), load_high=samples.load.max(axis=0),
-        rayleigh_mass_per_s=snapshots.rayleigh_mass_per_s, rayleigh_stiffness_s=snapshots.rayleigh_stiffness_s,
-        youngs_modulus_pa=snapshots.youngs_modulus_pa, symmetry="none",
-        modes=pod.modes.astype(np.float32), singular_values=pod.singular_values, robot_name=snapshots.robot_name,
+        pressure_min_pa=robot.pressure_min_pa,
+        pressure_max_pa=robot.pressure_max_pa,
+        load_low=samples.load.min(axis=0),
+        load_high=samples.load.max(axis=0),
+        rayleigh_mass_per_s=snapshots.rayleigh_mass_per_s,
+        rayleigh_stiffness_s=snapshots.rayleigh_stiffness_s,
+        youngs_modulus_pa=snapshots.youngs_modulus_pa,
+        symmetry="none",
+        modes=pod.modes.astype(np.float32),
+        singular_values=pod.singular_values,
+        robot_name=snapshots.robot_name,
     )
 
 
@@ -119,6 +150,7 @@ def _fold_normals(
 
     Each kind's symmetries begin with the kind's before, so only the further ones are added.
     """
+    scale = scale_of(samples)
     normals: dict[str, list[Normal]] = {}
     before: list[Normal] = []
     done = 0
@@ -127,7 +159,11 @@ def _fold_normals(
         done += len(further)
         added = [
             accumulate(
-                reflected(samples.rows(fold == part), further), frame, settings.energy_degree_max, settings.weights
+                reflected(samples.rows(fold == part), further),
+                frame,
+                scale,
+                settings.energy_degree_max,
+                settings.weights,
             )
             for part in range(settings.folds)
         ]
@@ -172,11 +208,25 @@ def _tried(
 def _squared_tip_errors(model: ReducedModel, samples: Equilibria) -> np.ndarray:
     """Return the squared tip errors (S,) m^2; an equilibrium that is not found counts as the whole motion."""
     n = model.chambers
-    if np.linalg.eigvalsh(elastic_hessian_at_rest(model)).min() <= 0.0:
+    if not _stands(model):
         return np.full(len(samples.load), np.inf)
     points, failed = static_points(tables_of(model, np.zeros(3)), samples.load)
     errors = (((points @ model.frame.T) - samples.coordinate)[:, n:] ** 2).sum(axis=1)
     return np.where(failed, np.maximum(errors, (samples.coordinate[:, n:] ** 2).sum(axis=1)), errors)
+
+
+def _stands(model: ReducedModel) -> bool:
+    """Return whether the body is stable at rest."""
+    return bool(np.linalg.eigvalsh(elastic_hessian_at_rest(model)).min() > 0.0)
+
+
+def _linear_energy(samples: Equilibria, frame: np.ndarray) -> np.ndarray:
+    """Return the coefficients (monomials,) J of half y' H y with H from the equilibrium nearest to rest."""
+    r = len(frame)
+    nearest = int(np.argmin(np.linalg.norm(np.linalg.solve(frame, samples.coordinate.T), axis=0)))
+    hessian = frame.T @ np.linalg.inv(samples.compliance[nearest]) @ frame
+    rows, columns = np.triu_indices(r)
+    return np.r_[np.zeros(r + 1), hessian[rows, columns] * np.where(rows == columns, 0.5, 1.0)]
 
 
 def _fit_maps(

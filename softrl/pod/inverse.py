@@ -48,7 +48,12 @@ def _fill_sensitivity(y: np.ndarray, tables: Any, out: np.ndarray) -> bool:
 
 @nb.njit(cache=True)
 def _bounded_step(
-    sensitivity: np.ndarray, miss: np.ndarray, pressure: np.ndarray, limits: np.ndarray, damping: float, step: np.ndarray
+    sensitivity: np.ndarray,
+    miss: np.ndarray,
+    pressure: np.ndarray,
+    limits: np.ndarray,
+    damping: float,
+    step: np.ndarray,
 ) -> None:
     """Fill ``step`` (n,) Pa: damped Gauss-Newton over the pressures that no limit holds back."""
     n = len(step)

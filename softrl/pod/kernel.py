@@ -1,8 +1,9 @@
 """The energy ROM compiled: potential, implicit Euler with effects inside the step, tip pose.
 
-Unknowns are ``y`` with ``z = frame y``. The samples of the model fill the ball ``|y| <= 1``; outside it the potential
-goes on along rays from the origin as its Taylor polynomial of second order at the sphere: twice differentiable, growing
-like a square, with bounded curvature. A part P_d of degree d becomes ``w_d(|y|) P_d(y / |y|)``,
+Unknowns are ``y`` with ``z = frame y``. The samples of the model lie in the ball ``|y| <= 1``; outside it the potential
+goes on along rays from the origin as its Taylor polynomial of second order at the sphere, and a wall rises,
+``wall (|y| - 1)^3``: twice differentiable, and the wall outgrows the rest, so that nothing runs away and the potential
+is convex far out. A part P_d of degree d becomes ``w_d(|y|) P_d(y / |y|)``,
 ``w_d(r) = 1 + d (r - 1) + d (d - 1) (r - 1)^2 / 2``; degrees up to two go on unchanged.
 """
 
@@ -13,14 +14,27 @@ import numba as nb
 import numpy as np
 
 from softrl.effects.effect import (
-    ADDED, ADDED_SLOPE, BODY_PORT_ROWS, ELASTIC, ELASTIC_SLOPE, FORCE, FORCE_SLOPE, GRAVITY, LOAD_PORT_ROWS, PRESSURE,
-    RATE, REST, STRAIN, TIP, TIP_VELOCITY,
+    ADDED,
+    ADDED_SLOPE,
+    BODY_PORT_ROWS,
+    ELASTIC,
+    ELASTIC_SLOPE,
+    FORCE,
+    FORCE_SLOPE,
+    GRAVITY,
+    LOAD_PORT_ROWS,
+    PRESSURE,
+    RATE,
+    REST,
+    STRAIN,
+    TIP,
+    TIP_VELOCITY,
 )
 
-TOLERANCE = 1e-9            # change of y: below a nanometre at the tip
+TOLERANCE = 1e-9  # change of y: below a nanometre at the tip
 MAX_ITERATIONS = 60
-LONGEST_STEP = 0.5          # of y, in one iteration
-PROBE = 1e-4                # of the stiffness scale: change of the elastic pressure by which effects are probed
+LONGEST_STEP = 0.5  # of y, in one iteration
+PROBE = 1e-4  # of the stiffness scale: change of the elastic pressure by which effects are probed
 _FAST = {"reassoc", "contract"}
 
 
@@ -39,7 +53,7 @@ class Tables(NamedTuple):
     rest_volume : (n,) m^3;  rest_tip : (3,) m
     rest_slope : (n,) Pa, pressure per relative volume of one chamber at rest, other volumes held and tip free
     gravity : (3,) m/s^2, contained in gradient and hessian
-    scales : (3,) mass scale; mass damping 1/s; stiffness damping s
+    scales : (4,) mass scale; mass damping 1/s; stiffness damping s; wall J
     """
 
     frame: np.ndarray
@@ -151,11 +165,20 @@ def _continue(
     for i in range(r):
         for j in range(i, r):
             hessian[i, j] = (
-                polynomial(tables.hessian[pair], curved) + side[i] * u[j] + u[i] * side[j]
-                + (bending - along / radius) * u[i] * u[j] + (along / radius if i == j else 0.0)
+                polynomial(tables.hessian[pair], curved)
+                + side[i] * u[j]
+                + u[i] * side[j]
+                + (bending - along / radius) * u[i] * u[j]
+                + (along / radius if i == j else 0.0)
             )
             hessian[j, i] = hessian[i, j]
             pair += 1
+    wall, beyond = 3.0 * tables.scales[3], radius - 1.0
+    for i in range(r):
+        gradient[i] += wall * beyond**2 * u[i]
+        hessian[i, i] += wall * beyond**2 / radius
+        for j in range(r):
+            hessian[i, j] += wall * beyond * (2.0 - beyond / radius) * u[i] * u[j]
 
 
 @nb.njit(cache=True)
@@ -212,7 +235,7 @@ def solve_positive(matrix: np.ndarray, right: np.ndarray, answer: np.ndarray) ->
 
 @nb.njit(cache=True)
 def solve_general(matrix: np.ndarray, right: np.ndarray, answer: np.ndarray) -> bool:
-    """Fill ``answer`` by elimination with row pivots, overwriting ``matrix``; return whether it descends along ``right``.
+    """Fill ``answer`` by elimination with row pivots, overwriting ``matrix``; return whether it descends.
 
     It descends if ``answer.right > 0``, as it does for every matrix with positive symmetric part.
     """
@@ -247,7 +270,11 @@ def solve_general(matrix: np.ndarray, right: np.ndarray, answer: np.ndarray) -> 
 
 @nb.njit(cache=True)
 def newton_direction(
-    hessian: np.ndarray, quadratic: np.ndarray, gradient: np.ndarray, symmetric: bool, scratch: np.ndarray,
+    hessian: np.ndarray,
+    quadratic: np.ndarray,
+    gradient: np.ndarray,
+    symmetric: bool,
+    scratch: np.ndarray,
     direction: np.ndarray,
 ) -> None:
     """Fill ``direction`` with hessian^-1 gradient; as much of ``quadratic`` is added as a descent needs."""
@@ -293,8 +320,16 @@ def tip_pose(
 
 @nb.njit(cache=True)
 def fill_ports(
-    y: np.ndarray, rest: np.ndarray, gradient: np.ndarray, hessian: np.ndarray, dt: float, pressure: np.ndarray,
-    tables: Any, ports: Any, strains: np.ndarray, tips: np.ndarray,
+    y: np.ndarray,
+    rest: np.ndarray,
+    gradient: np.ndarray,
+    hessian: np.ndarray,
+    dt: float,
+    pressure: np.ndarray,
+    tables: Any,
+    ports: Any,
+    strains: np.ndarray,
+    tips: np.ndarray,
 ) -> None:
     """Fill the inputs of both ports from the bare body's trial state; trial strains and tip go to row 1."""
     body, load = ports
@@ -362,14 +397,25 @@ def run_hooks(kernels: Any, parameters: Any, states: Any, port: np.ndarray, dt: 
 
 @nb.njit(cache=True)
 def add_effects(
-    y: np.ndarray, rest: np.ndarray, gradient: np.ndarray, hessian: np.ndarray, dt: float, pressure: np.ndarray,
-    tables: Any, hooks: Any, ports: Any, strains: np.ndarray, tips: np.ndarray, values: np.ndarray,
-    jacobian: np.ndarray, commit: bool,
+    y: np.ndarray,
+    rest: np.ndarray,
+    gradient: np.ndarray,
+    hessian: np.ndarray,
+    dt: float,
+    pressure: np.ndarray,
+    tables: Any,
+    hooks: Any,
+    ports: Any,
+    strains: np.ndarray,
+    tips: np.ndarray,
+    values: np.ndarray,
+    jacobian: np.ndarray,
+    commit: bool,
 ) -> None:
     """Add the effects' reaction to ``gradient`` (r,) and its derivative to ``jacobian`` (r, r).
 
-    ``gradient`` and ``hessian`` are the bare body's on entry. An effect may answer to the elastic pressure, which depends
-    on all coordinates: that share is found by a second call with the elastic pressure raised.
+    ``gradient`` and ``hessian`` are the bare body's on entry. An effect may answer to the elastic pressure, which
+    depends on all coordinates: that share is found by a second call with the elastic pressure raised.
     """
     body_kernels, body_parameters, body_states, load_kernels, load_parameters, load_states = hooks
     body, load = ports
@@ -404,15 +450,21 @@ def add_effects(
                     gradient[j] -= tilt * polynomial(tables.weight[a, j], values)
                 for k in range(r):
                     for b in range(3):
-                        jacobian[j, k] -= (
-                            tables.frame[n + a, j] * load[FORCE_SLOPE + a, b] * tables.frame[n + b, k]
-                        )
+                        jacobian[j, k] -= tables.frame[n + a, j] * load[FORCE_SLOPE + a, b] * tables.frame[n + b, k]
 
 
 @nb.njit(cache=True)
 def run_kernel(
-    y: np.ndarray, velocity: np.ndarray, rest: np.ndarray, dt: float, load: np.ndarray, tables: Any, hooks: Any,
-    path: np.ndarray, position: np.ndarray, quaternion: np.ndarray,
+    y: np.ndarray,
+    velocity: np.ndarray,
+    rest: np.ndarray,
+    dt: float,
+    load: np.ndarray,
+    tables: Any,
+    hooks: Any,
+    path: np.ndarray,
+    position: np.ndarray,
+    quaternion: np.ndarray,
 ) -> tuple[int, float]:
     """Advance ``y`` and ``velocity`` (r,) in place by implicit Euler over every row of ``load`` (steps, r) Pa and N.
 
@@ -475,7 +527,20 @@ def run_kernel(
                     jacobian[i, j] = hessian[i, j] + inertia[i, j]
             if with_effects:
                 add_effects(
-                    y, rest, gradient, hessian, dt, pressure, tables, hooks, ports, strains, tips, values, jacobian, False
+                    y,
+                    rest,
+                    gradient,
+                    hessian,
+                    dt,
+                    pressure,
+                    tables,
+                    hooks,
+                    ports,
+                    strains,
+                    tips,
+                    values,
+                    jacobian,
+                    False,
                 )
             along = 0.0
             for i in range(r):

@@ -8,7 +8,7 @@ RIDGE = 1e-9
 
 
 def fit_map(points: np.ndarray, targets: np.ndarray, degree: int, through_origin: bool) -> np.ndarray:
-    """Return coefficients (columns, monomials) of polynomials of ``degree`` from ``points`` (S, r) to ``targets`` (S, columns).
+    """Return coefficients (columns, monomials) of polynomials from ``points`` (S, r) to ``targets`` (S, columns).
 
     ``through_origin`` leaves out the constant term: the map of rest is zero.
     """
@@ -27,12 +27,14 @@ def evaluate(coefficients: np.ndarray, points: np.ndarray) -> np.ndarray:
     return basis(r, degree_of(r, coefficients.shape[1])).values(points) @ coefficients.T
 
 
-def best_degree(points: np.ndarray, targets: np.ndarray, fold: np.ndarray, degree_max: int, through_origin: bool) -> int:
+def best_degree(
+    points: np.ndarray, targets: np.ndarray, fold: np.ndarray, degree_max: int, through_origin: bool
+) -> int:
     """Return the degree up to ``degree_max`` whose error over folds that the fit did not see is smallest.
 
     ``fold`` (S,) numbers the part of each sample. A degree with more monomials than samples is not tried.
     """
-    errors = {}
+    errors: dict[int, float] = {}
     for degree in range(1 if through_origin else 0, degree_max + 1):
         if errors and count(points.shape[1], degree) > 0.7 * len(points):
             break

@@ -66,9 +66,9 @@ class Basis:
 
     def derivative(self, coefficients: np.ndarray) -> np.ndarray:
         """Return (variables, ..., monomials one degree lower) of the gradient of polynomials (..., monomials)."""
-        return np.stack([
-            coefficients[..., raised] * factor for raised, factor in zip(self.raised, self.factor, strict=True)
-        ])
+        return np.stack(
+            [coefficients[..., raised] * factor for raised, factor in zip(self.raised, self.factor, strict=True)]
+        )
 
     def hessian(self, coefficients: np.ndarray) -> np.ndarray:
         """Return (pairs, monomials two degrees lower) of the Hessian of one polynomial (monomials,)."""
@@ -104,9 +104,11 @@ def basis(variables: int, degree: int) -> Basis:
     raised = np.array([[number[tuple(sorted((*w, j)))] for w in below] for j in range(variables)], dtype=np.int64)
     factor = np.array([[w.count(j) + 1.0 for w in below] for j in range(variables)])
     return Basis(
-        variables, degree,
+        variables,
+        degree,
         np.array([number[w[:-1]] if w else 0 for w in words], dtype=np.int64),
         np.array([w[-1] if w else 0 for w in words], dtype=np.int64),
         np.array([len(w) for w in words], dtype=np.int64),
-        raised.reshape(variables, -1), factor.reshape(variables, -1),
+        raised.reshape(variables, -1),
+        factor.reshape(variables, -1),
     )

@@ -12,7 +12,7 @@ from softrl.pod.kernel import run_kernel
 from softrl.pod.rom import no_hooks, roll, static_points, tables_of, tip_poses
 from softrl.pod.symmetry import Equilibria, rotation_vector
 
-NO_WEIGHT = np.zeros(3)      # the snapshots are without weight
+NO_WEIGHT = np.zeros(3)  # the snapshots are without weight
 SPEED_STEPS = 20_000
 
 
@@ -42,7 +42,9 @@ def statics(model: ReducedModel, samples: Equilibria) -> tuple[Prediction, int]:
 def motions(model: ReducedModel, snapshots: Snapshots) -> Prediction:
     """Return the model's trajectories under the loads of the full model's, from rest."""
     dt = _time_step(snapshots)
-    return Prediction(roll(model, dt, snapshots.trajectory_load, gravity_m_s2=NO_WEIGHT), snapshots.trajectory_coordinate)
+    return Prediction(
+        roll(model, dt, snapshots.trajectory_load, gravity_m_s2=NO_WEIGHT), snapshots.trajectory_coordinate
+    )
 
 
 def report_statics(
@@ -86,7 +88,7 @@ def report_motions(model: ReducedModel, linear: ReducedModel, snapshots: Snapsho
 
 
 def report_speed(model: ReducedModel, snapshots: Snapshots, rng: np.random.Generator, tracker: Tracker) -> None:
-    """Log the steps per second on one core under random steps of pressure, poses included, and the reach of the motion."""
+    """Log the steps per second on one core under random steps of pressure, poses included, and how far they reach."""
     tables, r = tables_of(model), model.order
     level = rng.uniform(0.0, 1.0, (SPEED_STEPS // 50, model.chambers))
     load = np.zeros((SPEED_STEPS, r))
@@ -105,12 +107,12 @@ def report_speed(model: ReducedModel, snapshots: Snapshots, rng: np.random.Gener
 
 
 def report_weight(model: ReducedModel, tracker: Tracker) -> None:
-    """Log the sag under weight, and the largest tip force that would load the tip like it, over the largest sampled one."""
+    """Log the sag under weight, and the tip force that would load the tip like it over the largest sampled one."""
     n = model.chambers
     points, _ = static_points(tables_of(model), np.zeros((1, model.order)))
     z = model.frame @ points[0]
     tables = tables_of(model)
-    pull = model.gravity_m_s2 @ tables.weight[:, :, 0] @ tables.inverse      # load (n + 3,) of weight at rest
+    pull = model.gravity_m_s2 @ tables.weight[:, :, 0] @ tables.inverse  # load (n + 3,) of weight at rest
     sampled = np.abs(np.r_[model.load_low[n:], model.load_high[n:]]).max()
     tracker.metric("weight/sag_tip_mm", 1e3 * float(np.linalg.norm(z[n:])))
     tracker.metric("weight/tip_force_over_sampled", float(np.linalg.norm(pull[n:]) / max(sampled, 1e-9)))

@@ -13,14 +13,18 @@ from softrl.pod.inverse import solve_pressures
 from softrl.pod.kernel import Tables, run_kernel, tip_pose
 from softrl.pod.polynomial import basis, degree_of
 
-QUASI_STATIC_S = 1e6        # one implicit step of this length is an equilibrium
-LOAD_STEPS = 4              # an equilibrium is approached in this many equal steps of the load
+QUASI_STATIC_S = 1e6  # one implicit step of this length is an equilibrium
+LOAD_STEPS = 4  # an equilibrium is approached in this many equal steps of the load
+WALL = 3.0  # of the largest curvature at rest: what rises outside the samples
 PORT = nb.types.FunctionType(PORT_KERNEL)
 
 
 def tables_of(
-    model: ReducedModel, gravity_m_s2: np.ndarray | None = None, youngs_modulus_scale: float = 1.0,
-    damping_scale: float = 1.0, mass_scale: float = 1.0,
+    model: ReducedModel,
+    gravity_m_s2: np.ndarray | None = None,
+    youngs_modulus_scale: float = 1.0,
+    damping_scale: float = 1.0,
+    mass_scale: float = 1.0,
 ) -> Tables:
     """Return the kernels' tables of ``model``.
 
@@ -34,7 +38,7 @@ def tables_of(
     gravity = np.array(model.gravity_m_s2 if gravity_m_s2 is None else gravity_m_s2, dtype=float)
     r, n = model.order, model.chambers
     mass = mass_scale * model.mass
-    weight = gradient_of(model.centre_of_mass, r)            # (r, 3, k)
+    weight = gradient_of(model.centre_of_mass, r)  # (r, 3, k)
     potential = youngs_modulus_scale * model.energy
     drop = mass * gravity @ model.centre_of_mass
     potential[: len(drop)] -= drop
@@ -43,16 +47,35 @@ def tables_of(
     quadratic = youngs_modulus_scale * elastic_hessian_at_rest(model)
     compliance = np.linalg.inv(inverse.T @ quadratic @ inverse)
     return Tables(
-        *map(np.ascontiguousarray, (
-            model.frame, inverse, full.parent, full.variable, full.degrees.astype(float),
-            full.derivative(potential), full.hessian(potential), quadratic, model.mass_root, model.stiffness_root,
-            mass * weight.transpose(1, 0, 2), model.rotation, model.rest_volume, model.rest_tip,
-            np.diag(np.linalg.inv(compliance[:n, :n])) * model.rest_volume, gravity,
-            np.array([
-                mass_scale, damping_scale * mass_scale * model.rayleigh_mass_per_s,
-                damping_scale * youngs_modulus_scale * model.rayleigh_stiffness_s,
-            ]),
-        ))
+        *map(
+            np.ascontiguousarray,
+            (
+                model.frame,
+                inverse,
+                full.parent,
+                full.variable,
+                full.degrees.astype(float),
+                full.derivative(potential),
+                full.hessian(potential),
+                quadratic,
+                model.mass_root,
+                model.stiffness_root,
+                mass * weight.transpose(1, 0, 2),
+                model.rotation,
+                model.rest_volume,
+                model.rest_tip,
+                np.diag(np.linalg.inv(compliance[:n, :n])) * model.rest_volume,
+                gravity,
+                np.array(
+                    [
+                        mass_scale,
+                        damping_scale * mass_scale * model.rayleigh_mass_per_s,
+                        damping_scale * youngs_modulus_scale * model.rayleigh_stiffness_s,
+                        WALL * np.linalg.eigvalsh(quadratic)[-1],
+                    ]
+                ),
+            ),
+        )
     )
 
 
@@ -71,7 +94,7 @@ def elastic_hessian_at_rest(model: ReducedModel) -> np.ndarray:
 
 
 def typed_hooks(body: Any = (), load: Any = ()) -> tuple[Any, ...]:
-    """Return kernels, parameters and states of the body's, then of the load's hooks, as the compiled code takes them."""
+    """Return kernels, parameters and states of the body's, then of the load's hooks, as compiled code takes them."""
     lists: list[Any] = []
     for hooks in (body, load):
         kernels = List.empty_list(PORT)
@@ -97,9 +120,7 @@ def no_hooks() -> tuple[Any, ...]:
 _EMPTY = (np.empty((0, 3)), np.empty((0, 4)))
 
 
-def static_coordinates(
-    model: ReducedModel, loads: np.ndarray, gravity_m_s2: np.ndarray | None = None
-) -> np.ndarray:
+def static_coordinates(model: ReducedModel, loads: np.ndarray, gravity_m_s2: np.ndarray | None = None) -> np.ndarray:
     """Return the coordinates z (S, n + 3) m^3 and m at rest under ``loads`` (S, n + 3) Pa and N.
 
     Weight acts besides the loads: that of ``gravity_m_s2``, or of the model's own gravity if None.
@@ -113,8 +134,8 @@ def static_coordinates(
     if failed.any():
         first = np.array2string(loads[int(np.argmax(failed))], precision=4)
         raise SolverError(
-            f"{int(failed.sum())} of {len(loads)} equilibria of the reduced model were not found, the first under {first} "
-            "(Pa, N); keep the loads within the range of the snapshots"
+            f"{int(failed.sum())} of {len(loads)} equilibria of the reduced model were not found, the first under "
+            f"{first} (Pa, N); keep the loads within the range of the snapshots"
         )
     return found @ model.frame.T
 
@@ -128,7 +149,15 @@ def static_points(tables: Tables, loads: np.ndarray) -> tuple[np.ndarray, np.nda
         y, velocity = np.zeros(r), np.zeros(r)
         path = np.empty((LOAD_STEPS, r))
         run_kernel(
-            y, velocity, np.zeros(r), QUASI_STATIC_S, np.ascontiguousarray(ramp * load), tables, no_hooks(), path, *_EMPTY
+            y,
+            velocity,
+            np.zeros(r),
+            QUASI_STATIC_S,
+            np.ascontiguousarray(ramp * load),
+            tables,
+            no_hooks(),
+            path,
+            *_EMPTY,
         )
         again = y.copy()
         missed, _ = run_kernel(
@@ -153,8 +182,8 @@ def pressure_for_tip(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the pressures (S, n) Pa that bring the tip nearest to ``tip`` (S, 3) m, and the distance left (S,) m.
 
-    Pressures stay within the robot's limits. Gauss-Newton on the distance, along the compliance of each equilibrium; the
-    model's own gravity acts unless another is given.
+    Pressures stay within the robot's limits. Gauss-Newton on the distance, along the compliance of each equilibrium;
+    the model's own gravity acts unless another is given.
     """
     tables = tables_of(model, gravity_m_s2)
     limits = np.array([model.pressure_min_pa, model.pressure_max_pa])
@@ -167,8 +196,12 @@ def pressure_for_tip(
 
 
 def roll(
-    model: ReducedModel, dt_s: float, loads: np.ndarray, start: np.ndarray | None = None,
-    velocity: np.ndarray | None = None, gravity_m_s2: np.ndarray | None = None,
+    model: ReducedModel,
+    dt_s: float,
+    loads: np.ndarray,
+    start: np.ndarray | None = None,
+    velocity: np.ndarray | None = None,
+    gravity_m_s2: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return trajectories z (B, T, n + 3) m^3 and m under ``loads`` (B, T, n + 3) Pa and N, held over each step.
 

@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 
 TUNABLE = ("youngs_modulus_scale", "damping_scale", "mass_scale")
 FAILED_SHARE = 0.01
-FARTHER = 1.2               # a body that leaves the samples is reported again when it goes this much farther
+FARTHER = 1.2  # a body that leaves the samples is reported again when it goes this much farther
 _reported: dict[str, float] = {}
 
 
@@ -62,8 +62,8 @@ class RomSimulator:
                 raise ConfigError(f"simulator.{name}={value:g} must be positive")
         if self.reduced_model.chambers != self.robot.chambers:
             raise ArtifactError(
-                f"the ReducedModel of {self.reduced_model.robot_name} has {self.reduced_model.chambers} chambers, robot "
-                f"{self.robot.name} has {self.robot.chambers}; run stage=pod for this robot"
+                f"the ReducedModel of {self.reduced_model.robot_name} has {self.reduced_model.chambers} chambers, "
+                f"robot {self.robot.name} has {self.robot.chambers}; run stage=pod for this robot"
             )
 
     @property
@@ -75,7 +75,9 @@ class RomSimulator:
         """Return a copy with some tunable parameters replaced."""
         unknown = set(values) - set(TUNABLE)
         if unknown:
-            raise ConfigError(f"simulator rom has no parameter {', '.join(sorted(unknown))}; it has {', '.join(TUNABLE)}")
+            raise ConfigError(
+                f"simulator rom has no parameter {', '.join(sorted(unknown))}; it has {', '.join(TUNABLE)}"
+            )
         return replace(self, **values)
 
     @cached_property
@@ -104,8 +106,14 @@ class RomSimulator:
         return y
 
     def _run(
-        self, y: np.ndarray, velocity: np.ndarray, rest: np.ndarray, dt_s: float, load: np.ndarray,
-        hooks: tuple[Any, ...], poses: int,
+        self,
+        y: np.ndarray,
+        velocity: np.ndarray,
+        rest: np.ndarray,
+        dt_s: float,
+        load: np.ndarray,
+        hooks: tuple[Any, ...],
+        poses: int,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Advance ``y`` and ``velocity`` in place; return ``poses`` positions (., 3) and quaternions (., 4)."""
         position, quaternion = np.empty((poses, 3)), np.empty((poses, 4))
@@ -125,8 +133,10 @@ class RomSimulator:
         if farthest > max(1.0, FARTHER * _reported.get(name, 0.0)):
             _reported[name] = farthest
             log.warning(
-                "reduced model of %s: the body went to %.2f times the reach of its snapshots; beyond 1 the energy is "
-                "extrapolated (quadratic, bounded stiffness), so trust the motion less", name, farthest,
+                "reduced model of %s: the body went to %.2f times the reach of its snapshots; beyond 1 its energy is "
+                "extrapolated and rises like a wall, so trust the motion less",
+                name,
+                farthest,
             )
 
     def _loads(self, pressure: np.ndarray, tip_force: np.ndarray | None) -> np.ndarray:

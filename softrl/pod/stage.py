@@ -69,8 +69,12 @@ def run(config: Config, robot: Robot, snapshots: Snapshots, *, tracker: Tracker)
     _report_pod(pod, snapshots, seen, heldout, tracker)
     samples = equilibria(snapshots)
     settings = FitSettings(
-        config.energy_degree_max, config.map_degree_max, config.root_degree_max, config.ridges,
-        Weights(config.value_weight, config.hessian_weight), config.folds,
+        config.energy_degree_max,
+        config.map_degree_max,
+        config.root_degree_max,
+        config.ridges,
+        Weights(config.value_weight, config.hessian_weight),
+        config.folds,
     )
     model, choices = fit_model(settings, robot, snapshots, samples.rows(seen), pod, rng)
     tracker.metric("energy_degree", choices[0].degree)
@@ -103,9 +107,7 @@ def _split(config: Config, samples: int, rng: np.random.Generator) -> tuple[np.n
     return np.sort(order[held:]), np.sort(order[:held])
 
 
-def _report_pod(
-    pod: PodBasis, snapshots: Snapshots, seen: np.ndarray, heldout: np.ndarray, tracker: Tracker
-) -> None:
+def _report_pod(pod: PodBasis, snapshots: Snapshots, seen: np.ndarray, heldout: np.ndarray, tracker: Tracker) -> None:
     """Log the modes and how far snapshots are from their span; that error is no evidence for a motion's error."""
     errors = {
         name: projection_errors(pod, snapshots.displacement[rows], snapshots.nodal_mass)
@@ -115,4 +117,6 @@ def _report_pod(
     for name, error in errors.items():
         tracker.metric(f"{name}/pod_projection_rms_mm", 1e3 * float(error[-1]))
         tracker.metric(f"{name}/baseline_no_modes_rms_mm", 1e3 * float(error[0]))
-    tracker.figure("pod_spectrum", draw_spectrum(pod.singular_values, len(pod.modes), errors["train"], errors["heldout"]))
+    tracker.figure(
+        "pod_spectrum", draw_spectrum(pod.singular_values, len(pod.modes), errors["train"], errors["heldout"])
+    )

@@ -32,7 +32,7 @@ class Equilibria(NamedTuple):
     centre_of_mass: np.ndarray
     rotation: np.ndarray
 
-    def rows(self, index: np.ndarray) -> "Equilibria":
+    def rows(self, index: np.ndarray | slice) -> "Equilibria":
         """Return the samples ``index``."""
         return Equilibria(*(values[index] for values in self))
 
@@ -42,8 +42,13 @@ def equilibria(snapshots: Snapshots) -> Equilibria:
     inverse = np.linalg.inv(snapshots.compliance)
     on_coordinate = [inverse @ tangent @ inverse for tangent in (snapshots.tangent_stiffness, snapshots.tangent_mass)]
     return Equilibria(
-        snapshots.loads, snapshots.coordinate, snapshots.energy, snapshots.compliance, *on_coordinate,
-        snapshots.centre_of_mass, rotation_vector(snapshots.tip_quaternion),
+        snapshots.loads,
+        snapshots.coordinate,
+        snapshots.energy,
+        snapshots.compliance,
+        *on_coordinate,
+        snapshots.centre_of_mass,
+        rotation_vector(snapshots.tip_quaternion),
     )
 
 
@@ -65,8 +70,8 @@ def symmetries(direction: np.ndarray, kind: str) -> list[Symmetry]:
 
     Notes
     -----
-    Every symmetry sends the first chamber to some chamber, by a turn or by a mirror; those are tried, and kept when they
-    send the whole layout onto itself. One chamber has its own mirror; three at equal angles have six symmetries.
+    Every symmetry sends the first chamber to some chamber, by a turn or by a mirror; those are tried, and kept when
+    they send the whole layout onto itself. One chamber has its own mirror; three at equal angles have six symmetries.
     """
     found = []
     signs = {"none": (), "rotations": (1.0,), "all": (1.0, -1.0)}[kind]
@@ -84,11 +89,18 @@ def reflected(samples: Equilibria, operations: list[Symmetry]) -> Equilibria:
     """Return ``samples`` and their images under all ``operations``, operation by operation."""
     images = []
     for g, vector in operations:
-        images.append(Equilibria(
-            samples.load @ g.T, samples.coordinate @ g.T, samples.energy, g @ samples.compliance @ g.T,
-            g @ samples.stiffness @ g.T, g @ samples.mass @ g.T, samples.centre_of_mass @ vector.T,
-            np.linalg.det(vector) * samples.rotation @ vector.T,
-        ))
+        images.append(
+            Equilibria(
+                samples.load @ g.T,
+                samples.coordinate @ g.T,
+                samples.energy,
+                g @ samples.compliance @ g.T,
+                g @ samples.stiffness @ g.T,
+                g @ samples.mass @ g.T,
+                samples.centre_of_mass @ vector.T,
+                np.linalg.det(vector) * samples.rotation @ vector.T,
+            )
+        )
     return Equilibria(*(np.concatenate(column) for column in zip(*images, strict=True)))
 
 

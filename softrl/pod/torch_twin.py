@@ -26,9 +26,23 @@ class TorchRom(torch.nn.Module):
     Coordinates z are (B, n + 3) m^3 and m, loads Pa and N, in the order of ``ReducedModel``.
     """
 
+    frame: Tensor
+    inverse: Tensor
+    gradient: Tensor
+    hessian: Tensor
+    mass_root: Tensor
+    stiffness_root: Tensor
+    degrees: Tensor
+    quadratic: Tensor
+
     def __init__(
-        self, model: ReducedModel, gravity_m_s2: np.ndarray | None = None, youngs_modulus_scale: float = 1.0,
-        damping_scale: float = 1.0, mass_scale: float = 1.0, dtype: torch.dtype = torch.float64,
+        self,
+        model: ReducedModel,
+        gravity_m_s2: np.ndarray | None = None,
+        youngs_modulus_scale: float = 1.0,
+        damping_scale: float = 1.0,
+        mass_scale: float = 1.0,
+        dtype: torch.dtype = torch.float64,
     ) -> None:
         super().__init__()
         tables = tables_of(model, gravity_m_s2, youngs_modulus_scale, damping_scale, mass_scale)
@@ -39,15 +53,13 @@ class TorchRom(torch.nn.Module):
         pairs[np.triu_indices(r)] = np.arange(r * (r + 1) // 2)
         pairs = pairs + np.triu(pairs, 1).T
         self.register_buffer("hessian", torch.tensor(tables.hessian[pairs.ravel()], dtype=dtype))
-        self.mass_scale, self.mass_damping, self.stiffness_damping = (float(s) for s in tables.scales)
+        self.mass_scale, self.mass_damping, self.stiffness_damping, self.wall = (float(s) for s in tables.scales)
         most = max(tables.gradient.shape[1], tables.mass_root.shape[1], tables.stiffness_root.shape[1])
         self._levels: list[tuple[Tensor, Tensor]] = []
         for degree in range(1, int(tables.degrees[most - 1]) + 1):
             level = np.flatnonzero(tables.degrees == degree)
             first = int(np.flatnonzero(tables.degrees == degree - 1)[0])
-            self._levels.append(
-                (torch.tensor(tables.parent[level] - first), torch.tensor(tables.variable[level]))
-            )
+            self._levels.append((torch.tensor(tables.parent[level] - first), torch.tensor(tables.variable[level])))
 
     def residual(self, z: Tensor, velocity: Tensor, acceleration: Tensor, load: Tensor) -> Tensor:
         """Return M a + D v + dW/dz - weight - load, (B, n + 3) Pa and N; zero along a motion."""
@@ -123,7 +135,8 @@ class TorchRom(torch.nn.Module):
         values, degree = self._monomials(u, count), self.degrees[:count] + 1.0
         weight, slope, _ = _ray(degree, radius)
         along = ((slope - degree * weight / radius) / degree * values) @ self.gradient.T
-        return (weight / radius * values) @ self.gradient.T + u * (u * along).sum(1, keepdim=True)
+        wall = 3.0 * self.wall * (radius - 1.0) ** 2
+        return (weight / radius * values) @ self.gradient.T + u * ((u * along).sum(1, keepdim=True) + wall)
 
     def _curvature(self, y: Tensor) -> Tensor:
         """Return the potential's Hessian (B, r, r) J."""
@@ -141,6 +154,9 @@ class TorchRom(torch.nn.Module):
         cross = side.unsqueeze(2) * u.unsqueeze(1)
         outer = u.unsqueeze(2) * u.unsqueeze(1)
         identity = torch.eye(self.order, dtype=y.dtype, device=y.device)
+        beyond = (radius - 1.0).unsqueeze(-1)
+        along = along + 3.0 * self.wall * beyond**2 / radius.unsqueeze(-1)
+        bending = bending + 6.0 * self.wall * beyond
         return inner + cross + cross.transpose(1, 2) + (bending - along) * outer + along * identity
 
     def _mass_and_damping(self, y: Tensor) -> tuple[Tensor, Tensor]:

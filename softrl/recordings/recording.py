@@ -1,8 +1,7 @@
-"""One recorded run in SI units, and a set of them."""
+"""Recordings of one robot: the artifact that is stored as a dataset folder."""
 
 import json
-from collections.abc import Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -10,46 +9,11 @@ import numpy as np
 
 from softrl.artifacts.artifact import META, Artifact
 from softrl.core.errors import ArtifactError
+from softrl.recordings.load import load_runs
+from softrl.recordings.run import Recording
+from softrl.recordings.store import store_runs
 
-
-@dataclass(frozen=True)
-class Recording:
-    """One run of a robot; channels that were not recorded are None.
-
-    Attributes
-    ----------
-    name, session : the run, and the session (day, mounting) that it belongs to
-    time : (steps,) s, increasing, not necessarily uniform
-    pressure_cmd : (steps, chambers) Pa, what was commanded (``robot.command_to_pa`` times the command
-        channel)
-    pressure_meas : (steps, chambers) Pa gauge at the chamber
-    position : (steps, 3) m, tip in the base frame
-    quaternion : (steps, 4) w x y z
-    bend_angle : (steps,) rad
-    tip_force : (steps, 3) N on the tip, base frame
-    markers : name -> (steps, 3) m
-    temperature : (steps,) degree Celsius
-    """
-
-    name: str
-    session: str
-    time: np.ndarray
-    pressure_cmd: np.ndarray
-    pressure_meas: np.ndarray | None = None
-    position: np.ndarray | None = None
-    quaternion: np.ndarray | None = None
-    bend_angle: np.ndarray | None = None
-    tip_force: np.ndarray | None = None
-    markers: dict[str, np.ndarray] = field(default_factory=dict)
-    temperature: np.ndarray | None = None
-
-    def channels(self) -> Iterator[tuple[str, np.ndarray]]:
-        """Yield the recorded channels by name, markers by their own."""
-        for entry in fields(self):
-            values = getattr(self, entry.name)
-            if isinstance(values, np.ndarray):
-                yield entry.name, values
-        yield from self.markers.items()
+__all__ = ["Recording", "RecordingSet"]
 
 
 @dataclass(frozen=True)
@@ -80,16 +44,11 @@ class RecordingSet(Artifact):
 
     def write(self, folder: Path) -> None:
         """Write a dataset folder, with the artifact's own record beside it."""
-        from softrl.recordings.write import write  # reader and writer know this class
-
         meta = {"kind": self.kind(), "schema": self.schema, "values": {}, "array_dicts": []}
         (folder / META).write_text(json.dumps(meta, indent=1))
-        write(folder, self)
+        store_runs(folder, self.robot_name, self.recordings, self.notes)
 
     @classmethod
     def read(cls, folder: Path, meta: dict[str, Any]) -> Self:
         """Read the dataset folder back; it was checked against its robot when it was made."""
-        from softrl.recordings.read import read
-
-        found = read(folder, None)
-        return cls(robot_name=found.robot_name, recordings=found.recordings, notes=found.notes)
+        return cls(*load_runs(folder, None))

@@ -1,81 +1,14 @@
-"""Write recordings as a dataset folder: ``dataset.yaml`` and one CSV a run, in the units that people read."""
+"""Write recordings as a dataset folder."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-import yaml
-
-from softrl.core.errors import RecordingError
-from softrl.core.units import si_factor
-from softrl.recordings.recording import Recording, RecordingSet
-
-DATASET = "dataset.yaml"
-UNITS = {
-    "time": "s",
-    "pressure": "kPa gauge",
-    "position": "mm",
-    "orientation": "quaternion w x y z",
-    "angle": "deg",
-}
+from softrl.recordings.recording import RecordingSet
+from softrl.recordings.store import store_runs
 
 
 def write(folder: Path | str, recordings: RecordingSet) -> None:
-    """Write ``recordings`` to ``folder``, to be read back by ``recordings.read``.
+    """Write ``recordings`` to ``folder``: ``dataset.yaml`` and one CSV a run, to be read back by ``recordings.read``.
 
     Commands are written as pressures, whatever the robot's own command channel was. Nine digits are kept.
     """
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    names = [r.name for r in recordings.recordings]
-    for name in names:
-        if names.count(name) > 1 or Path(name).name != name or not name:
-            raise RecordingError(f"run '{name}' cannot be a file name of its own; rename it")
-    for recording in recordings.recordings:
-        _write_run(folder / f"{recording.name}.csv", recording)
-    (folder / DATASET).write_text(yaml.safe_dump(_description(recordings), sort_keys=False, width=110))
-
-
-def _description(recordings: RecordingSet) -> dict[str, object]:
-    notes = dict(recordings.notes)
-    extras = notes.pop("session_notes", {})
-    sessions = {
-        session: {
-            "runs": [r.name for r in recordings.recordings if r.session == session],
-            **extras.get(session, {}),
-        }
-        for session in recordings.sessions()
-    }
-    return {"robot": recordings.robot_name, "frame": "base", "units": UNITS, "sessions": sessions} | notes
-
-
-def _write_run(path: Path, recording: Recording) -> None:
-    header, columns = zip(*_columns(recording), strict=True)
-    np.savetxt(path, np.stack(columns, axis=1), fmt="%.9g", delimiter=",", header=",".join(header), comments="")
-
-
-def _columns(recording: Recording) -> Iterator[tuple[str, np.ndarray]]:
-    yield "time_s", recording.time
-    for channel, values in (("cmd", recording.pressure_cmd), ("meas", recording.pressure_meas)):
-        if values is not None:
-            for i in range(values.shape[1]):
-                yield from _scaled(f"p{i + 1}_{channel}_kpa", values[:, i])
-    for name, values, unit in (
-        ("tip", recording.position, "mm"),
-        *((marker, place, "mm") for marker, place in recording.markers.items()),
-        ("force", recording.tip_force, "n"),
-    ):
-        if values is not None:
-            for i, axis in enumerate("xyz"):
-                yield from _scaled(f"{name}_{axis}_{unit}", values[:, i])
-    if recording.quaternion is not None:
-        for i, axis in enumerate("wxyz"):
-            yield f"tip_q{axis}", recording.quaternion[:, i]
-    if recording.bend_angle is not None:
-        yield from _scaled("bend_angle_deg", recording.bend_angle)
-    if recording.temperature is not None:
-        yield "temp_c", recording.temperature
-
-
-def _scaled(column: str, values: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    yield column, values / si_factor(column)
+    store_runs(folder, recordings.robot_name, recordings.recordings, recordings.notes)

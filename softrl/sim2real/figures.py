@@ -9,7 +9,7 @@ from softrl.sim2real.rollout import Rollout
 
 def draw_rollouts(rollouts: dict[str, dict[str, Rollout]]) -> Figure:
     """Return one column a shape: paths seen from above and the error at each command, one line a controller."""
-    figure = Figure(figsize=(4.2 * len(rollouts), 7.0), layout="constrained")
+    figure = Figure(figsize=(4.2 * len(rollouts), 6.0), layout="constrained")
     axes = figure.subplots(2, len(rollouts), squeeze=False, gridspec_kw={"height_ratios": [3, 1]})
     for (shape, runs), path, error in zip(rollouts.items(), axes[0], axes[1], strict=True):
         target = next(iter(runs.values())).target
@@ -20,7 +20,7 @@ def draw_rollouts(rollouts: dict[str, dict[str, Rollout]]) -> Figure:
             error.plot(distance_mm, lw=1.0)
         path.set(title=shape.replace("_", " "), xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
         error.set(xlabel="command", ylabel="error (mm)", ylim=(0.0, None))
-    axes[0, 0].legend(fontsize="small", loc="upper right")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
     return figure
 
 

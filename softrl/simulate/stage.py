@@ -6,18 +6,22 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import yaml
 
-from softrl.core.errors import ConfigError
+from softrl.core.errors import ConfigError, RecordingError
 from softrl.core.progress import progress
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
 from softrl.effects.chain import EffectChain, Plant
 from softrl.effects.replay import replay
 from softrl.recordings.recording import Recording, RecordingSet
+from softrl.recordings.store import DATASET
 from softrl.recordings.write import write
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
+
+SIMULATED = "simulated_by"  # note in dataset.yaml
 
 
 @dataclass(frozen=True)
@@ -78,14 +82,24 @@ def run(
         clean = replay(plant, recording, config.dt_s, config.drive, config.settle_s)
         simulated.append(add_noise(clean, config, np.random.default_rng(stream)))
     seconds = time.perf_counter() - started
-    names = [effect.name() for effect in effects.ordered]
-    notes = {"simulated_by": type(simulator).__name__, "effects": names, "seed": config.seed}
+    # the effects stay out of the notes: whoever diagnoses the data shall not read the answer beside them
+    notes = {SIMULATED: type(simulator).__name__, "seed": config.seed}
     result = RecordingSet(robot_name=robot.name, recordings=tuple(simulated), notes=notes)
     _report(recordings, result, seconds, tracker)
     if config.out is not None:
-        write(Path(config.out), result)
-        log.info("wrote %d runs to %s", len(result.recordings), config.out)
+        write_dataset(Path(config.out), result)
     return result
+
+
+def write_dataset(folder: Path, simulated: RecordingSet) -> None:
+    """Write ``simulated`` to ``folder``, which must be new or hold an earlier simulated dataset."""
+    if (folder / DATASET).is_file():
+        if SIMULATED not in (yaml.safe_load((folder / DATASET).read_text()) or {}):
+            raise RecordingError(f"out={folder} holds recordings that were not simulated; choose another folder")
+        for old in folder.glob("*.csv"):
+            old.unlink()
+    write(folder, simulated)
+    log.info("wrote %d runs to %s", len(simulated.recordings), folder)
 
 
 def add_noise(recording: Recording, config: Config, rng: np.random.Generator) -> Recording:

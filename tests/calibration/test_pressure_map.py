@@ -9,7 +9,7 @@ from softrl.calibration.mlp import EnsembleSettings, fit_ensemble, forward
 from softrl.calibration.pressure_map import PressureMap
 from softrl.core.errors import SolverError
 
-SETTINGS = EnsembleSettings(members=3, hidden=8, epochs=800, learning_rate=0.01, weight_decay=1e-6, seed=5)
+SETTINGS = EnsembleSettings(members=3, hidden=8, epochs=800, learning_rate=0.01, weight_decays=(1e-6,), seed=5)
 
 
 def bent(pressure: np.ndarray) -> np.ndarray:
@@ -91,5 +91,5 @@ def test_a_folded_map_is_refused_with_the_remedy(calibration: Calibration) -> No
     # P_S = P_R - P_R + const: no P_R gives another P_S
     weights["skip"] = -np.tile(np.diag(calibration.pressure_spread / calibration.correction_spread), (3, 1, 1))
     fields = vars(calibration) | {"weights": weights, "pressure_low": np.full(3, -1e9), "pressure_high": np.full(3, 1e9)}
-    with pytest.raises(SolverError, match="raise stage.weight_decay"):
+    with pytest.raises(SolverError, match="raise stage.weight_decays"):
         PressureMap(Calibration(**fields)).sim_to_real(np.full((1, 3), 5e3))

@@ -24,13 +24,13 @@ CONF = Path(__file__).resolve().parents[2] / "conf" / "stage"
 def config(**changes: object) -> Config:
     merged = OmegaConf.merge(
         OmegaConf.create({"seed": 0}),
-        {"stage": OmegaConf.merge(OmegaConf.load(CONF / "calibration.yaml"), OmegaConf.load(CONF / "tiny/calibration.yaml"), changes)},
+        {"stage": OmegaConf.merge(OmegaConf.load(CONF / "calibration.yaml"), OmegaConf.load(CONF.parent / "profile/tiny/calibration.yaml"), changes)},
     )
     return Config(**OmegaConf.to_container(merged.stage, resolve=True))  # type: ignore[arg-type]
 
 
 FAST = {"runs": 8, "holds_per_run": 14, "hold_s": 2.0, "hold_min_s": 1.5, "dt_s": 0.02, "settle_s": 2.0, "hidden": 8,
-        "epochs": 1500, "members": 3, "drift_max_mm": 0.2, "residual_max_mm": 0.5}  # fmt: skip
+        "epochs": 1500, "members": 3, "weight_decays": [5e-5, 1e-2], "drift_max_mm": 0.2, "residual_max_mm": 0.5}  # fmt: skip
 
 
 def test_stage_finds_the_pressures_that_acted(

@@ -23,7 +23,7 @@ LOW, HIGH = np.array([-2e4] * 3 + [-1.0] * 3), np.array([3.5e4] * 3 + [1.0] * 3)
 
 
 def config(**changes: float) -> Config:
-    parts = (OmegaConf.load(CONF / "dynamics.yaml"), OmegaConf.load(CONF / "tiny/dynamics.yaml"), changes)
+    parts = (OmegaConf.load(CONF / "dynamics.yaml"), OmegaConf.load(CONF.parent / "profile/tiny/dynamics.yaml"), changes)
     whole = OmegaConf.merge({"seed": 0, "lambda": 0.01}, {"stage": OmegaConf.merge(*parts)})
     return Config(**OmegaConf.to_container(whole.stage, resolve=True))  # type: ignore[arg-type]
 
@@ -47,7 +47,7 @@ def test_network_beats_the_linear_map_and_persistence_on_unseen_runs(body: Body,
     windows = Windows(sets.heldout, trained.window)
     known = predictors(trained, body, 0.01)
     onestep = {name: onestep_errors(p, windows, 0.01)["position_onestep_mm"] for name, p in known.items()}
-    assert onestep["f_s"] < 0.6 * onestep["arx"] < 0.6 * onestep["rate_stays"] < onestep["state_stays"], onestep
+    assert onestep["f_s"] < 0.8 * onestep["arx"] < 0.8 * onestep["rate_stays"] < onestep["state_stays"], onestep
     assert onestep["rom"] < 1e-4, "the body itself must be exact on its own motions"
     assert rollout_errors(known["rom"], windows, 30, 0.01)["position_rollout_mm"] < 1e-3
 

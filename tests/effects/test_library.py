@@ -180,3 +180,15 @@ def test_members_within_their_bounds_converge_together() -> None:
             bounds = {f.name: (f.metadata["low"], f.metadata["high"]) for f in cls.parameter_fields()}
             chosen.append(cls(**{k: float(np.clip(v, *bounds[k])) for k, v in values.items()}))
         assert np.isfinite(simulate(chosen).position).all(), chosen
+
+
+@pytest.mark.parametrize("name", [n for n in NAMES if library.effect_class(n).site == "body"])
+def test_stepping_with_hooks_is_simulating(name: str) -> None:
+    body = simulator()
+    time, pressure = program(body.robot, 0.01, duration_s=2.0)
+    chain = chain_of(body.robot, [typical(name)])
+    motion = body.simulate(time, pressure, body=chain.hooks("body"))
+    hooks, state = chain.hooks("body"), body.reset()
+    for k in range(len(time)):
+        state = body.step(state, pressure[k], 0.01, body=hooks)
+    np.testing.assert_allclose(body.observe(state)[0], motion.position[-1], atol=1e-8)

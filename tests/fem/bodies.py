@@ -37,31 +37,37 @@ def boundary(tetrahedra: np.ndarray) -> np.ndarray:
     return faces[first[count == 1]]
 
 
-def hollow_box(cells: int = 3, width: float = 0.03, height: float = 0.05, chambers: int = 1) -> Mesh:
-    """Return a box on its base with ``chambers`` closed cavities side by side and a rigid plate on top."""
-    shape = (cells + (chambers - 1) * (cells - 1), cells, cells + 1)
+def hollow_box(
+    cells: int = 3, width: float = 0.03, height: float = 0.05, chambers: int = 1, walls: int = 1
+) -> Mesh:
+    """Return a box on its base with ``chambers`` closed cavities side by side and a rigid plate on top.
+
+    One box is ``cells`` wide with walls of ``walls`` cells; the plate is a layer of ``walls`` more on top.
+    """
+    inner = cells - 2 * walls
+    shape = (cells + (chambers - 1) * (cells - walls), cells, cells + walls)
     points, tetrahedra, cell = grid(shape, (width * shape[0] / cells, width, height))
-    hollow = (cell[:, 1] > 0) & (cell[:, 1] < cells - 1) & (cell[:, 2] > 0) & (cell[:, 2] < cells - 1)
+    hollow = (cell[:, 1:] >= walls).all(axis=1) & (cell[:, 1:] < walls + inner).all(axis=1)
     number = np.full(len(cell), -1)
     for k in range(chambers):
-        low = 1 + k * (cells - 1)
-        number[hollow & (cell[:, 0] >= low) & (cell[:, 0] < low + cells - 2)] = k
+        low = walls + k * (cells - walls)
+        number[hollow & (cell[:, 0] >= low) & (cell[:, 0] < low + inner)] = k
     solid = tetrahedra[number < 0]
     faces = boundary(solid)
-    air = [np.unique(np.sort(boundary(tetrahedra[number == k]), axis=1), axis=0) for k in range(chambers)]
+    sorted_faces = np.sort(faces, axis=1)
     owner = np.full(len(faces), -1)
-    for k, own in enumerate(air):
-        sorted_faces = np.sort(faces, axis=1)
-        owner[(sorted_faces[:, None] == own).all(axis=2).any(axis=1)] = k
+    for k in range(chambers):
+        air = np.sort(boundary(tetrahedra[number == k]), axis=1)
+        owner[(sorted_faces[:, None] == air).all(axis=2).any(axis=1)] = k
     used, renumbered = np.unique(solid, return_inverse=True)
     new = np.full(len(points), -1)
     new[used] = np.arange(len(used))
     points = points[used]
     region = np.zeros(len(points), dtype=int)
     region[points[:, 2] < 1e-9] = BASE
-    region[points[:, 2] > height * (cells / (cells + 1)) - 1e-9] = PLATE
-    cavity = owner >= 0
-    return Mesh(points, renumbered.reshape(-1, 4), region, np.zeros(len(solid), int), new[faces[cavity]], owner[cavity], "box")
+    region[points[:, 2] > height * cells / (cells + walls) - 1e-9] = PLATE
+    cavity, layer = owner >= 0, np.zeros(len(solid), int)
+    return Mesh(points, renumbered.reshape(-1, 4), region, layer, new[faces[cavity]], owner[cavity], "box")
 
 
 def bar(cells: tuple[int, int, int], size: tuple[float, float, float]) -> Mesh:

@@ -1,9 +1,9 @@
 """Puts this folder's bodies within reach of its tests."""
 
 import pytest
-from tests.fem.bodies import hollow_box
 
 from softrl.artifacts.mesh import Mesh
+from tests.fem.bodies import hollow_box
 
 
 @pytest.fixture(scope="session")

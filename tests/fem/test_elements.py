@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.fem.bodies import bar, hollow_box
 
 from softrl.artifacts.mesh import BASE, PLATE, Mesh
 from softrl.core.errors import MeshError
 from softrl.fem.elements import EDGES, GAUSS, quadratic_mesh
+from tests.fem.bodies import bar, hollow_box
 
 
 def test_shape_gradients_reproduce_a_quadratic_field() -> None:

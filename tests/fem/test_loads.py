@@ -2,13 +2,17 @@
 
 import numpy as np
 import pytest
-from tests.fem.bodies import hollow_box
 
 from softrl.fem.assembly import multiply_blocks, node_pairs
 from softrl.fem.elements import QuadraticMesh, quadratic_mesh
 from softrl.fem.loads import (
-    USED_TRIPLES, WEIGHTS, add_volume_gradient, add_volume_stiffness, enclosed_volumes,
+    USED_TRIPLES,
+    WEIGHTS,
+    add_volume_gradient,
+    add_volume_stiffness,
+    enclosed_volumes,
 )
+from tests.fem.bodies import hollow_box
 
 PRESSURE = np.array([2.0e3, -1.0e3])
 

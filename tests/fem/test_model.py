@@ -63,11 +63,9 @@ def test_patch_a_pure_bending_is_exact_for_quadratic_elements() -> None:
         a, b, c = x.T
         return x + k * np.stack([a * c, -nu * b * c, -0.5 * a * a + 0.5 * nu * (b * b - c * c)], axis=1)
 
-    def off(x: np.ndarray) -> np.ndarray:
-        return x + k * 0.0
-
     found, wanted = solved_inside(2, exact, StVenantKirchhoff(1e6, nu))
-    assert np.abs(found - wanted).max() < 1e-6 * np.abs(wanted - off(wanted)).max() + 1e-15
+    bent = k * 0.02**2
+    assert np.abs(found - wanted).max() < 1e-5 * bent
 
 
 def test_error_falls_with_the_third_power_of_the_edge() -> None:
@@ -95,6 +93,20 @@ def test_cantilever_bends_as_timoshenko_says() -> None:
     expected = force * length**3 / (3 * young * inertia) + force * length / (5 / 6 * shear * width**2)
     assert solve.converged
     assert model.coordinate(solve.pose)[1] == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.slow
+def test_a_pressurised_box_converges_under_refinement_from_coarse_quadratic_elements() -> None:
+    # the same geometry in 1, 2 and 3 cells a wall: even the coarsest must not lock
+    bends = []
+    for fine in (1, 2, 3):
+        mesh = hollow_box(cells=3 * fine, walls=fine, chambers=1)
+        model = model_of(mesh, newton=replace(NEWTON, tolerance_m=1e-8))
+        solve = model.static(np.array([2e4, 0.3, 0.0, 0.0]))
+        assert solve.converged
+        bends.append(model.coordinate(solve.pose)[1:])
+    errors = [np.abs(b - bends[-1]).max() / np.abs(bends[-1]).max() for b in bends[:2]]
+    assert errors[0] < 0.06 and errors[1] < 0.5 * errors[0], f"measured {errors}"
 
 
 def test_pressure_in_a_thick_sphere_widens_it_as_lame_says() -> None:
@@ -130,17 +142,13 @@ def hollow_sphere(inner: float, outer: float, layers: int = 3, cells: int = 3) -
 
 
 def test_equilibrium_balances_the_base(box: Mesh) -> None:
-    # a closed cavity pushes with no net force, so the base carries the tip force and the weight, and their moment
+    # a closed cavity pushes with no net force, so the base carries the tip force and the weight
     model = model_of(box, gravity_m_s2=(0.0, -3.0, -9.81))
     pose = model.static(LOAD).pose
     elastic = model._elastic(pose, 1).gradient
     base = model.coupling.body == -2
-    push = np.zeros_like(elastic)
-    total = np.zeros(3)
-    reaction = elastic[base].sum(axis=0)
     carried = model.nodal_mass[~base].sum() * model.gravity_m_s2 + LOAD[2:]
-    total += reaction + carried + push.sum(axis=0)
-    assert np.abs(total).max() < 1e-6 * np.abs(LOAD[2:]).max()
+    assert np.abs(elastic[base].sum(axis=0) + carried).max() < 1e-6 * np.abs(carried).max()
 
 
 def test_compliance_is_symmetric_and_the_derivative_of_the_coordinate(box: Mesh) -> None:
@@ -159,8 +167,9 @@ def test_compliance_is_symmetric_and_the_derivative_of_the_coordinate(box: Mesh)
 def test_load_does_the_work_that_the_body_stores(box: Mesh) -> None:
     # dW = load . dz along a path of equilibria: Simpson's rule over two load steps
     model = model_of(box)
-    poses = [model.static(s * LOAD).pose for s in (0.5, 0.75, 1.0)]
-    rates = [s * LOAD @ model.tangent(p, s * LOAD).compliance @ LOAD for p, s in zip(poses, (0.5, 0.75, 1.0), strict=True)]
+    shares = (0.5, 0.75, 1.0)
+    poses = [model.static(s * LOAD).pose for s in shares]
+    rates = [s * LOAD @ model.tangent(p, s * LOAD).compliance @ LOAD for p, s in zip(poses, shares, strict=True)]
     work = 0.5 * (rates[0] + 4 * rates[1] + rates[2]) / 6
     assert model.elastic_energy(poses[2]) - model.elastic_energy(poses[0]) == pytest.approx(work, rel=1e-4)
 

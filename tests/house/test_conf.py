@@ -46,8 +46,11 @@ def test_option_composes_and_names_a_class_of_ours(option: str) -> None:
             assert keys <= set(constructor_hints(target_class(value, option)))
 
 
-def test_profiles_only_override_known_keys() -> None:
-    for profile in ("tiny", "paper"):
-        for path in (CONF / "stage" / profile).glob("*.yaml"):
-            base = OmegaConf.load(CONF / "stage" / path.name)
-            assert set(OmegaConf.load(path)) <= set(base), path
+@pytest.mark.parametrize("profile", ["tiny", "paper"])
+def test_a_profile_changes_what_it_names_and_nothing_else(profile: str) -> None:
+    for path in sorted((CONF / "profile" / profile).glob("*.yaml")):
+        node, base = (composed(f"stage={path.stem}", f"profile={name}")["stage"] for name in (profile, "quick"))
+        overlay = OmegaConf.load(path)
+        assert set(overlay) <= set(base), path
+        changed = OmegaConf.to_container(OmegaConf.merge(base, overlay))
+        assert node == changed, path

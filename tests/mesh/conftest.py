@@ -25,7 +25,7 @@ def robot() -> Robot:
 @pytest.fixture(scope="session")
 def configure() -> Any:
     def make(*overrides: str, profile: str = "") -> Config:
-        nodes = [OmegaConf.load(CONF / "stage" / profile / "mesh.yaml")] if profile else []
+        nodes = [OmegaConf.load(CONF / "profile" / profile / "mesh.yaml")] if profile else []
         base = OmegaConf.load(CONF / "stage" / "mesh.yaml")
         node = OmegaConf.merge(base, *nodes, OmegaConf.from_dotlist(list(overrides)))
         return build(OmegaConf.to_container(node), Config, "stage")

@@ -8,16 +8,27 @@ from softrl.artifacts.snapshots import Snapshots
 from softrl.robots.robot import Robot
 
 YOUNG_PA, MASS_KG = 1e6, 0.5
-STROKE_N_PER_PA = 1e-3      # effective area of a chamber
+STROKE_N_PER_PA = 1e-3  # effective area of a chamber
 
 
 def robot_with(chambers: int) -> Robot:
     """Return a robot with chambers at equal angles (from -90 degrees)."""
     return Robot(
-        name=f"synthetic{chambers}", chamber_angle_deg=tuple(-90.0 - 360.0 * i / chambers for i in range(chambers)),
-        chamber_radius_m=0.05, chamber_area_m2=1e-3, length_m=0.18, mass_kg=MASS_KG, pressure_min_pa=-2e4,
-        pressure_max_pa=3.5e4, slew_pa_per_s=2e5, tip_force_max_n=2.0, axis="+z", output="tip_pose", command="pressure",
-        command_to_pa=1.0, gravity_m_s2=(0.0, 0.0, -9.81),
+        name=f"synthetic{chambers}",
+        chamber_angle_deg=tuple(-90.0 - 360.0 * i / chambers for i in range(chambers)),
+        chamber_radius_m=0.05,
+        chamber_area_m2=1e-3,
+        length_m=0.18,
+        mass_kg=MASS_KG,
+        pressure_min_pa=-2e4,
+        pressure_max_pa=3.5e4,
+        slew_pa_per_s=2e5,
+        tip_force_max_n=2.0,
+        axis="+z",
+        output="tip_pose",
+        command="pressure",
+        command_to_pa=1.0,
+        gravity_m_s2=(0.0, 0.0, -9.81),
     )
 
 
@@ -59,7 +70,9 @@ class Law:
         half = 0.5 * tip @ self.tip_stiffness @ tip
         stroke = z[: self.chambers] / STROKE_N_PER_PA
         return float(
-            0.5 * self.bulge_n_per_m * bulge @ bulge + half + self.quartic_per_j * half**2
+            0.5 * self.bulge_n_per_m * bulge @ bulge
+            + half
+            + self.quartic_per_j * half**2
             + self.cubic_n_per_m2 * (stroke**3).sum()
         )
 
@@ -165,13 +178,28 @@ def synthetic_snapshots(robot: Robot, samples: int, seed: int, trajectories: int
     paths = np.array([march(law, load, dt, mass_damping, stiffness_damping) for load in path_load])
     turns = np.array([[quaternion(law.rotation(point)) for point in path] for path in paths])
     return Snapshots(
-        loads=loads, coordinate=z, energy=np.array([law.energy(point) for point in z]), compliance=compliance,
-        tangent_stiffness=compliance @ stiffness @ compliance, tangent_mass=compliance @ masses @ compliance,
+        loads=loads,
+        coordinate=z,
+        energy=np.array([law.energy(point) for point in z]),
+        compliance=compliance,
+        tangent_stiffness=compliance @ stiffness @ compliance,
+        tangent_mass=compliance @ masses @ compliance,
         centre_of_mass=np.array([law.centre_of_mass(point) for point in z]),
         tip_quaternion=np.array([quaternion(law.rotation(point)) for point in z]),
-        displacement=shape.astype(np.float32), nodal_mass=np.full(40, MASS_KG / 40),
-        trajectory_time=dt * np.arange(1, steps + 1), trajectory_load=path_load, trajectory_coordinate=paths,
-        trajectory_quaternion=turns, rest_tip=np.array([0.0, 0.0, 0.18]), rest_volume=np.full(n, 1e-4), mass=MASS_KG,
-        youngs_modulus_pa=YOUNG_PA, poisson=0.45, density_kg_m3=1000.0, rayleigh_mass_per_s=mass_damping,
-        rayleigh_stiffness_s=stiffness_damping, failed=0, robot_name=robot.name,
+        displacement=shape.astype(np.float32),
+        nodal_mass=np.full(40, MASS_KG / 40),
+        trajectory_time=dt * np.arange(1, steps + 1),
+        trajectory_load=path_load,
+        trajectory_coordinate=paths,
+        trajectory_quaternion=turns,
+        rest_tip=np.array([0.0, 0.0, 0.18]),
+        rest_volume=np.full(n, 1e-4),
+        mass=MASS_KG,
+        youngs_modulus_pa=YOUNG_PA,
+        poisson=0.45,
+        density_kg_m3=1000.0,
+        rayleigh_mass_per_s=mass_damping,
+        rayleigh_stiffness_s=stiffness_damping,
+        failed=0,
+        robot_name=robot.name,
     )

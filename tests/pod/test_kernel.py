@@ -54,7 +54,7 @@ def test_the_gradient_is_the_energys_derivative(body: Body) -> None:
     np.testing.assert_allclose(gradient * step, numeric * step, rtol=1e-5, atol=1e-9)
 
 
-def test_the_continuation_has_no_kink_and_stays_convex_and_bounded(body: Body) -> None:
+def test_the_continuation_has_no_kink_and_pushes_back(body: Body) -> None:
     derivatives, r = potential(body[2]), body[2].order
     rng = np.random.default_rng(3)
     at_rest = np.abs(derivatives(np.zeros(r))[1]).max()
@@ -63,9 +63,9 @@ def test_the_continuation_has_no_kink_and_stays_convex_and_bounded(body: Body) -
         u /= np.linalg.norm(u)
         for inside, outside in zip(derivatives((1 - 1e-9) * u), derivatives((1 + 1e-9) * u), strict=True):
             np.testing.assert_allclose(outside, inside, atol=1e-6 * at_rest)
-        curvature = [np.linalg.eigvalsh(derivatives(radius * u)[1]) for radius in (1.0, 2.0, 5.0, 50.0)]
-        assert curvature[-1].max() < 10.0 * at_rest
-        assert derivatives(50.0 * u)[0] @ u > 0.0
+        gradient, hessian = derivatives(30.0 * u)
+        assert np.linalg.eigvalsh(hessian)[0] > 0.0
+        assert gradient @ u > 0.0
 
 
 @pytest.mark.parametrize("dt_s", [0.001, 0.01, 0.02])
@@ -80,11 +80,19 @@ def test_an_unforced_body_never_gains_energy(body: Body, dt_s: float) -> None:
     for _ in range(200):
         energy.append(mechanical_energy(model, (model.frame @ y)[None], (model.frame @ velocity)[None])[0])
         failed, _ = run_kernel(
-            y, velocity, np.zeros(model.order), dt_s, np.zeros((1, model.order)), tables, no_hooks(),
-            np.empty((0, model.order)), np.empty((0, 3)), np.empty((0, 4)),
+            y,
+            velocity,
+            np.zeros(model.order),
+            dt_s,
+            np.zeros((1, model.order)),
+            tables,
+            no_hooks(),
+            np.empty((0, model.order)),
+            np.empty((0, 3)),
+            np.empty((0, 4)),
         )
         assert failed == 0
-        if np.linalg.norm(y) > 1.0:     # the polynomial is the energy only inside
+        if np.linalg.norm(y) > 1.0:  # the polynomial is the energy only inside
             energy.clear()
     gain = np.diff(energy).max()
     assert gain <= 1e-12 * np.ptp(energy), f"energy rises by {gain:g} J"

@@ -14,7 +14,17 @@ from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ArtifactError, ConfigError
 from softrl.core.simulator import Hook
 from softrl.effects.effect import (
-    ADDED, ADDED_SLOPE, ELASTIC, ELASTIC_SLOPE, FORCE, FORCE_SLOPE, GRAVITY, PORT_KERNEL, REST, STRAIN, TIP,
+    ADDED,
+    ADDED_SLOPE,
+    ELASTIC,
+    ELASTIC_SLOPE,
+    FORCE,
+    FORCE_SLOPE,
+    GRAVITY,
+    PORT_KERNEL,
+    REST,
+    STRAIN,
+    TIP,
 )
 from softrl.pod import simulator as rom
 from softrl.pod.simulator import RomSimulator
@@ -72,11 +82,11 @@ def program(robot: Robot, steps: int = 80) -> tuple[np.ndarray, np.ndarray]:
     return DT_S * np.arange(1, steps + 1), np.repeat(levels, steps // 4, axis=0)
 
 
-def settle(body: RomSimulator, pressure: np.ndarray, **hooks: Any) -> np.ndarray:
+def settle(sim: RomSimulator, pressure: np.ndarray, **hooks: Any) -> np.ndarray:
     """Return the coordinates z (n + 3,) after 4 s under ``pressure`` (n,) Pa."""
-    state = body.reset()
+    state = sim.reset()
     for _ in range(200):
-        state = body.step(state, pressure, 0.02, None, **hooks)
+        state = sim.step(state, pressure, 0.02, None, **hooks)
     return state.coordinates
 
 
@@ -106,10 +116,11 @@ def test_parameters_are_physics(tripod: Body) -> None:
     half, double = (
         settle(light.with_parameters(youngs_modulus_scale=scale), scale * pressure)[3:] for scale in (0.5, 2.0)
     )
-    np.testing.assert_allclose(half, double, atol=1e-8)    # modulus over pressure alone matters without weight
+    np.testing.assert_allclose(half, double, atol=1e-8)  # modulus over pressure alone matters without weight
     time, held = DT_S * np.arange(1, 21), np.tile(pressure, (20, 1))
     reach = [
-        np.ptp(sim.with_parameters(damping_scale=scale).simulate(time, held).position[:, 1]) for scale in (0.1, 1.0, 10.0)
+        np.ptp(sim.with_parameters(damping_scale=scale).simulate(time, held).position[:, 1])
+        for scale in (0.1, 1.0, 10.0)
     ]
     assert reach[0] > reach[1] > reach[2]
     with pytest.raises(ConfigError, match="wobble"):
@@ -137,7 +148,7 @@ def test_added_pressure_is_in_balance(body: Body, kernel_name: str) -> None:
     rest, pressure = sim.reset().coordinates, np.linspace(8e3, -4e3, n)
     kernel = spring_kernel if kernel_name == "spring" else stiffer_kernel
     z = settle(sim, pressure, body=[hook(kernel, 0.8)])
-    bare = law.gradient(z)[:n] - law.gradient(rest)[:n]     # the weight acts on the tip alone here
+    bare = law.gradient(z)[:n] - law.gradient(rest)[:n]  # the weight acts on the tip alone here
     if kernel_name == "spring":
         scale = np.diag(np.linalg.inv(np.linalg.inv(law.hessian(np.zeros(n + 3)))[:n, :n])) * model.rest_volume
         added = 0.8 * scale * (z - rest)[:n] / model.rest_volume

@@ -16,14 +16,14 @@ from softrl.pod.stage import Config, run
 from softrl.robots.robot import Robot
 from tests.pod.synthetic import robot_with
 
-CONF = Path(__file__).parents[2] / "conf" / "stage"
+CONF = Path(__file__).parents[2] / "conf"
 Body = tuple[Robot, Snapshots, ReducedModel]
 
 
 def config(**overrides: object) -> Config:
     """Return the tiny config."""
-    node = {name: yaml.safe_load((CONF / name / "pod.yaml").read_text()) for name in (".", "tiny")}
-    return build({**node["."], **node["tiny"], "seed": 3, **overrides}, Config, "stage")
+    quick, tiny = (yaml.safe_load((CONF / place / "pod.yaml").read_text()) for place in ("stage", "profile/tiny"))
+    return build({**quick, **tiny, "seed": 3, **overrides}, Config, "stage")
 
 
 def test_it_reduces_a_body_and_says_how_well(tripod: Body, tmp_path: Path) -> None:
@@ -45,7 +45,9 @@ def test_it_reduces_a_body_and_says_how_well(tripod: Body, tmp_path: Path) -> No
 def test_it_is_deterministic_and_does_without_trajectories(tripod: Body) -> None:
     robot, snapshots, _ = tripod
     still = replace(
-        snapshots, trajectory_load=snapshots.trajectory_load[:0], trajectory_coordinate=snapshots.trajectory_coordinate[:0],
+        snapshots,
+        trajectory_load=snapshots.trajectory_load[:0],
+        trajectory_coordinate=snapshots.trajectory_coordinate[:0],
         trajectory_quaternion=snapshots.trajectory_quaternion[:0],
     )
     first, second = (run(config(), robot, still, tracker=NullTracker()) for _ in range(2))

@@ -25,7 +25,12 @@ def test_images_are_equilibria_of_the_same_body(chambers: int) -> None:
     law, samples = law_of(robot), equilibria(synthetic_snapshots(robot, 3, seed=4, trajectories=0))
     images = reflected(samples, symmetries(robot.chamber_direction, "all"))
     for load, z, energy, compliance, centre, turn in zip(
-        images.load, images.coordinate, images.energy, images.compliance, images.centre_of_mass, images.rotation,
+        images.load,
+        images.coordinate,
+        images.energy,
+        images.compliance,
+        images.centre_of_mass,
+        images.rotation,
         strict=True,
     ):
         np.testing.assert_allclose(law.gradient(z), load, rtol=1e-9, atol=1e-6)

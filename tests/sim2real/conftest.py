@@ -53,7 +53,9 @@ def silence() -> Noise:
 class BenchDriver:
     """The driver contract over a rig in the same process: as the stub, without starting processes."""
 
-    def __init__(self, robot: Robot, body: Simulator, noise: Noise, effects: tuple[Effect, ...] = (), seed: int = 0) -> None:
+    def __init__(
+        self, robot: Robot, body: Simulator, noise: Noise, effects: tuple[Effect, ...] = (), seed: int = 0
+    ) -> None:
         self.robot = robot
         self.hardware = Hardware(body, chain_of(robot, effects), noise, 100.0, 200.0, watchdog_s=2.0)
         self.seed = seed
@@ -134,7 +136,7 @@ def calibration(tripod: Robot) -> Calibration:
 
 def _profile(stage: str, profile: str) -> dict[str, Any]:
     """Return a stage's configuration with a profile's overrides."""
-    base, over = (OmegaConf.load(CONF / "stage" / part / f"{stage}.yaml") for part in ("", profile))
+    base, over = (OmegaConf.load(CONF / part / f"{stage}.yaml") for part in ("stage", f"profile/{profile}"))
     base.seed = 0
     return cast(dict[str, Any], OmegaConf.to_container(OmegaConf.merge(base, over)))
 

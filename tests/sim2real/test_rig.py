@@ -39,7 +39,8 @@ def test_without_noise_and_effects_it_is_the_simulator(body: Simulator, tripod: 
 def test_with_effects_it_is_the_plant_at_its_own_rate(body: Simulator, tripod: Robot, silence: Noise) -> None:
     lag = Lag(fill_s=0.2, vent_s=0.4)
     fine = Plant(body, chain_of(tripod, [lag])).simulate(0.0025 * np.arange(1, 601), np.tile(LEVEL, (600, 1)))
-    np.testing.assert_allclose(positions(Rig(hardware(body, tripod, silence, lag), SEED)), fine.position[3::4], atol=1e-9)
+    rig = Rig(hardware(body, tripod, silence, lag), SEED)
+    np.testing.assert_allclose(positions(rig), fine.position[3::4], atol=1e-9)
 
 
 def test_hidden_effects_change_the_motion(body: Simulator, tripod: Robot, silence: Noise) -> None:

@@ -39,7 +39,10 @@ def everything(
 class Stage:
     """The stage with its artifacts; ``run`` puts it on a rig with effects."""
 
-    def __init__(self, robot: Robot, body: Simulator, noise: Noise, policy: Policy, surrogate: Surrogate, calibration: Calibration):
+    def __init__(
+        self, robot: Robot, body: Simulator, noise: Noise, policy: Policy, surrogate: Surrogate,
+        calibration: Calibration,
+    ) -> None:
         self.robot, self.body, self.noise = robot, body, noise
         self.inputs = (policy, surrogate, calibration)
 
@@ -153,7 +156,8 @@ def test_it_refuses_what_does_not_fit(everything: Stage, config: Config) -> None
     policy, surrogate, calibration = everything.inputs
     driver = BenchDriver(everything.robot, everything.body, everything.noise)
     with pytest.raises(ConfigError, match="task=force"):
-        run(config, everything.robot, replace(policy, task_name="force"), surrogate, calibration, driver, tracker=NullTracker())
+        pressing = replace(policy, task_name="force")
+        run(config, everything.robot, pressing, surrogate, calibration, driver, tracker=NullTracker())
     with pytest.raises(ArtifactError, match="chambers"):
         PolicyController(policy, surrogate, replace(calibration, pressure_mean=np.zeros(2)), np.zeros((1, 3)))
     with pytest.raises(ConfigError, match="sessions=1"):

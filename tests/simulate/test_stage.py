@@ -18,6 +18,7 @@ from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.program import random_steps
 from softrl.recordings.read import read
 from softrl.recordings.recording import Recording, RecordingSet
+from softrl.recordings.write import write
 from softrl.robots.robot import Robot
 from softrl.simulate.stage import Config, run
 
@@ -137,3 +138,14 @@ def test_run_too_long_for_its_step_is_refused() -> None:
     recording = commands(body.robot).recordings[0]
     with pytest.raises(RecordingError, match="raise dt_s"):
         replay(Plant(body, EffectChain(body.robot)), replace(recording, time=recording.time * 1e4), 0.01)
+
+
+def test_recordings_of_a_robot_are_not_overwritten(tmp_path: Path) -> None:
+    body = simulator("tripod")
+    chain, given = EffectChain(body.robot), commands(body.robot)
+    write(tmp_path / "real", given)
+    with pytest.raises(RecordingError, match="not simulated"):
+        run(config(out=str(tmp_path / "real")), body.robot, body, chain, given, tracker=NullTracker())
+    for _ in range(2):
+        run(config(out=str(tmp_path / "made")), body.robot, body, chain, given, tracker=NullTracker())
+    assert len(list((tmp_path / "made").glob("*.csv"))) == 2

@@ -26,7 +26,7 @@ def load(path: str) -> dict[str, Any]:
 
 def tiny_config() -> Config:
     """Return the stage's config as ``profile=tiny`` composes it."""
-    return build(load("stage/surrogate.yaml") | load("stage/tiny/surrogate.yaml") | {"seed": 0}, Config, "stage")
+    return build(load("stage/surrogate.yaml") | load("profile/tiny/surrogate.yaml") | {"seed": 0}, Config, "stage")
 
 
 def lumped_body(robot: Robot) -> Callable[[np.ndarray], np.ndarray]:

@@ -1,7 +1,8 @@
 """A rig: hardware that is simulated in a process of its own, on its own clock, with physics that nobody is told.
 
-Messages to the rig: ``(number, "start", seed)``, ``(number, "advance", ticks, setpoints)``, ``(number, "vent", ticks)``.
-It answers each by ``(number, rows, fault)``: samples as rows of numbers, and None or one line. It ends with its link.
+Messages to the rig: ``(number, "start", seed)``, ``(number, "advance", ticks, setpoints)`` and
+``(number, "vent", ticks)``. It answers each by ``(number, rows, fault)``: samples as rows of numbers, and None or one
+line. It ends with its link.
 """
 
 import logging

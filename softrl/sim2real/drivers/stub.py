@@ -181,7 +181,7 @@ class StubDriver:
     def _ask(self, timeout_s: float, *message: Any) -> None:
         """Keep the samples that answer ``message``; a rig that was lost or reports a fault raises."""
         if self._link is None:
-            raise DriverError(f"the rig of {self._robot.name} was lost; it cannot be reached until the next 'with' block")
+            raise DriverError(f"the rig of {self._robot.name} was lost; enter a new 'with' block to start it")
         try:
             samples, fault = self._link.ask(timeout_s, *message)
         except DriverError:

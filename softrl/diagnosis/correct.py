@@ -1,0 +1,75 @@
+"""Errors of the competitors from command to motion, at every sample, on training and held-out runs."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from softrl.diagnosis.hypothesis import Hypothesis
+from softrl.diagnosis.problem import Problem, Registration
+from softrl.recordings.recording import Recording
+
+
+class Model(NamedTuple):
+    """A competitor: what it contains, its scaled point, and the sessions' placements found on training runs."""
+
+    hypothesis: Hypothesis
+    point: np.ndarray
+    placed: dict[str, Registration]
+
+
+class Traces(NamedTuple):
+    """One competitor on some runs: position (steps, 3) m, or bend angle (steps, 1) rad, a run."""
+
+    predicted: list[np.ndarray]
+    rms: float
+
+
+def model_of(training: Problem, hypothesis: Hypothesis, point: np.ndarray) -> Model:
+    """Return the competitor with placements fitted on the training runs."""
+    return Model(hypothesis, point, training.residual(hypothesis, point).registrations)
+
+
+def traces(problem: Problem, model: Model) -> Traces:
+    """Return what a competitor predicts for the problem's runs, and its rms error in m (rad for an angle)."""
+    replayed = problem.replayed(model.hypothesis, model.point)
+    placed = problem.compare(replayed, model.placed).registrations
+    predicted = [
+        _placed(seen(problem, made), placed.get(run.session))
+        for run, made in zip(problem.runs, replayed, strict=True)
+    ]
+    squares = [np.sum((seen(problem, r) - p) ** 2, axis=1) for r, p in zip(problem.runs, predicted, strict=True)]
+    return Traces(predicted, float(np.sqrt(np.mean(np.concatenate(squares)))))
+
+
+def seen(problem: Problem, run: Recording) -> np.ndarray:
+    """Return the motion (steps, 3) m, or (steps, 1) rad for a robot that reports an angle."""
+    if problem.robot.output == "bend_angle":
+        return np.asarray(run.bend_angle)[:, None]
+    return np.asarray(run.position)
+
+
+def in_mm(errors: dict[str, float], length_m: float, angle: bool) -> dict[str, float]:
+    """Return errors in mm; angles in rad become arc lengths."""
+    return {name: 1e3 * (length_m if angle else 1.0) * error for name, error in errors.items()}
+
+
+def _placed(points: np.ndarray, placement: Registration | None) -> np.ndarray:
+    return points if placement is None else points @ placement.turn.T + placement.shift
+
+
+def errors(found: dict[str, Traces], noise: float) -> dict[str, float]:
+    """Return the rms error of every competitor, the noise floor first."""
+    return {"noise_floor": noise} | {name: trace.rms for name, trace in found.items()}
+
+
+def share_closed(heldout: dict[str, float]) -> float:
+    """Return the share of the squared nominal error above the noise floor that the correction removes."""
+    floor = heldout["noise_floor"] ** 2
+    whole, left = (max(heldout[name] ** 2 - floor, 0.0) for name in ("nominal", "corrected"))
+    return 1.0 - left / whole if whole > 0.0 else 0.0
+
+
+def runs_by_name(runs: Sequence[Recording]) -> list[str]:
+    """Return the names of the runs."""
+    return [run.name for run in runs]

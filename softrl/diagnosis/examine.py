@@ -1,0 +1,243 @@
+"""One part of the pipeline (valve, body, or both at once): search, refit, confirm on held-out runs, list rivals."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes
+from softrl.diagnosis.hypothesise import (
+    Lead,
+    Path,
+    Search,
+    Trial,
+    drop,
+    fit_leads,
+    fit_trials,
+    forward,
+    screen,
+)
+from softrl.diagnosis.judge import Gap, Judge, Thresholds
+from softrl.diagnosis.problem import Problem, Residual
+from softrl.diagnosis.statistics import blocks_of, sandwich, whiteness
+from softrl.recordings.recording import Recording
+
+log = logging.getLogger(__name__)
+WHITENESS_LAGS = 20
+UNKNOWN_FACTOR = 2.0  # times the smallest difference that counts: what is left must be larger to be called unknown
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of the pipeline with its data.
+
+    Attributes
+    ----------
+    title : "command to measured pressure", "measured pressure to motion" or "command to motion"
+    problem : on the fitting runs
+    validation, heldout : runs
+    floor, travel : m (Pa): noise in a bin, rms of what is measured
+    tuned : simulator parameters that are refitted
+    choices : effects to consider
+    """
+
+    title: str
+    problem: Problem
+    validation: tuple[Recording, ...]
+    heldout: tuple[Recording, ...]
+    floor: float
+    travel: float
+    tuned: tuple[str, ...]
+    choices: tuple[Choice, ...]
+
+    @property
+    def training(self) -> Problem:
+        """The problem on all training runs."""
+        return self.problem.on((*self.problem.runs, *self.validation))
+
+    def judge(self, runs: Sequence[Recording], thresholds: Thresholds, seed: int) -> Judge:
+        """Return the judge on ``runs``."""
+        return Judge(self.problem.on(runs), self.floor, self.travel, thresholds, seed)
+
+
+class Interval(NamedTuple):
+    """A parameter's value and interval."""
+
+    owner: str
+    name: str
+    unit: str
+    value: float
+    low: float
+    high: float
+
+
+class Named(NamedTuple):
+    """An effect that holds on held-out runs: its parameters, and what leaving it out costs there."""
+
+    choice: Choice
+    intervals: list[Interval]
+    gap: Gap
+
+
+class Rival(NamedTuple):
+    """An alternative to a named effect: how much worse it is held out, and whether the data can tell."""
+
+    instead_of: Choice
+    choice: Choice
+    gap: Gap
+    equivalent: bool
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What one part of the pipeline says.
+
+    Attributes
+    ----------
+    part : which
+    path : of the search
+    base, final : trials refitted on all training runs, judged on held-out runs: retuned only, and with effects
+    named, rivals : effects, and their alternatives
+    explained : share of the squared held-out error above the floor that the effects remove
+    left : held-out error above the floor that remains, m (Pa)
+    unknown : whether something is missing that no effect explains; nothing is named then
+    closest : the effects that came closest to it, without explaining it
+    residual_before, residual_after : held-out
+    judge : on the held-out runs
+    """
+
+    part: Part
+    path: Path
+    base: Trial
+    final: Trial
+    named: list[Named]
+    rivals: list[Rival]
+    explained: float
+    left: float
+    unknown: bool
+    closest: str
+    residual_before: Residual
+    residual_after: Residual
+    judge: Judge
+
+
+def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Finding:
+    """Return what is missing in one part, searched on training runs and judged once on held-out runs."""
+    validation = part.judge(part.validation, thresholds, seed)
+    path = forward(part.problem, validation, part.tuned, part.choices, search, lambda line: log.info("%s", line))
+    judge = part.judge(part.heldout, thresholds, seed)
+    base, final = _refit(part, [path.retuned, path.best], search)
+    final, named, without = _confirm(part, judge, base, final, search)
+    explained, left = _explained(judge, base, final)
+    smallest = UNKNOWN_FACTOR * max(judge.material, 0.5 * judge.floor)
+    unknown = left > smallest and explained < thresholds.explained_share and not _white(_heldout(judge, final))
+    closest = final.hypothesis.label() if unknown and named else ""
+    if unknown:
+        final, named, without = base, [], {}
+        explained, left = _explained(judge, base, final)
+    rivals = [rival for choice, trial in without.items() for rival in _rivals(part, judge, final, trial, choice, search)]
+    before, after = (_heldout(judge, trial) for trial in (base, final))
+    return Finding(part, path, base, final, named, rivals, explained, left, unknown, closest, before, after, judge)
+
+
+def _explained(judge: Judge, base: Trial, final: Trial) -> tuple[float, float]:
+    """Return (share of the squared error above the floor that effects remove, error above the floor that is left)."""
+    whole, left = float(judge.excess(base.mean_square)), float(judge.excess(final.mean_square))
+    return (1.0 - (left / whole) ** 2 if whole > 0.0 else 1.0), left
+
+
+def intervals(problem: Problem, trial: Trial, thresholds: Thresholds) -> list[Interval]:
+    """Return every free parameter with its interval, robust to errors that stay alike within blocks."""
+    space = problem.space(trial.hypothesis)
+    length = max(round(thresholds.block_s / problem.numerics.bin_s), 1)
+    blocks = blocks_of(problem.run_of_bin, length)
+    rows = len(trial.fit.residual) // len(blocks)
+    per_row = np.repeat(blocks, rows)
+    spread = np.sqrt(np.diag(sandwich(trial.fit.jacobian, trial.fit.residual, per_row)))
+    freedom = max(int(blocks.max()) + 1 - len(spread), 1)
+    reach = float(stats.t.ppf(thresholds.confidence, freedom)) * spread
+    found = []
+    for k, axis in enumerate(space.axes):
+        u = float(trial.fit.point[k])
+        free = bool(trial.fit.jacobian[:, k].any())
+        low, high = (u - reach[k], u + reach[k]) if free else (-np.inf, np.inf)
+        ends = sorted((axis.physical(float(low)), axis.physical(float(high))))
+        value = axis.physical(u)
+        found.append(Interval(axis.owner, axis.name, axis.unit, value, min(ends[0], value), max(ends[1], value)))
+    return found
+
+
+def _refit(part: Part, trials: Sequence[Trial], search: Search) -> list[Trial]:
+    """Return the trials refitted on all training runs from where they were, judged on held-out runs."""
+    heldout = part.problem.on(part.heldout)
+    tasks = [(trial.hypothesis, [trial.fit.point]) for trial in trials]
+    fitted = fit_trials(part.training, heldout, tasks, search)
+    if len(fitted) < len(trials):
+        missing = {t.hypothesis.label() for t in trials} - {t.hypothesis.label() for t in fitted}
+        log.warning("%s diverges on other runs: only hypotheses that run are kept", ", ".join(sorted(missing)))
+        fitted = [fitted[0]] * len(trials)
+    return fitted
+
+
+def _confirm(
+    part: Part, judge: Judge, base: Trial, final: Trial, search: Search
+) -> tuple[Trial, list[Named], dict[Choice, Trial]]:
+    """Return the final trial less effects that do not pay held out, those that do, and the trial without each."""
+    while final.hypothesis.effects:
+        without = _leave_one_out(part, base, final, search)
+        gaps = {choice: judge.gap(trial.squares, final.squares) for choice, trial in without.items()}
+        weakest = min(gaps, key=lambda choice: gaps[choice].value)
+        if gaps[weakest].value >= judge.material and gaps[weakest].low > 0.0:
+            found = intervals(part.training, final, judge.thresholds)
+            mine = _by_effect(final.hypothesis, found)
+            return final, [Named(choice, mine[choice], gaps[choice]) for choice in without], without
+        log.info("%s does not pay on held-out runs and is not named", weakest.label())
+        final = without[weakest]
+    return base, [], {}
+
+
+def _leave_one_out(part: Part, base: Trial, final: Trial, search: Search) -> dict[Choice, Trial]:
+    if len(final.hypothesis.effects) == 1:
+        return {final.hypothesis.effects[0]: base}
+    tasks = [(final.hypothesis.without(c), [drop(final, c)]) for c in final.hypothesis.effects]
+    fitted = fit_trials(part.training, part.problem.on(part.heldout), tasks, search)
+    labels = {trial.hypothesis: trial for trial in fitted}
+    return {c: labels.get(final.hypothesis.without(c), base) for c in final.hypothesis.effects}
+
+
+def _rivals(
+    part: Part, judge: Judge, final: Trial, without: Trial, choice: Choice, search: Search
+) -> list[Rival]:
+    """Return the best alternatives to ``choice``, the other effects staying, judged on held-out runs."""
+    taken = {effect.name for effect in final.hypothesis.effects}
+    others = [c for c in part.choices if c.name not in taken]
+    leads: list[Lead] = screen(part.training, without, others, search.workers)
+    limited = Search(**{**search.__dict__, "keep": max(search.rivals, 1)})
+    trials = fit_leads(part.training, part.problem.on(part.heldout), without, leads, limited) if search.rivals else []
+    found = []
+    for trial in trials:
+        gap = judge.gap(trial.squares, final.squares)
+        freer = len(trial.fit.point) > len(final.fit.point)
+        alike = gap.value < judge.material or gap.low <= 0.0
+        found.append(Rival(choice, trial.hypothesis.effects[-1], gap, alike and not freer))
+    return sorted(found, key=lambda rival: rival.gap.value)
+
+
+def _by_effect(hypothesis: Hypothesis, found: list[Interval]) -> dict[Choice, list[Interval]]:
+    left, sorted_out = list(found), {}
+    for choice in hypothesis.effects:
+        size = len(effect_axes(choice))
+        sorted_out[choice], left = left[:size], left[size:]
+    return sorted_out
+
+
+def _heldout(judge: Judge, trial: Trial) -> Residual:
+    return judge.problem.residual(trial.hypothesis, trial.fit.point, trial.placed)
+
+
+def _white(residual: Residual) -> bool:
+    p_values = [whiteness(column, WHITENESS_LAGS)[1] for run in residual.runs for column in run.T]
+    return min(p_values) * len(p_values) > 0.01

@@ -1,0 +1,199 @@
+"""Findings in plain words and plain values: verdict, effects, rivals, what is left, what to record next."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from softrl.artifacts.diagnosis import Diagnosis
+from softrl.diagnosis.correct import Model
+from softrl.diagnosis.examine import Finding, Named
+from softrl.diagnosis.hypothesis import Choice, has_chamber
+from softrl.diagnosis.problem import Problem
+from softrl.effects.library import effect_class
+from softrl.robots.robot import Robot
+
+AT_BOUND = 0.97  # a retuned parameter this close to the end of its range (in logarithms) is not plausible
+WORDS = {
+    "valve": "between command and chamber pressure",
+    "chamber": "in the chamber",
+    "body": "in the body",
+    "load": "in the load on the tip",
+    "sensor": "in the sensor",
+}
+EXPERIMENTS = {
+    "valve": "steps and a multisine of one chamber with the chamber's pressure measured",
+    "chamber": "each chamber alone to three levels, held 20 s, with the inlet closed for the last 10 s",
+    "body": "the same triangle at three rates a decade apart, each amplitude twice, and holds of 60 s",
+    "load": "the same holds with the base turned by 90 degrees, and with a known mass at the tip",
+    "sensor": "the tip moved by hand to known places without pressure, and a fast multisine",
+}
+
+
+def verdict_of(findings: Sequence[Finding]) -> str:
+    """Return the verdict of all parts together."""
+    named = [effect for finding in findings for effect in finding.named]
+    if findings[-1].unknown or (not named and any(finding.unknown for finding in findings)):
+        return "unknown"
+    if not named:
+        return "nothing missing"
+    return "indistinguishable" if any(_class(finding) for finding in findings) else "named"
+
+
+def _class(finding: Finding) -> list[str]:
+    """Return the alternatives of another name that held-out data cannot tell apart from a named effect."""
+    return [r.choice.label() for r in finding.rivals if r.equivalent and r.choice.name != r.instead_of.name]
+
+
+def effect_entries(findings: Sequence[Finding], whole: Problem) -> list[dict[str, Any]]:
+    """Return one entry a named effect, as in ``diagnosis.json``."""
+    return [_entry(finding, named) for finding in findings for named in finding.named]
+
+
+def _entry(finding: Finding, named: Named) -> dict[str, Any]:
+    choice = named.choice
+    factor, unit = shown_in(finding)
+    without = factor * float(finding.judge.excess(finding.final.mean_square)) + factor * named.gap.value
+    return {
+        "name": choice.name,
+        "title": effect_class(choice.name).title,
+        "site": choice.site,
+        "where": where(choice),
+        "chamber": choice.chamber,
+        "parameters": {
+            p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit} for p in named.intervals
+        },
+        "evidence": (
+            f"{finding.part.title}: without it the held-out error above the noise is {without:.3g} {unit}, with it "
+            f"{without - factor * named.gap.value:.3g} {unit} (gain {factor * named.gap.low:.3g} to "
+            f"{factor * named.gap.high:.3g} {unit})"
+        ),
+    }
+
+
+def where(choice: Choice) -> str:
+    """Return in words where an effect acts."""
+    if has_chamber(choice.name):
+        return "all chambers" if choice.chamber < 0 else f"chamber {choice.chamber + 1}"
+    return {"valve": "all valves", "load": "tip", "sensor": "pose sensor", "chamber": "all chambers"}.get(
+        choice.site, "whole body"
+    )
+
+
+def shown_in(finding: Finding) -> tuple[float, str]:
+    """Return factor and unit in which a part's errors are shown."""
+    return (1e-3, "kPa") if finding.part.problem.target == "pressure" else (1e3, "mm")
+
+
+def rival_entries(findings: Sequence[Finding], robot: Robot) -> list[dict[str, Any]]:
+    """Return the alternatives, nearest first; gaps of motion in mm, of measured pressure in kPa."""
+    rows = []
+    for finding in findings:
+        factor, unit = shown_in(finding)
+        rows += [
+            {
+                "name": rival.choice.label(),
+                "instead_of": rival.instead_of.label(),
+                "score_gap": factor * rival.gap.value,
+                "low": factor * rival.gap.low,
+                "high": factor * rival.gap.high,
+                "unit": unit,
+                "equivalent": rival.equivalent,
+            }
+            for rival in finding.rivals
+        ]
+    return sorted(rows, key=lambda row: row["score_gap"])
+
+
+def retuned_entries(whole: Problem, model: Model, factor: float) -> dict[str, Any]:
+    """Return the parameters of the retuned-only competitor, and whether each stays within a plausible range."""
+    axes = whole.space(model.hypothesis).axes
+    found: dict[str, Any] = {}
+    for axis, u, value in zip(axes, model.point, whole.space(model.hypothesis).values(model.point), strict=True):
+        inside = abs(float(u)) < AT_BOUND * axis.scaled(axis.high)
+        found[axis.name] = {"nominal": axis.zero, "value": value, "factor_allowed": factor, "plausible": bool(inside)}
+    return found
+
+
+def unexplained(findings: Sequence[Finding]) -> dict[str, Any]:
+    """Return what is left of each part's held-out error after the correction."""
+    left: dict[str, Any] = {}
+    for finding in findings:
+        factor, unit = shown_in(finding)
+        left[finding.part.title] = {
+            f"rms_above_noise_{unit.lower()}": factor * finding.left,
+            "explained_share": finding.explained,
+            "unknown": finding.unknown,
+            "closest": finding.closest,
+            "retuned_rms_mixed": factor * finding.judge.rms(finding.base.squares),
+            "corrected_rms_mixed": factor * finding.judge.rms(finding.final.squares),
+        }
+    return left
+
+
+def next_experiment(findings: Sequence[Finding], verdict: str, robot: Robot) -> dict[str, Any] | None:
+    """Return the recording that would help most, or None if nothing is open."""
+    if verdict not in ("indistinguishable", "unknown"):
+        return None
+    open_sites = [r.choice.site for f in findings for r in f.rivals if r.equivalent]
+    open_sites += [r.instead_of.site for f in findings for r in f.rivals if r.equivalent]
+    between = sorted({name for f in findings for name in _class(f)})
+    named = [n.choice.label() for f in findings for n in f.named if _class(f)]
+    if verdict == "unknown":
+        open_sites = ["valve"] if findings[0].unknown and len(findings) > 1 else ["body", "load"]
+    return {
+        "separates": [*named, *between],
+        "program": "; then ".join(EXPERIMENTS[site] for site in dict.fromkeys(open_sites)),
+        "pressure_min_pa": robot.pressure_min_pa,
+        "pressure_max_pa": robot.pressure_max_pa,
+        "duration_s": 300.0,
+    }
+
+
+def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
+    """Return the finding in plain words, the verdict first."""
+    held = diagnosis.errors_mm["heldout"]
+    lines = [_verdict_sentence(diagnosis)]
+    lines.append(
+        f"Held-out error from command to motion: nominal {held['nominal']:.3g} mm, retuned only {held['retuned']:.3g} mm, "
+        f"corrected {held['corrected']:.3g} mm, noise {held['noise_floor']:.2g} mm."
+    )
+    lines += [_effect_sentence(effect) for effect in diagnosis.effects]
+    for rival in diagnosis.rivals[:4]:
+        verb = "cannot be told from" if rival["equivalent"] else "is worse than"
+        lines.append(
+            f"{rival['name']} {verb} {rival['instead_of']}: by {rival['score_gap']:.2g} {rival['unit']} "
+            f"({rival['low']:.2g} to {rival['high']:.2g})."
+        )
+    odd = [name for name, entry in diagnosis.retuned.items() if not entry["plausible"]]
+    if odd:
+        lines.append(
+            f"Retuning alone drives {', '.join(odd)} to the end of the plausible range: evidence that physics is missing."
+        )
+    lines += [_left_sentence(finding) for finding in findings if finding.left > finding.judge.material]
+    return lines
+
+
+def _verdict_sentence(diagnosis: Diagnosis) -> str:
+    names_ = " and ".join(f"{effect['title']} ({effect['where']})" for effect in diagnosis.effects)
+    if diagnosis.verdict == "nothing missing":
+        return "Nothing is missing that these recordings could show: with retuned parameters the simulator reaches the noise."
+    if diagnosis.verdict == "named":
+        return f"The simulator leaves out: {names_}."
+    if diagnosis.verdict == "indistinguishable":
+        alike = ", ".join(sorted({row["name"] for row in diagnosis.rivals if row["equivalent"]}))
+        return f"The simulator leaves out {names_}, or one of these that the recordings cannot tell from it: {alike}."
+    also = f" Named so far: {names_}." if names_ else ""
+    return f"Something is missing that no effect of the library explains.{also}"
+
+
+def _effect_sentence(effect: dict[str, Any]) -> str:
+    values = ", ".join(
+        f"{name} {p['value']:.3g} ({p['low']:.3g} to {p['high']:.3g}){'' if p['unit'] == '1' else ' ' + p['unit']}"
+        for name, p in effect["parameters"].items()
+    )
+    return f"{effect['name']} {WORDS[effect['site']]}, {effect['where']}: {values}. {effect['evidence']}."
+
+
+def _left_sentence(finding: Finding) -> str:
+    factor, unit = shown_in(finding)
+    closest = f"; {finding.closest} came closest without explaining it" if finding.closest else ""
+    return f"{finding.part.title}: {factor * finding.left:.3g} {unit} above the noise stay unexplained{closest}."

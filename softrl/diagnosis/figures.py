@@ -1,0 +1,159 @@
+"""Figures of a diagnosis."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from softrl.artifacts.diagnosis import Diagnosis
+from softrl.diagnosis.correct import Traces, seen
+from softrl.diagnosis.examine import Finding
+from softrl.diagnosis.explain import shown_in
+from softrl.diagnosis.problem import Problem
+
+COLOURS = {"measured": "black", "nominal": "tab:gray", "retuned": "tab:blue", "corrected": "tab:red"}
+
+
+def draw_all(
+    diagnosis: Diagnosis, heldout: Problem, findings: Sequence[Finding], judged: dict[str, Traces]
+) -> dict[str, Figure]:
+    """Return the figures by name."""
+    figures = {"held_out_run": draw_run(heldout, judged), "residual_map": draw_map(heldout, judged)}
+    figures["errors"] = draw_errors(diagnosis)
+    if diagnosis.rivals:
+        figures["rivals"] = draw_rivals(diagnosis)
+    if diagnosis.effects:
+        figures["intervals"] = draw_intervals(diagnosis)
+    figures["located"] = draw_located(diagnosis)
+    figures["screening"] = draw_screening(findings)
+    return figures
+
+
+def draw_run(heldout: Problem, judged: dict[str, Traces]) -> Figure:
+    """Draw measured against predicted motion of the held-out run that moves most, and the errors below."""
+    k = int(np.argmax([np.ptp(seen(heldout, run), axis=0).max() for run in heldout.runs]))
+    run, angle = heldout.runs[k], heldout.robot.output == "bend_angle"
+    measured = seen(heldout, run)
+    main = int(np.argmax(np.ptp(measured, axis=0)))
+    factor, unit = (180.0 / np.pi, "deg") if angle else (1e3, "mm")
+    figure = Figure(figsize=(9, 5), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True)
+    above.plot(run.time, factor * measured[:, main], color="black", lw=1.6, label="measured")
+    for name, traces in judged.items():
+        above.plot(run.time, factor * traces.predicted[k][:, main], color=COLOURS[name], lw=0.9, label=name)
+        error = factor * np.linalg.norm(measured - traces.predicted[k], axis=1)
+        below.plot(run.time, error, color=COLOURS[name], lw=0.9, label=f"{name}: rms {np.sqrt(np.mean(error**2)):.3g} {unit}")
+    above.set_ylabel(f"{'bend angle' if angle else 'tip ' + 'xyz'[main]}, {unit}")
+    above.set_title(f"held-out run {run.name}")
+    below.set_ylabel(f"error, {unit}")
+    below.set_xlabel("time, s")
+    above.legend(fontsize=8, ncols=4)
+    below.legend(fontsize=8, ncols=3)
+    return figure
+
+
+def draw_map(heldout: Problem, judged: dict[str, Traces]) -> Figure:
+    """Draw the held-out error over pressure and its rate of the chamber that moves most, before and after."""
+    chamber = int(np.argmax([np.ptp(np.concatenate([r.pressure_cmd[:, i] for r in heldout.runs]))
+                             for i in range(heldout.robot.chambers)]))  # fmt: skip
+    pressure = np.concatenate([1e-3 * run.pressure_cmd[:, chamber] for run in heldout.runs])
+    time = np.concatenate([run.time - run.time[0] for run in heldout.runs])
+    factor, unit = (180.0 / np.pi, "deg") if heldout.robot.output == "bend_angle" else (1e3, "mm")
+    maps = {}
+    for name in ("retuned", "corrected"):
+        error = np.concatenate(
+            [np.linalg.norm(seen(heldout, r) - p, axis=1) for r, p in zip(heldout.runs, judged[name].predicted, strict=True)]
+        )
+        count, x, y = np.histogram2d(time, pressure, bins=(24, 12))
+        total = np.histogram2d(time, pressure, bins=(x, y), weights=factor * error)[0]
+        maps[name] = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
+    top = max(float(np.nanmax(values)) for values in maps.values())
+    figure = Figure(figsize=(9, 3.4), layout="constrained")
+    axes = figure.subplots(1, 2, sharey=True)
+    for ax, (name, values) in zip(axes, maps.items(), strict=True):
+        image = ax.pcolormesh(x, y, values.T, vmin=0.0, vmax=top, cmap="magma_r")
+        ax.set_title(f"{name}, held-out runs")
+        ax.set_xlabel("time in run, s")
+    axes[0].set_ylabel(f"command of chamber {chamber + 1}, kPa")
+    figure.colorbar(image, ax=axes, label=f"mean error, {unit}")
+    return figure
+
+
+def draw_errors(diagnosis: Diagnosis) -> Figure:
+    """Draw training and held-out errors of all competitors."""
+    figure = Figure(figsize=(6, 3), layout="constrained")
+    ax = figure.subplots()
+    for shift, (split, errors) in zip((-0.2, 0.2), diagnosis.errors_mm.items(), strict=True):
+        bars = ax.bar(np.arange(len(errors)) + shift, list(errors.values()), 0.38, label=split)
+        ax.bar_label(bars, fmt="%.3g", fontsize=8)
+    ax.set_xticks(np.arange(len(errors)), list(errors))
+    ax.set_ylabel("rms error, mm")
+    ax.legend()
+    return figure
+
+
+def draw_rivals(diagnosis: Diagnosis) -> Figure:
+    """Draw how much worse each alternative is on held-out runs, with intervals; one axis a unit."""
+    units = list(dict.fromkeys(row["unit"] for row in diagnosis.rivals))
+    rows = {unit: [row for row in diagnosis.rivals if row["unit"] == unit] for unit in units}
+    figure = Figure(figsize=(8, 1.2 + 0.35 * len(diagnosis.rivals)), layout="constrained")
+    axes = figure.subplots(len(units), 1, squeeze=False, height_ratios=[len(rows[u]) + 0.5 for u in units])[:, 0]
+    for ax, unit in zip(axes, units, strict=True):
+        for k, row in enumerate(rows[unit]):
+            colour = "tab:orange" if row["equivalent"] else "tab:blue"
+            ax.plot([row["low"], row["high"]], [k, k], color=colour, lw=2)
+            ax.plot(row["score_gap"], k, "o", color=colour)
+        labels = [f"{row['name']} for {row['instead_of']}" for row in rows[unit]]
+        ax.set_yticks(range(len(labels)), labels, fontsize=8)
+        ax.set_ylim(len(labels) - 0.5, -0.5)
+        ax.axvline(0.0, color="black", lw=0.8)
+        ax.set_xlabel(f"held-out error above that of the named effects, {unit} (orange: cannot be told apart)")
+    return figure
+
+
+def draw_intervals(diagnosis: Diagnosis) -> Figure:
+    """Draw every parameter with its interval, one small axis each."""
+    rows = [(e["name"], name, p) for e in diagnosis.effects for name, p in e["parameters"].items()]
+    figure = Figure(figsize=(7, 0.75 * len(rows) + 0.4), layout="constrained")
+    axes = figure.subplots(len(rows), 1, squeeze=False)[:, 0]
+    for ax, (effect, name, p) in zip(axes, rows, strict=True):
+        ax.plot([p["low"], p["high"]], [0, 0], color="tab:red", lw=3, alpha=0.5)
+        ax.plot(p["value"], 0, "o", color="tab:red")
+        ax.set_yticks([0], [f"{effect}.{name}, {p['unit']}"], fontsize=8)
+        ax.tick_params(axis="x", labelsize=7)
+    return figure
+
+
+def draw_located(diagnosis: Diagnosis) -> Figure:
+    """Draw the strongest significant tests of where the mismatch sits."""
+    rows = [row for row in diagnosis.located if row["p_value"] < 0.01][:14] or diagnosis.located[:5]
+    figure = Figure(figsize=(8, 0.8 + 0.3 * len(rows)), layout="constrained")
+    ax = figure.subplots()
+    labels = []
+    for k, row in enumerate(rows):
+        ax.barh(k, row["effect_size"], color="tab:red" if row["p_value"] < 0.01 else "tab:gray")
+        chamber = f"chamber {row['chamber']}" if row["chamber"] else None
+        labels.append(", ".join(part for part in (row["site"], row["channel"], chamber, row["region"]) if part))
+        ax.annotate(f"p {row['p_value']:.1g}", (row["effect_size"], k), fontsize=7, va="center")
+    ax.set_yticks(range(len(labels)), labels, fontsize=8)
+    ax.invert_yaxis()
+    ax.set_xlim(0.0, 1.15)
+    ax.set_xlabel("effect size (share of power or correlation) in the retuned residual")
+    return figure
+
+
+def draw_screening(findings: Sequence[Finding]) -> Figure:
+    """Draw what each effect could save of the residual, as screened in the first round of each part."""
+    figure = Figure(figsize=(5.0 * len(findings), 5), layout="constrained")
+    axes = figure.subplots(1, len(findings), squeeze=False)[0]
+    for ax, finding in zip(axes, findings, strict=True):
+        leads = (finding.path.screened[0] if finding.path.screened else [])[:18]
+        named = {effect.choice for effect in finding.named}
+        colours = ["tab:red" if lead.choice in named else "tab:gray" for lead in leads]
+        ax.barh(range(len(leads)), [max(lead.gain, 0.0) for lead in leads], color=colours)
+        ax.set_yticks(range(len(leads)), [lead.choice.label() for lead in leads], fontsize=8)
+        ax.invert_yaxis()
+        factor, unit = shown_in(finding)
+        ax.set_title(f"{finding.part.title}\n(retuned rms {factor * finding.judge.rms(finding.base.squares):.3g} {unit})", fontsize=9)
+        ax.set_xlabel("share of squared residual explained, linearised")
+    return figure

@@ -1,0 +1,280 @@
+"""Find where recordings and simulator part, name the physics that is missing, and correct the simulator."""
+
+import logging
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from softrl.artifacts.diagnosis import Diagnosis
+from softrl.core.errors import ConfigError
+from softrl.core.simulator import Simulator
+from softrl.core.tracking import Tracker
+from softrl.diagnosis.correct import Model, Traces, errors, in_mm, model_of, share_closed, traces
+from softrl.diagnosis.data import OTHER_FRAME_RAD, Data, Refusal, other_frames, prepare, require_robot
+from softrl.diagnosis.examine import Finding, Part, examine
+from softrl.diagnosis.explain import (
+    effect_entries,
+    next_experiment,
+    retuned_entries,
+    rival_entries,
+    sentences,
+    unexplained,
+    verdict_of,
+)
+from softrl.diagnosis.figures import draw_all
+from softrl.diagnosis.hypothesis import Hypothesis, candidates
+from softrl.diagnosis.hypothesise import Search, fit_trials
+from softrl.diagnosis.judge import Thresholds
+from softrl.diagnosis.locate import corrected, locate
+from softrl.diagnosis.problem import Numerics, Problem
+from softrl.diagnosis.report import page
+from softrl.effects.effect import SITES
+from softrl.effects.library import names
+from softrl.recordings.recording import RecordingSet
+from softrl.robots.robot import Robot
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Config:
+    """The protocol's numbers.
+
+    Attributes
+    ----------
+    candidates : effects to consider, "all" for the whole library
+    numerics : steps and bounds of the replays
+    search : how hard to look
+    thresholds : when an improvement counts
+    heldout_share : share of the sessions (of the runs, with two sessions or fewer) that judge
+    measured_pressure : use measured pressure where every run has it, to examine valve and body apart
+    seed : of the split and the bootstrap
+    """
+
+    candidates: tuple[str, ...]
+    numerics: Numerics
+    search: Search
+    thresholds: Thresholds
+    heldout_share: float
+    measured_pressure: bool
+    seed: int
+
+    def __post_init__(self) -> None:
+        for name in ("dt_s", "bin_s"):
+            if getattr(self.numerics, name) <= 0.0:
+                raise ConfigError(f"stage.numerics.{name}={getattr(self.numerics, name):g} s must be positive")
+        if self.numerics.settle_s < 0.0 or self.numerics.tuned_factor <= 1.0:
+            raise ConfigError(
+                f"stage.numerics.settle_s={self.numerics.settle_s:g}, tuned_factor={self.numerics.tuned_factor:g}; "
+                "expected 0 s or more, and above 1"
+            )
+        if not 0.0 < self.heldout_share < 1.0:
+            raise ConfigError(f"stage.heldout_share={self.heldout_share:g} must lie between 0 and 1")
+        unknown = [name for name in self.candidates if name != "all" and name not in names()]
+        if unknown:
+            raise ConfigError(f"stage.candidates: effect '{unknown[0]}' is unknown; expected all, {', '.join(names())}")
+
+    @property
+    def effects(self) -> list[str]:
+        """Names of the effects to consider."""
+        return names() if "all" in self.candidates else list(self.candidates)
+
+
+def run(
+    config: Config, robot: Robot, recordings: RecordingSet, simulator: Simulator, *, tracker: Tracker
+) -> Diagnosis:
+    """Return what the simulator leaves out, with evidence, rivals, and what rebuilds the corrected simulator."""
+    require_robot(recordings, robot)
+    data = prepare(recordings, robot, config.heldout_share, config.search.fit_s, config.seed)
+    if isinstance(data, Refusal):
+        return _cannot_tell(data, robot, simulator, tracker)
+    whole = _whole(config, robot, simulator, data)
+    findings = _examine(config, whole, data)
+    models = _competitors(config, whole.on(data.training), findings)
+    judged = {split: {name: traces(whole.on(runs), model) for name, model in models.items()}
+              for split, runs in (("train", data.training), ("heldout", data.heldout))}  # fmt: skip
+    located = [f for part in findings for f in _locate(part, config)]
+    diagnosis = _conclude(config, data, whole, findings, models, judged, corrected(located))
+    _report(diagnosis, config, data, whole, findings, judged, tracker)
+    return diagnosis
+
+
+def _whole(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Problem:
+    """Return the problem from command to motion, with registration if sessions use different frames."""
+    bare = Problem(
+        robot, simulator, data.training, config.numerics, "motion", "command", False, data.orientation
+    )
+    if robot.output == "bend_angle":
+        return bare
+    apart = other_frames(bare.replayed(Hypothesis((), ()), np.zeros(0)), data.training)
+    if apart < OTHER_FRAME_RAD:
+        return bare
+    log.info("sessions were recorded in frames that turn apart by %.0f deg: each is placed by itself", np.degrees(apart))
+    return replace(bare, register=True, orientation=False)
+
+
+def _examine(config: Config, whole: Problem, data: Data) -> list[Finding]:
+    """Return the findings of valve and body apart where pressure is measured, else of the whole pipeline."""
+    if not (data.pressure and config.measured_pressure):
+        return [_examine_motion(config, whole, data, "command to motion", SITES)]
+    valve = _examine_valve(config, whole, data)
+    behind = replace(whole, drive="measured", runs=_without_bias(whole.runs, valve, whole))
+    shifted = {run.name: run for run in behind.runs}
+    body = replace(
+        data,
+        fitting=tuple(shifted[r.name] for r in data.fitting),
+        validation=tuple(shifted[r.name] for r in data.validation),
+        heldout=_without_bias(data.heldout, valve, whole),
+    )
+    sites = tuple(site for site in SITES if site != "valve")
+    return [valve, _examine_motion(config, behind, body, "measured pressure to motion", sites)]
+
+
+def _examine_valve(config: Config, whole: Problem, data: Data) -> Finding:
+    problem = replace(whole, target="pressure", register=False, orientation=False, runs=data.fitting)
+    choices = candidates(config.effects, ("valve",), whole.robot, data.check.excited)
+    floor = _floor_in_bin(data.pressure_noise, data, config)
+    part = Part("command to measured pressure", problem, data.validation, data.heldout, floor, data.pressure_travel,
+                (), tuple(choices))  # fmt: skip
+    return examine(part, config.search, config.thresholds, config.seed)
+
+
+def _examine_motion(config: Config, problem: Problem, data: Data, title: str, sites: tuple[str, ...]) -> Finding:
+    wanted = [name for name in config.effects if not (problem.register and name == "frame")]
+    choices = candidates(wanted, sites, problem.robot, data.check.excited)
+    floor = _floor_in_bin(data.noise, data, config) * (np.sqrt(2.0) if problem.orientation else 1.0)
+    part = Part(title, problem.on(data.fitting), data.validation, data.heldout, floor, data.travel,
+                tuple(problem.simulator.parameters), tuple(choices))  # fmt: skip
+    return examine(part, config.search, config.thresholds, config.seed)
+
+
+def _floor_in_bin(noise: float, data: Data, config: Config) -> float:
+    """Return the rms that white noise leaves in the mean of a bin."""
+    period = float(np.median([run.period_s for run in data.check.runs]))
+    return noise / float(np.sqrt(max(config.numerics.bin_s / period, 1.0)))
+
+
+def _without_bias(runs: tuple[Any, ...], valve: Finding, whole: Problem) -> tuple[Any, ...]:
+    """Return the runs with the constant offset of each measured pressure taken out, as far as the valve explains it."""
+    problem = replace(valve.part.problem, runs=tuple(runs))
+    supplied = problem.replayed(valve.final.hypothesis, valve.final.fit.point)
+    shifted = []
+    for run, made in zip(runs, supplied, strict=True):
+        bias = (run.pressure_meas - made.pressure_meas).mean(axis=0)
+        shifted.append(replace(run, pressure_meas=run.pressure_meas - bias))
+    return tuple(shifted)
+
+
+def _competitors(config: Config, training: Problem, findings: list[Finding]) -> dict[str, Model]:
+    """Return nominal, retuned and corrected, all from command to motion."""
+    empty = Hypothesis((), ())
+    tuned = tuple(training.simulator.parameters)
+    motion = findings[-1]
+    start = motion.base.fit.point
+    retuned = fit_trials(training, training, [(Hypothesis((), tuned), [start])], config.search)[0]
+    parts = [finding.final for finding in findings]
+    effects = tuple(choice for trial in parts for choice in trial.hypothesis.effects)
+    point = np.concatenate([trial.fit.point for trial in parts])
+    if not effects:
+        point = retuned.fit.point
+    return {
+        "nominal": model_of(training, empty, np.zeros(0)),
+        "retuned": model_of(training, retuned.hypothesis, retuned.fit.point),
+        "corrected": model_of(training, Hypothesis(effects, tuned), point),
+    }
+
+
+def _locate(finding: Finding, config: Config) -> list[Any]:
+    problem = finding.part.training
+    residual = problem.residual(finding.base.hypothesis, finding.base.fit.point, finding.base.placed)
+    return locate(problem, residual, finding.part.floor, finding.part.title, config.thresholds.block_s)
+
+
+def _conclude(
+    config: Config,
+    data: Data,
+    whole: Problem,
+    findings: list[Finding],
+    models: dict[str, Model],
+    judged: dict[str, dict[str, Traces]],
+    located: list[dict[str, Any]],
+) -> Diagnosis:
+    robot, angle = whole.robot, whole.robot.output == "bend_angle"
+    noise = data.noise / (robot.length_m if angle else 1.0)
+    plain = {split: errors(found, noise) for split, found in judged.items()}
+    verdict = verdict_of(findings)
+    space = whole.space(models["corrected"].hypothesis)
+    made = Diagnosis(
+        robot_name=robot.name,
+        simulator_name=type(whole.simulator).__name__,
+        verdict=verdict,
+        sentences=[],
+        effects=effect_entries(findings, whole),
+        simulator_parameters=space.tuned(models["corrected"].point),
+        retuned=retuned_entries(whole, models["retuned"], config.numerics.tuned_factor),
+        rivals=rival_entries(findings, robot),
+        located=located,
+        errors_mm={split: in_mm(values, robot.length_m, angle) for split, values in plain.items()},
+        errors_deg={s: {n: float(np.degrees(e)) for n, e in v.items()} for s, v in plain.items()} if angle else {},
+        unexplained=unexplained(findings),
+        next_experiment=next_experiment(findings, verdict, robot),
+        data={
+            "warnings": list(data.check.warnings),
+            "training_runs": [r.name for r in data.training],
+            "heldout_runs": [r.name for r in data.heldout],
+            "sessions_placed_separately": whole.register,
+            "orientation_used": whole.orientation,
+            "measured_pressure_used": len(findings) > 1,
+        },
+    )
+    return replace(made, sentences=sentences(made, findings))
+
+
+def _report(
+    diagnosis: Diagnosis,
+    config: Config,
+    data: Data,
+    whole: Problem,
+    findings: list[Finding],
+    judged: dict[str, dict[str, Traces]],
+    tracker: Tracker,
+) -> None:
+    for split, values in diagnosis.errors_mm.items():
+        for name, error in values.items():
+            tracker.metric(f"{split}/{name}_error_mm", error)
+    for split, values in diagnosis.errors_deg.items():
+        for name, error in values.items():
+            tracker.metric(f"{split}/{name}_error_deg", error)
+    tracker.metric("heldout/gap_closed_share", share_closed(diagnosis.errors_mm["heldout"]))
+    tracker.metric("effects_named_count", len(diagnosis.effects))
+    for sentence in diagnosis.sentences:
+        log.info("%s", sentence)
+    figures = draw_all(diagnosis, whole.on(data.heldout), findings, judged["heldout"])
+    tracker.text("report.html", page(diagnosis, figures))
+    for name, figure in figures.items():
+        tracker.figure(name, figure)
+
+
+def _cannot_tell(refusal: Refusal, robot: Robot, simulator: Simulator, tracker: Tracker) -> Diagnosis:
+    """Return the diagnosis of data that cannot tell anything."""
+    sentence = f"Cannot tell: {refusal.reason}."
+    log.warning("%s", sentence)
+    diagnosis = Diagnosis(
+        robot_name=robot.name,
+        simulator_name=type(simulator).__name__,
+        verdict="unknown",
+        sentences=[sentence],
+        effects=[],
+        simulator_parameters={},
+        retuned={},
+        rivals=[],
+        located=[],
+        errors_mm={"train": {}, "heldout": {}},
+        errors_deg={},
+        unexplained={"cannot_tell": refusal.reason},
+        next_experiment=None,
+        data={"warnings": list(refusal.check.warnings)},
+    )
+    tracker.text("report.html", page(diagnosis, {}))
+    return diagnosis

@@ -1,0 +1,171 @@
+"""Read a dataset folder, ``dataset.yaml`` and one CSV a run, into recordings in SI units."""
+
+import logging
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from softrl.core.errors import RecordingError
+from softrl.recordings.columns import match_columns
+from softrl.recordings.frame import continuous_quaternion, rotate, rotation_between, turn
+from softrl.recordings.run import Recording
+from softrl.recordings.store import DATASET
+from softrl.recordings.validate import require_values
+from softrl.robots.robot import Robot
+
+log = logging.getLogger(__name__)
+
+AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
+
+
+@dataclass(frozen=True)
+class Session:
+    """One entry of ``sessions`` in dataset.yaml: its runs, the backbone's direction, and free notes."""
+
+    name: str
+    runs: tuple[str, ...]
+    axis: str | None = None
+    notes: dict[str, Any] = field(default_factory=dict)
+
+
+def load_runs(folder: Path | str, robot: Robot | None) -> tuple[str, tuple[Recording, ...], dict[str, Any]]:
+    """Return the robot's name, its runs, and the notes of a dataset folder; see ``recordings.read``."""
+    folder = Path(folder)
+    head, sessions = _dataset(folder)
+    if robot is not None and head["robot"] != robot.name:
+        raise RecordingError(
+            f"{folder / DATASET}: robot '{head['robot']}' made these recordings, but '{robot.name}' is chosen; "
+            f"choose robot={head['robot']}"
+        )
+    recordings = tuple(
+        _read_run(folder / f"{run}.csv", run, session, robot) for session in sessions for run in session.runs
+    )
+    if not recordings:
+        raise RecordingError(f"{folder} names no runs; expected one CSV file a run beside {DATASET}")
+    extras = {s.name: s.notes for s in sessions if s.notes}
+    notes = head["notes"] | ({"session_notes": extras} if extras else {})
+    return head["robot"], recordings, notes
+
+
+def _dataset(folder: Path) -> tuple[dict[str, Any], list[Session]]:
+    path = folder / DATASET
+    if not folder.is_dir():
+        raise RecordingError(f"{folder} is no folder; expected a dataset folder with {DATASET} and one CSV a run")
+    if not path.is_file():
+        raise RecordingError(f"{path} is missing; expected a file with at least the line 'robot: <name>'")
+    text = path.read_text()
+    try:
+        # plain strings for names: YAML would turn a run called 2020_0908 into the number 20200908
+        names, typed = yaml.load(text, Loader=yaml.BaseLoader), yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise RecordingError(f"{path} is no YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(names, dict) or not isinstance(names.get("robot"), str):
+        raise RecordingError(f"{path}: key 'robot' is missing; expected the name of the robot, as in conf/robot")
+    notes = {key: value for key, value in typed.items() if key not in ("robot", "sessions", "units", "frame")}
+    return {"robot": names["robot"], "notes": notes}, _sessions(names.get("sessions"), folder)
+
+
+def _sessions(entry: Any, folder: Path) -> list[Session]:
+    path = folder / DATASET
+    present = sorted(file.stem for file in folder.glob("*.csv"))
+    if entry is None or entry == "":
+        return [Session(run, (run,)) for run in present]
+    if not isinstance(entry, dict):
+        raise RecordingError(f"{path}: sessions must map a name to {{runs: [...]}}, got {type(entry).__name__}")
+    sessions = [_session(name, value, path) for name, value in entry.items()]
+    named = [run for session in sessions for run in session.runs]
+    for run in named:
+        if named.count(run) > 1:
+            raise RecordingError(f"{path}: run '{run}' is named {named.count(run)} times; each run has one session")
+        if run not in present:
+            raise RecordingError(
+                f"{path}: run '{run}' is named, but {folder / f'{run}.csv'} does not exist; "
+                f"found {', '.join(present) or 'no CSV file'}"
+            )
+    left_out = sorted(set(present) - set(named))
+    if left_out:
+        log.warning("%s names no session for %s: left out", path, ", ".join(left_out))
+    return sessions
+
+
+def _session(name: str, value: Any, path: Path) -> Session:
+    value = {"runs": value} if isinstance(value, list) else value
+    if not isinstance(value, dict) or not isinstance(value.get("runs"), list) or not value["runs"]:
+        raise RecordingError(f"{path}: session '{name}' needs 'runs: [...]' with at least one run, got {value!r}")
+    axis = value.get("axis")
+    if axis is not None and axis not in AXES:
+        raise RecordingError(f"{path}: session '{name}' has axis '{axis}'; expected one of {', '.join(AXES)}")
+    runs = tuple(re.sub(r"\.csv$", "", str(run)) for run in value["runs"])
+    return Session(name, runs, axis, {k: v for k, v in value.items() if k not in ("runs", "axis")})
+
+
+def _read_run(path: Path, name: str, session: Session, robot: Robot | None) -> Recording:
+    header, table = _table(path)
+    columns = match_columns(header, robot, path)
+    require_values(path, header, table, columns, robot)
+    arrays = {channel: _channel(table, place) for channel, place in columns.channels.items()}
+    arrays = _in_base_frame(arrays, session.axis, robot.axis if robot is not None else "+z")
+    markers = {marker: arrays.pop(marker) for marker in columns.markers}
+    for flat in ("time", "bend_angle", "temperature"):
+        if flat in arrays:
+            arrays[flat] = arrays[flat][:, 0]
+    return Recording(name=name, session=session.name, markers=markers, **arrays)
+
+
+def _table(path: Path) -> tuple[list[str], np.ndarray]:
+    lines = path.read_text(encoding="utf-8-sig").splitlines()
+    if not lines or not lines[0].strip():
+        raise RecordingError(f"{path} is empty; expected a header line and one line a sample")
+    header = [cell.strip() for cell in lines[0].split(",")]
+    samples = sum(bool(line.strip()) for line in lines[1:])
+    if samples < 2:
+        raise RecordingError(f"{path} holds {samples} samples; expected at least 2")
+    _require_equal_width(path, header, lines)
+    try:
+        return header, np.loadtxt(lines[1:], delimiter=",", ndmin=2, comments=None)
+    except ValueError as error:
+        raise RecordingError(_bad_cell(path, header, lines)) from error
+
+
+def _require_equal_width(path: Path, header: list[str], lines: list[str]) -> None:
+    for number, line in enumerate(lines[1:], start=2):
+        width = line.count(",") + 1
+        if width != len(header) and line.strip():
+            raise RecordingError(
+                f"{path}, line {number}: {width} values for {len(header)} columns; add or remove values"
+            )
+
+
+def _bad_cell(path: Path, header: list[str], lines: list[str]) -> str:
+    """Return the message for the first cell that is no number."""
+    for number, line in enumerate(lines[1:], start=2):
+        for column, cell in zip(header, line.split(","), strict=False):
+            try:
+                float(cell)
+            except ValueError:
+                where = f"{path}, line {number}, column '{column}'"
+                return f"{where}: '{cell.strip()}' is no number; correct or drop the row"
+    return f"{path} cannot be read as comma-separated numbers; expected a header line and one line a sample"
+
+
+def _channel(table: np.ndarray, place: dict[int, tuple[int, float]]) -> np.ndarray:
+    """Return (steps, components) in SI units."""
+    return np.stack([table[:, place[i][0]] * place[i][1] for i in range(len(place))], axis=1)
+
+
+def _in_base_frame(arrays: dict[str, np.ndarray], axis: str | None, wanted: str) -> dict[str, np.ndarray]:
+    if "quaternion" in arrays:
+        arrays["quaternion"] = continuous_quaternion(arrays["quaternion"])
+    if axis is None or axis == wanted:
+        return arrays
+    rotation = rotation_between(axis, wanted)
+    for channel, values in arrays.items():
+        if channel in ("position", "tip_force") or channel.startswith("marker"):
+            arrays[channel] = rotate(rotation, values)
+        elif channel == "quaternion":
+            arrays[channel] = turn(rotation, values)
+    return arrays

@@ -1,0 +1,46 @@
+"""One recorded run in SI units."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One run of a robot; channels that were not recorded are None.
+
+    Attributes
+    ----------
+    name, session : the run, and the session (day, mounting) that it belongs to
+    time : (steps,) s, increasing, not necessarily uniform
+    pressure_cmd : (steps, chambers) Pa, what was commanded (``robot.command_to_pa`` times the command
+        channel)
+    pressure_meas : (steps, chambers) Pa gauge at the chamber
+    position : (steps, 3) m, tip in the base frame
+    quaternion : (steps, 4) w x y z
+    bend_angle : (steps,) rad
+    tip_force : (steps, 3) N on the tip, base frame
+    markers : name -> (steps, 3) m
+    temperature : (steps,) degree Celsius
+    """
+
+    name: str
+    session: str
+    time: np.ndarray
+    pressure_cmd: np.ndarray
+    pressure_meas: np.ndarray | None = None
+    position: np.ndarray | None = None
+    quaternion: np.ndarray | None = None
+    bend_angle: np.ndarray | None = None
+    tip_force: np.ndarray | None = None
+    markers: dict[str, np.ndarray] = field(default_factory=dict)
+    temperature: np.ndarray | None = None
+
+    def channels(self) -> Iterator[tuple[str, np.ndarray]]:
+        """Yield the recorded channels by name, markers by their own."""
+        for entry in fields(self):
+            values = getattr(self, entry.name)
+            if isinstance(values, np.ndarray):
+                yield entry.name, values
+        yield from self.markers.items()

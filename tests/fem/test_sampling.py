@@ -1,0 +1,55 @@
+"""Which loads are computed, and in which order."""
+
+import numpy as np
+
+from softrl.artifacts.mesh import Mesh
+from softrl.fem.continuation import follow
+from softrl.fem.sampling import load_scale, paths, sobol_loads, step_program
+from tests.fem.bodies import box_robot, model_of
+
+ROBOT = box_robot(3)
+
+
+def test_loads_keep_the_robots_limits_and_reach_them() -> None:
+    loads = sobol_loads(ROBOT, 100, 0.25, seed=1)
+    pressure, force = loads[:, :3], np.linalg.norm(loads[:, 3:], axis=1)
+    assert loads.shape == (100, 6)
+    assert pressure.min() >= ROBOT.pressure_min_pa and pressure.max() <= ROBOT.pressure_max_pa
+    assert ((pressure == ROBOT.pressure_min_pa) | (pressure == ROBOT.pressure_max_pa)).any(axis=1).sum() >= 25
+    assert 0.9 * ROBOT.tip_force_max_n < force.max() <= ROBOT.tip_force_max_n
+    assert np.abs(loads[:, 3:].mean(axis=0)).max() < 0.1 * ROBOT.tip_force_max_n
+
+
+def test_the_same_seed_gives_the_same_loads() -> None:
+    assert (sobol_loads(ROBOT, 16, 0.5, 3) == sobol_loads(ROBOT, 16, 0.5, 3)).all()
+    assert (sobol_loads(ROBOT, 16, 0.5, 3) != sobol_loads(ROBOT, 16, 0.5, 4)).any()
+
+
+def test_paths_hold_every_load_once_and_are_shorter_than_chance() -> None:
+    loads, scale = sobol_loads(ROBOT, 64, 0.0, 0), load_scale(ROBOT)
+    chains = paths(loads, scale, 4)
+    assert sorted(np.concatenate(chains)) == list(range(64))
+
+    def length(order: np.ndarray) -> float:
+        return float(np.linalg.norm(np.diff(loads[order] / scale, axis=0), axis=1).sum())
+
+    assert sum(length(c) for c in chains) < 0.75 * length(np.arange(64))
+
+
+def test_programs_keep_the_slew_rate_and_the_limits() -> None:
+    time = 0.01 * np.arange(1, 101)
+    load = step_program(ROBOT, time, 0.25, np.random.default_rng(0))
+    change = np.diff(load[:, :3], axis=0, prepend=0.0)
+    assert np.abs(change).max() <= ROBOT.slew_pa_per_s * 0.01 + 1e-9
+    assert load[:, :3].min() >= ROBOT.pressure_min_pa and load[:, :3].max() <= ROBOT.pressure_max_pa
+    assert np.linalg.norm(load[:, 3:], axis=1).max() <= ROBOT.tip_force_max_n
+    assert len(np.unique(load[:, 0].round(9))) >= 4
+
+
+def test_a_path_ends_where_a_solve_from_rest_ends(box: Mesh) -> None:
+    robot, model = box_robot(2), model_of(box)
+    loads = sobol_loads(robot, 4, 0.0, 2)
+    for load, found in zip(loads, follow(model, loads, load_scale(robot), 0.5), strict=True):
+        assert found is not None
+        alone = model.static(load)
+        assert np.abs(alone.pose.position - found.pose.position).max() < 1e-7

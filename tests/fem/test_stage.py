@@ -1,0 +1,83 @@
+"""The stage: what it hands on, and that it is the same however it is run."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from softrl.artifacts.mesh import Mesh
+from softrl.artifacts.snapshots import Snapshots
+from softrl.core.errors import ConfigError, SolverError
+from softrl.core.tracking import NullTracker
+from softrl.fem.material import StableNeoHookean
+from softrl.fem.stage import Body, Config, build_model, run
+from tests.fem.bodies import box_robot
+
+CONFIG = Config(
+    law="stable_neo_hookean", moduli_pa=(1e6,), poisson=0.45, equilibria=5, faces_share=0.2, load_step=1.0, paths=2,
+    trajectories=1, duration_s=0.02, hold_s=0.01, dt_s=0.002, rayleigh_mass_per_s=0.0, rayleigh_stiffness_s=1e-3,
+    tolerance_m=1e-8, max_iterations=40, reuse_below=0.3, max_failed_share=0.0, processes=1, seed=0,
+)
+
+
+@pytest.fixture(scope="module")
+def tracker() -> NullTracker:
+    return NullTracker()
+
+
+@pytest.fixture(scope="module")
+def snapshots(box: Mesh, tracker: NullTracker) -> Snapshots:
+    return run(CONFIG, box_robot(2), box, tracker=tracker)
+
+
+def test_every_sample_is_an_equilibrium_of_its_load(box: Mesh, snapshots: Snapshots) -> None:
+    snapshots.validate()
+    model = build_model(Body(CONFIG, box_robot(2), box, StableNeoHookean(1e6, 0.45)))
+    for row in range(len(snapshots.loads)):
+        solve = model.static(snapshots.loads[row])
+        assert np.allclose(model.coordinate(solve.pose)[2:], snapshots.coordinate[row, 2:], atol=1e-8)
+        assert np.allclose(model.coordinate(solve.pose)[:2], snapshots.coordinate[row, :2], rtol=1e-4, atol=1e-12)
+        moved = (solve.pose.position - model.quadratic.points)[: len(box.points)]
+        assert np.abs(moved - snapshots.displacement[row]).max() < 1e-7
+        assert snapshots.energy[row] == pytest.approx(model.elastic_energy(solve.pose), rel=1e-4)
+
+
+def test_compliance_is_symmetric_and_the_masses_add_up(box: Mesh, snapshots: Snapshots) -> None:
+    assert (snapshots.compliance == np.swapaxes(snapshots.compliance, 1, 2)).all()
+    assert np.linalg.eigvalsh(snapshots.compliance).min() > 0
+    assert np.linalg.eigvalsh(snapshots.tangent_mass).min() > 0
+    assert snapshots.nodal_mass.sum() == pytest.approx(snapshots.mass)
+    assert snapshots.mass == pytest.approx(0.04)
+    assert np.abs(np.linalg.norm(snapshots.tip_quaternion, axis=1) - 1).max() < 1e-12
+
+
+def test_centre_of_mass_moves_as_the_corner_masses_say(snapshots: Snapshots) -> None:
+    # corners carry half of each mid-edge node; curved edges make the difference
+    moved = np.einsum("n,sni->si", snapshots.nodal_mass, snapshots.displacement.astype(float)) / snapshots.mass
+    assert np.abs(moved - snapshots.centre_of_mass).max() < 0.05 * np.abs(snapshots.centre_of_mass).max()
+
+
+def test_processes_do_not_change_the_result(box: Mesh, snapshots: Snapshots) -> None:
+    again = run(replace(CONFIG, processes=2), box_robot(2), box, tracker=NullTracker())
+    for field in fields(Snapshots):
+        one, two = getattr(snapshots, field.name), getattr(again, field.name)
+        assert np.array_equal(one, two), field.name
+
+
+def test_metrics_are_reported(tracker: NullTracker, snapshots: Snapshots) -> None:
+    names = {"equilibria", "failed", "newton_iterations_mean", "seconds_per_equilibrium_s", "tip_range_mm"}
+    assert names <= set(tracker.metrics)
+    assert tracker.metrics["equilibria"] == len(snapshots.loads) == 5
+
+
+def test_failures_are_counted_and_too_many_are_an_error(box: Mesh) -> None:
+    with pytest.raises(SolverError, match="of 5 loads found no equilibrium"):
+        hopeless = replace(CONFIG, max_iterations=1, tolerance_m=1e-14, trajectories=0)
+        run(hopeless, box_robot(2), box, tracker=NullTracker())
+
+
+def test_bad_settings_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"stage\.dt_s"):
+        replace(CONFIG, dt_s=0.0)
+    with pytest.raises(ConfigError, match=r"stage\.faces_share"):
+        replace(CONFIG, faces_share=1.5)
