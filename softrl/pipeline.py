@@ -55,7 +55,16 @@ def run_stage(stage: str, cfg: Mapping[str, Any], folder: Path, made: Mapping[st
     assembly = Assembly(store, cfg, dict(made or {}))
     config = configuration.build(cfg["stage"], module.Config, "stage")
     arguments = assembly.arguments(module.run)
-    mark = fingerprint.of_values([stage, assembly.used, assembly.inputs, fingerprint.of_code(*assembly.modules)])
+    mark = fingerprint.of_values(
+        [
+            stage,
+            assembly.used,
+            assembly.inputs,
+            fingerprint.of_code(*assembly.modules),
+            fingerprint.of_named_files(assembly.used),
+            _assets_mark(assembly.robot.name),
+        ]
+    )
     if not cfg["force"] and (before := store.find({"stage": stage, "fingerprint": mark})):
         log.info(
             "%s: run %s did the same already and is reused (force=true runs it again)", stage, before.info.run_id[:8]
@@ -145,6 +154,12 @@ def _flat(node: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             flat[f"{prefix}{key}"] = value
     return flat
+
+
+def _assets_mark(robot: str) -> str:
+    """Return a hash of what is shipped for a robot: sample meshes, curves."""
+    folders = [root / "assets" / robot for root in (Path(__file__).parent, Path(__file__).parents[1])]
+    return "".join(fingerprint.of_folder(folder) for folder in folders if folder.is_dir())
 
 
 def _git_revision() -> str:

@@ -85,11 +85,17 @@ class Surrogate(Artifact):
         super().validate()
         heights = np.column_stack([self.joint_height, self.plane_height]).ravel()
         if (np.diff([0.0, *heights, self.tip_height]) < 0).any():
-            raise ArtifactError(f"surrogate of {self.robot_name}: joint and plane heights {heights} m do not rise to the tip")
+            raise ArtifactError(
+                f"surrogate of {self.robot_name}: joint and plane heights {heights} m do not rise to the tip"
+            )
         if (self.joint_low >= self.joint_high).any():
-            raise ArtifactError(f"surrogate of {self.robot_name}: joint limits {self.joint_low} .. {self.joint_high} are empty")
+            raise ArtifactError(
+                f"surrogate of {self.robot_name}: joint limits {self.joint_low} .. {self.joint_high} are empty"
+            )
         if (self.joint_stiffness <= 0).any():
-            raise ArtifactError(f"surrogate of {self.robot_name}: joint stiffness {self.joint_stiffness} is not positive")
+            raise ArtifactError(
+                f"surrogate of {self.robot_name}: joint stiffness {self.joint_stiffness} is not positive"
+            )
         for name in ("sample_tip", "sample_joints", "heldout"):
             if len(getattr(self, name)) != len(self.sample_pressure):
                 raise ArtifactError(

@@ -36,11 +36,15 @@ def draw_pressure_map(
     figure = Figure(figsize=(3.2 * chambers + 0.6, 5.6), layout="constrained")
     for i, (top, bottom) in enumerate(figure.subplots(2, chambers, squeeze=False).T):
         x = pressure_real[:, i] / 1e3
-        top.plot(x[~heldout], (pressure_sim - pressure_real)[~heldout, i] / 1e3, ".", color="0.7", label="training holds")
+        top.plot(
+            x[~heldout], (pressure_sim - pressure_real)[~heldout, i] / 1e3, ".", color="0.7", label="training holds"
+        )
         top.plot(x[heldout], (pressure_sim - pressure_real)[heldout, i] / 1e3, "ko", ms=4, mfc="none", label="held out")
         top.plot(x[heldout], (mapped - pressure_real)[heldout, i] / 1e3, "r+", ms=6, label="f_RS")
         error = (mapped - pressure_sim)[heldout, i] / 1e3
-        bottom.errorbar(x[heldout], error, spread[heldout, i] / 1e3, fmt="r.", lw=0.8, label="error, bar: spread of members")
+        bottom.errorbar(
+            x[heldout], error, spread[heldout, i] / 1e3, fmt="r.", lw=0.8, label="error, bar: spread of members"
+        )
         bottom.axhline(0.0, color="k", lw=0.5)
         top.set(title=f"chamber {i + 1}", xlabel="P_R [kPa]")
         bottom.set(xlabel="P_R [kPa]")

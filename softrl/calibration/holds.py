@@ -53,7 +53,7 @@ def record_holds(
 
 
 def settled_holds(recordings: RecordingSet, hold_min_s: float, average_s: float, drift_max_m: float) -> Holds:
-    """Return the holds of at least ``hold_min_s`` whose tip drifts less than ``drift_max_m`` over their last ``average_s``.
+    """Return the holds of at least ``hold_min_s`` whose tip drifts less than ``drift_max_m`` in the last ``average_s``.
 
     Raises
     ------
@@ -71,8 +71,9 @@ def settled_holds(recordings: RecordingSet, hold_min_s: float, average_s: float,
         log.info("%d holds still moved more than %g mm at their end and are left out", unsettled, 1e3 * drift_max_m)
     if len(found) < 4:
         raise RecordingError(
-            f"recordings of {recordings.robot_name} hold {len(found)} settled holds with tip positions ({unsettled} still "
-            f"moving); expected at least 4 of {hold_min_s:g} s: record constant pressures, or lower stage.hold_min_s"
+            f"recordings of {recordings.robot_name} hold {len(found)} settled holds with tip positions "
+            f"({unsettled} still moving); expected at least 4 of {hold_min_s:g} s: "
+            "record constant pressures, or lower stage.hold_min_s"
         )
     pressure, position, run_of, last_row = zip(*found, strict=True)
     return Holds(np.array(pressure), np.array(position), np.array(run_of), np.array(last_row))

@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 from softrl.core.progress import progress
 from softrl.core.simulator import Simulator
-from softrl.pod.rom import pressure_for_tip
+from softrl.pod.rom import pressure_for_tip, static_points, tables_of
 from softrl.pod.simulator import RomSimulator
 from softrl.robots.robot import Robot
 
@@ -20,13 +20,13 @@ MARGIN = 0.25
 
 
 def has_exact_inverse(simulator: Simulator, robot: Robot) -> TypeGuard[RomSimulator]:
-    """Return whether the reduced model answers at once: three chambers for three directions of the tip, nothing retuned."""
+    """Return whether the reduced model answers at once: three chambers for three directions, nothing retuned."""
     retuned = any(value != 1.0 for value in simulator.parameters.values())
     return isinstance(simulator, RomSimulator) and robot.chambers == 3 and not retuned
 
 
 def pressure_by_reduced_model(simulator: RomSimulator, robot: Robot, tip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return P_S (holds, 3) Pa at which the reduced model rests with its tip at ``tip`` (holds, 3) m, and the distances left."""
+    """Return P_S (holds, 3) Pa at which the reduced model rests at ``tip`` (holds, 3) m, and the distances left, m."""
     margin = MARGIN * (robot.pressure_max_pa - robot.pressure_min_pa)
     wide = replace(
         simulator.reduced_model,
@@ -35,13 +35,16 @@ def pressure_by_reduced_model(simulator: RomSimulator, robot: Robot, tip: np.nda
     )
     pressure, miss = pressure_for_tip(wide, tip, np.array(robot.gravity_m_s2))
     clipped = (pressure <= wide.pressure_min_pa) | (pressure >= wide.pressure_max_pa)
-    return pressure, np.where(clipped.any(axis=1), np.inf, miss)
+    # beyond its samples the model is a wall: there a tip tells nothing about the pressure
+    point, failed = static_points(tables_of(wide, np.array(robot.gravity_m_s2)), np.pad(pressure, ((0, 0), (0, 3))))
+    outside = failed | (np.linalg.norm(point, axis=1) > 1.0)
+    return pressure, np.where(clipped.any(axis=1) | outside, np.inf, miss)
 
 
 def pressure_by_simulator(
     simulator: Simulator, tip: np.ndarray, start: np.ndarray, settle_s: float, dt_s: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return P_S (holds, n) Pa at which ``simulator`` settles at ``tip`` (holds, 3) m, and the distances left (holds,) m.
+    """Return P_S (holds, n) Pa at which ``simulator`` settles at ``tip`` (holds, 3) m, and the distances left, m.
 
     Parameters
     ----------
@@ -54,7 +57,7 @@ def pressure_by_simulator(
 
 
 def steady_tip(simulator: Simulator, pressure: np.ndarray, settle_s: float, dt_s: float) -> np.ndarray:
-    """Return the tip (3,) m that ``simulator`` reaches from rest after ``settle_s`` of constant ``pressure`` (n,) Pa."""
+    """Return the tip (3,) m that ``simulator`` reaches after ``settle_s`` of constant ``pressure`` (n,) Pa."""
     time = dt_s * np.arange(1, round(settle_s / dt_s) + 1)
     return simulator.simulate(time, np.tile(pressure, (len(time), 1))).position[-1]
 

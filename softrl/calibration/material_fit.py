@@ -44,8 +44,10 @@ LAWS = {
     "neo_hookean": Law(("mu_pa",), (0.0,), lambda j: [0.5 + 0 * j], lambda j: [0 * j]),
     "mooney_rivlin": Law(("c1_pa", "c2_pa"), (0.0, 0.0), lambda j: [1 + 0 * j, 0 * j], lambda j: [0 * j, 1 + 0 * j]),
     "yeoh": Law(
-        ("c1_pa", "c2_pa", "c3_pa"), (0.0, -np.inf, 0.0),
-        lambda j: [1 + 0 * j, 2 * j, 3 * j**2], lambda j: [0 * j, 0 * j, 0 * j],
+        ("c1_pa", "c2_pa", "c3_pa"),
+        (0.0, -np.inf, 0.0),
+        lambda j: [1 + 0 * j, 2 * j, 3 * j**2],
+        lambda j: [0 * j, 0 * j, 0 * j],
     ),
 }
 
@@ -105,7 +107,13 @@ def _fit(law: str, stretch: np.ndarray, stress: np.ndarray, heldout: np.ndarray)
     beyond = nominal_stress(law, _least_squares(law, stretch[low], stress[low]), stretch[~low]) - stress[~low]
     slope = nominal_stress(law, solve, np.array([1.0 + 1e-6]))[0] / 1e-6
     return MaterialFit(
-        law, solve, float(slope), _rms(error[~heldout]), _rms(error[heldout]), _rms(beyond), _stable(law, solve, stretch)
+        law,
+        solve,
+        float(slope),
+        _rms(error[~heldout]),
+        _rms(error[heldout]),
+        _rms(beyond),
+        _stable(law, solve, stretch),
     )
 
 

@@ -23,7 +23,7 @@ class EnsembleSettings:
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Trained networks: stacked ``weights``, the scalers (n,) Pa of input and correction, the chosen decay of weights."""
+    """Trained networks: stacked ``weights``, scalers (n,) Pa of input and correction, the chosen decay."""
 
     weights: dict[str, np.ndarray]
     pressure: Scaler

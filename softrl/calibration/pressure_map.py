@@ -51,8 +51,8 @@ class PressureMap:
                 break  # the map is flat there; told below
         worst = int(np.abs(miss).max(axis=1).argmax())
         raise SolverError(
-            f"f_RS cannot be inverted at P_S={np.round(target[worst] / 1e3, 3).tolist()} kPa: {np.abs(miss).max():.3g} Pa left; "
-            "record more holds there, or raise stage.weight_decays of calibration"
+            f"f_RS cannot be inverted at P_S={np.round(target[worst] / 1e3, 3).tolist()} kPa: "
+            f"{np.abs(miss).max():.3g} Pa left; record more holds there, or raise stage.weight_decays of calibration"
         )
 
     def _descend(self, found: np.ndarray, miss: np.ndarray, slope: np.ndarray, target: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ VELOCITY_WINDOW_S = 0.11
 
 
 def replay(simulator: Simulator, recording: Recording, pressure: np.ndarray) -> Motion:
-    """Return the simulator's motion at the recording's times under ``pressure`` (steps, n) Pa, each held until its time."""
+    """Return the motion at the recording's times under ``pressure`` (steps, n) Pa, each row held until its time."""
     dt_s = float(np.median(np.diff(recording.time)))
     uniform = np.arange(recording.time[0], recording.time[-1] + 0.5 * dt_s, dt_s)
     row = np.clip(np.searchsorted(recording.time, uniform - 1e-9), 0, len(pressure) - 1)
@@ -32,12 +32,13 @@ def replay_errors(
     holds: Holds,
     pressure_of: Callable[[np.ndarray], np.ndarray],
 ) -> dict[str, float]:
-    """Return rms errors on ``runs`` (number -> recording), by name with unit: at ``holds``, and over all rows of the runs.
+    """Return rms errors on ``runs`` (number -> recording) by name with unit: at ``holds``, and over all rows.
 
     Notes
     -----
-    Paper Table 1: backbone length l, curvature kappa, orientation q, tip position p and its rate; l and kappa are those of
-    the constant-curvature arc to the tip. Over all rows the lags of valve and body count too, which no static map can remove.
+    Paper Table 1: backbone length l, curvature kappa, orientation q, tip position p and its rate; l and kappa
+    are those of the constant-curvature arc to the tip. Over all rows the lags of valve and body count too,
+    which no static map can remove.
     """
     at_holds: dict[str, list[np.ndarray]] = {}
     over_runs: dict[str, list[np.ndarray]] = {}
@@ -49,8 +50,10 @@ def replay_errors(
             over_runs.setdefault(f"{name}_run", []).append(error)
             if not name.startswith("velocity"):
                 at_holds.setdefault(f"{name}_hold", []).append(error[rows])
-    return {_with_unit(name): _rms(np.concatenate(e)) * UNITS[name.rsplit("_", 1)[0]][1]
-            for name, e in (at_holds | over_runs).items()}
+    return {
+        _with_unit(name): _rms(np.concatenate(e)) * UNITS[name.rsplit("_", 1)[0]][1]
+        for name, e in (at_holds | over_runs).items()
+    }
 
 
 UNITS = {

@@ -41,8 +41,8 @@ class Config:
     residual_max_mm : holds whose tip the simulator cannot reach within this distance are left out
     settle_s : duration simulated per constant pressure where no reduced model inverts the tip
     heldout_share : share of the runs that training never sees
-    members, hidden, epochs, learning_rate, weight_decays : the ensemble of networks and its training; of the decays that is
-        kept which is best on holds that members left out
+    members, hidden, epochs, learning_rate, weight_decays : the ensemble of networks and its training; of the
+        decays that is kept which is best on holds that members left out
     """
 
     material_curve: str | None
@@ -82,10 +82,13 @@ class Config:
             raise ConfigError(f"stage.stretch_max={self.stretch_max:g}; expected a stretch above 1.05")
         if self.hold_min_s > self.hold_s or self.average_s > self.hold_min_s:
             raise ConfigError(
-                f"stage.average_s={self.average_s:g}, hold_min_s={self.hold_min_s:g}, hold_s={self.hold_s:g}; expected them rising"
+                f"stage.average_s={self.average_s:g}, hold_min_s={self.hold_min_s:g}, "
+                f"hold_s={self.hold_s:g}; expected them rising"
             )
         if self.runs * self.holds_per_run < 8:
-            raise ConfigError(f"stage.runs={self.runs} with holds_per_run={self.holds_per_run} gives too few holds; expected 8")
+            raise ConfigError(
+                f"stage.runs={self.runs} with holds_per_run={self.holds_per_run} gives too few holds; expected 8"
+            )
 
 
 def run(
@@ -125,7 +128,12 @@ def _fit_material(config: Config, tracker: Tracker) -> dict[str, object]:
         tracker.metric(f"heldout/{fit.law}_extrapolated_stress_kpa", fit.extrapolation_rms_pa / 1e3)
     tracker.metric("train/initial_youngs_modulus_kpa", best_fit(fits).initial_youngs_modulus_pa / 1e3)
     tracker.figure("tensile_fits", draw_tensile(curve, fits))
-    log.info("%s: %s fits best, %.1f kPa on held-out stretches", path.name, best_fit(fits).law, best_fit(fits).heldout_rms_pa / 1e3)
+    log.info(
+        "%s: %s fits best, %.1f kPa on held-out stretches",
+        path.name,
+        best_fit(fits).law,
+        best_fit(fits).heldout_rms_pa / 1e3,
+    )
     return as_record(fits)
 
 
@@ -138,11 +146,14 @@ def _invert(config: Config, robot: Robot, simulator: Simulator, holds: Holds) ->
     reached = np.isfinite(pressure).all(axis=1) & (miss < 1e-3 * config.residual_max_mm)
     if reached.sum() < 4:
         raise RecordingError(
-            f"the simulator reaches {reached.sum()} of {len(holds)} recorded tips within {config.residual_max_mm:g} mm (median "
-            f"miss {1e3 * np.median(miss):.3g} mm); expected 4 or more: check frame and units, or raise stage.residual_max_mm"
+            f"the simulator reaches {reached.sum()} of {len(holds)} recorded tips within "
+            f"{config.residual_max_mm:g} mm (median miss {1e3 * np.median(miss):.3g} mm); expected 4 or more: "
+            "check frame and units, or raise stage.residual_max_mm"
         )
     if not reached.all():
-        log.warning("%d of %d recorded tips are out of the simulator's reach and left out", (~reached).sum(), len(holds))
+        log.warning(
+            "%d of %d recorded tips are out of the simulator's reach and left out", (~reached).sum(), len(holds)
+        )
     return holds.where(reached), pressure[reached]
 
 

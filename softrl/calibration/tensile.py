@@ -78,9 +78,7 @@ def _number(path: Path, line: int, name: str, row: list[str], column: int) -> fl
     return value
 
 
-def _averaged(
-    path: Path, stretch: np.ndarray, stress: np.ndarray, bins: int, stretch_max: float
-) -> TensileCurve:
+def _averaged(path: Path, stretch: np.ndarray, stress: np.ndarray, bins: int, stretch_max: float) -> TensileCurve:
     if len(stretch) < MINIMUM_ROWS:
         raise RecordingError(f"{path} has {len(stretch)} rows of data; expected at least {MINIMUM_ROWS}")
     if stretch.min() <= 0.0 or stretch.max() < 1.05:

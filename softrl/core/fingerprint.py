@@ -25,6 +25,17 @@ def of_folder(folder: Path) -> str:
     return digest.hexdigest()[:16]
 
 
+def of_named_files(node: Any) -> dict[str, str]:
+    """Return path -> hash of every existing file that a string in the nested ``node`` names."""
+    if isinstance(node, dict):
+        return {path: mark for value in node.values() for path, mark in of_named_files(value).items()}
+    if isinstance(node, (list, tuple)):
+        return {path: mark for value in node for path, mark in of_named_files(value).items()}
+    if isinstance(node, str) and ("/" in node or "." in node) and Path(node).is_file():
+        return {node: hashlib.sha256(Path(node).read_bytes()).hexdigest()[:16]}
+    return {}
+
+
 def of_code(*modules: str) -> str:
     """Return a hash over the sources of ``modules`` and of all modules of this package that they import."""
     seen: set[str] = set()

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import comb
 from typing import NamedTuple
 
 import numpy as np
@@ -172,13 +173,18 @@ def _noise(found: DataCheck, usable: Sequence[Recording], robot: Robot, channel:
 
 
 def jitter(values: np.ndarray) -> float:
-    """Return the standard deviation of the white part of ``values`` (steps, n), from their second differences.
+    """Return the standard deviation of the white part of ``values`` (steps, n), from differences of high order.
 
     Notes
     -----
-    A second difference of white noise has 6 times its variance; the median of its square is 0.4549 of the mean.
+    A difference of order k has ``binom(2 k, k)`` times the variance of white noise, and the less of a smooth motion
+    the higher k is; the median of its square is 0.4549 of the mean. The smallest estimate of orders 2 to 6 is taken.
     """
-    return float(np.sqrt(np.mean(np.median(np.diff(values, n=2, axis=0) ** 2, axis=0)) / 0.4549 / 6.0))
+    found = []
+    for order in range(2, 7):
+        change = np.diff(values, n=order, axis=0) ** 2 / comb(2 * order, order)
+        found.append(np.mean(np.median(change, axis=0)) / 0.4549)
+    return float(np.sqrt(min(found)))
 
 
 def _orientation_trusted(usable: Sequence[Recording], found: DataCheck, robot: Robot) -> bool:

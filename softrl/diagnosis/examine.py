@@ -2,24 +2,15 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
 
+from softrl.core.errors import SolverError
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes
-from softrl.diagnosis.hypothesise import (
-    Lead,
-    Path,
-    Search,
-    Trial,
-    drop,
-    fit_leads,
-    fit_trials,
-    forward,
-    screen,
-)
+from softrl.diagnosis.hypothesise import Path, Search, Trial, drop, fit_trials, forward, join
 from softrl.diagnosis.judge import Gap, Judge, Thresholds
 from softrl.diagnosis.problem import Problem, Residual
 from softrl.diagnosis.statistics import blocks_of, sandwich, whiteness
@@ -138,7 +129,7 @@ def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Fi
     if unknown:
         final, named, without = base, [], {}
         explained, left = _explained(judge, base, final)
-    rivals = [rival for choice, trial in without.items() for rival in _rivals(part, judge, final, trial, choice, search)]
+    rivals = [rival for choice, trial in without.items() for rival in _rivals(part, judge, path, final, trial, choice, search)]
     before, after = (_heldout(judge, trial) for trial in (base, final))
     return Finding(part, path, base, final, named, rivals, explained, left, unknown, closest, before, after, judge)
 
@@ -158,7 +149,7 @@ def intervals(problem: Problem, trial: Trial, thresholds: Thresholds) -> list[In
     per_row = np.repeat(blocks, rows)
     spread = np.sqrt(np.diag(sandwich(trial.fit.jacobian, trial.fit.residual, per_row)))
     freedom = max(int(blocks.max()) + 1 - len(spread), 1)
-    reach = float(stats.t.ppf(thresholds.confidence, freedom)) * spread
+    reach = float(stats.t.ppf(thresholds.confidence, freedom)) * spread + _step_error(problem, trial)
     found = []
     for k, axis in enumerate(space.axes):
         u = float(trial.fit.point[k])
@@ -168,6 +159,22 @@ def intervals(problem: Problem, trial: Trial, thresholds: Thresholds) -> list[In
         value = axis.physical(u)
         found.append(Interval(axis.owner, axis.name, axis.unit, value, min(ends[0], value), max(ends[1], value)))
     return found
+
+
+def _step_error(problem: Problem, trial: Trial) -> np.ndarray:
+    """Return how far the parameters (p,) move as the time step goes to zero, in scaled units.
+
+    One Gauss-Newton step at half the time step, doubled: the integrators are of first order.
+    """
+    finer = replace(problem, numerics=replace(problem.numerics, dt_s=0.5 * problem.numerics.dt_s))
+    try:
+        residual = finer.residual(trial.hypothesis, trial.fit.point, trial.placed).flat
+    except SolverError:
+        return np.zeros(len(trial.fit.point))
+    size = np.maximum(np.linalg.norm(trial.fit.jacobian, axis=0), 1e-300)
+    scaled = trial.fit.jacobian / size
+    moved = np.linalg.solve(scaled.T @ scaled + 1e-6 * np.eye(len(size)), scaled.T @ (residual - trial.fit.residual))
+    return np.asarray(np.minimum(2.0 * np.abs(moved / size), 1.0))
 
 
 def _refit(part: Part, trials: Sequence[Trial], search: Search) -> list[Trial]:
@@ -209,14 +216,16 @@ def _leave_one_out(part: Part, base: Trial, final: Trial, search: Search) -> dic
 
 
 def _rivals(
-    part: Part, judge: Judge, final: Trial, without: Trial, choice: Choice, search: Search
+    part: Part, judge: Judge, path: Path, final: Trial, without: Trial, choice: Choice, search: Search
 ) -> list[Rival]:
     """Return the best alternatives to ``choice``, the other effects staying, judged on held-out runs."""
     taken = {effect.name for effect in final.hypothesis.effects}
-    others = [c for c in part.choices if c.name not in taken]
-    leads: list[Lead] = screen(part.training, without, others, search.workers)
-    limited = Search(**{**search.__dict__, "keep": max(search.rivals, 1)})
-    trials = fit_leads(part.training, part.problem.on(part.heldout), without, leads, limited) if search.rivals else []
+    tasks = [
+        (without.hypothesis.with_effect(other), [join(without, point)])
+        for other, point in path.tried.get(choice, [])
+        if other.name not in taken
+    ]
+    trials = fit_trials(part.training, part.problem.on(part.heldout), tasks[: search.rivals], search)
     found = []
     for trial in trials:
         gap = judge.gap(trial.squares, final.squares)

@@ -77,11 +77,16 @@ class Lead(NamedTuple):
 
 
 class Path(NamedTuple):
-    """What a search found: the hypothesis that pays, the one without effects, and what was screened."""
+    """What a search found.
+
+    ``best`` is the hypothesis that pays, ``retuned`` the one without effects; ``screened`` holds the leads of every
+    round, and ``tried`` what was fitted in the round that added an effect, each with its scaled parameters.
+    """
 
     best: Trial
     retuned: Trial
     screened: list[list[Lead]]
+    tried: dict[Choice, list[tuple[Choice, np.ndarray]]]
 
 
 def forward(
@@ -104,6 +109,7 @@ def forward(
     """
     retuned = fit_trials(fitting, judge.problem, [(Hypothesis((), tuple(tuned)), [])], search)[0]
     current, screened = retuned, []
+    tried: dict[Choice, list[tuple[Choice, np.ndarray]]] = {}
     for _ in range(search.max_effects):
         if judge.excess(current.mean_square) < judge.material:
             report(f"{current.hypothesis.label()}: what is left is less than counts")
@@ -121,8 +127,20 @@ def forward(
         )
         if not judge.pays(current.squares, best.squares):
             break
+        tried[best.hypothesis.effects[-1]] = _others(trials, best)
         current = _prune(fitting, judge, best, search)
-    return Path(current, retuned, screened)
+    return Path(current, retuned, screened, tried)
+
+
+def _others(trials: Sequence[Trial], best: Trial) -> list[tuple[Choice, np.ndarray]]:
+    """Return the last effect of every trial but ``best``, with its scaled parameters, best first."""
+    found = []
+    for trial in sorted(trials, key=lambda t: t.mean_square):
+        choice = trial.hypothesis.effects[-1]
+        end = len(trial.fit.point) - len(trial.hypothesis.tuned)
+        if choice != best.hypothesis.effects[-1]:
+            found.append((choice, trial.fit.point[end - len(effect_axes(choice)) : end]))
+    return found
 
 
 def fit_leads(

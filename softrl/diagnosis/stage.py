@@ -137,7 +137,9 @@ def _examine_valve(config: Config, whole: Problem, data: Data) -> Finding:
     floor = _floor_in_bin(data.pressure_noise, data, config)
     part = Part("command to measured pressure", problem, data.validation, data.heldout, floor, data.pressure_travel,
                 (), tuple(choices))  # fmt: skip
-    return examine(part, config.search, config.thresholds, config.seed)
+    # the valve alone is simulated in no time: more of its effects are fitted
+    search = replace(config.search, keep=max(config.search.keep, len(choices)), rivals=max(config.search.rivals, 3))
+    return examine(part, search, config.thresholds, config.seed)
 
 
 def _examine_motion(config: Config, problem: Problem, data: Data, title: str, sites: tuple[str, ...]) -> Finding:

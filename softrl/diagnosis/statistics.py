@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
+UNSEEN = 1e-6  # eigenvalue of the normalised normal matrix below which a direction counts as unseen
 MIN_BLOCKS = 6  # fewer independent blocks say nothing about a spread
 
 
@@ -117,5 +118,11 @@ def sandwich(jacobian: np.ndarray, residual: np.ndarray, blocks: np.ndarray) -> 
     """
     count = int(blocks.max()) + 1
     score = block_sums(jacobian * residual[:, None], blocks)
-    bread = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-10, hermitian=True)
-    return np.asarray(count / max(count - jacobian.shape[1], 1) * bread @ (score.T @ score) @ bread)
+    size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+    seen, basis = np.linalg.eigh((jacobian / size).T @ (jacobian / size))
+    seen = np.maximum(seen, UNSEEN**2)
+    turned = (score / size) @ basis / seen
+    covariance = count / max(count - len(size), 1) * turned.T @ turned
+    # directions that the data hardly see get the variance of independent errors as well, which is huge there
+    covariance += np.diag(np.where(seen < UNSEEN, float(np.mean(residual**2)) / seen, 0.0))
+    return np.asarray(basis @ covariance @ basis.T / np.outer(size, size))

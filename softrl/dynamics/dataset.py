@@ -16,7 +16,7 @@ KINDS = (TIP, slice(3, 4), slice(4, 5), slice(5, POSE), slice(POSE, None))
 
 
 class Body(Protocol):
-    """What is learned from: a reduced model in batches. Coordinates z are (volumes, tip) relative to stress-free rest, SI."""
+    """What is learned from: a reduced model in batches. Coordinates z are (volumes, tip) from stress-free rest, SI."""
 
     @property
     def chambers(self) -> int:
@@ -112,16 +112,22 @@ def full_order(snapshots: Snapshots, axis: str, dt_s: float) -> Trajectories | N
     if not len(snapshots.trajectory_load) or abs(step_s - dt_s) > 1e-6:
         return None
     return trajectories_from(
-        snapshots.trajectory_coordinate, snapshots.trajectory_quaternion, snapshots.trajectory_load, snapshots.rest_tip, axis, dt_s
+        snapshots.trajectory_coordinate,
+        snapshots.trajectory_quaternion,
+        snapshots.trajectory_load,
+        snapshots.rest_tip,
+        axis,
+        dt_s,
     )
 
 
 def random_loads(
     robot: Robot, low: np.ndarray, high: np.ndarray, runs: int, steps: int, dt_s: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Return loads (runs, steps, n + 3) within ``low`` and ``high`` (n + 3,): steps in even runs, multisines in odd ones.
+    """Return loads (runs, steps, n + 3) within ``low`` and ``high`` (n + 3,).
 
-    Every run starts without load; a tip force acts in every other pair of runs. Pressures obey the robot's slew limit.
+    Even runs are steps, odd ones multisines. Every run starts without load; a tip force acts in every other
+    pair of runs. Pressures obey the robot's slew limit.
     """
     n = robot.chambers
     load = np.zeros((runs, steps, n + 3))
@@ -159,8 +165,8 @@ def _slewed(wanted: np.ndarray, reach: float) -> np.ndarray:
 class Windows:
     """Windows of ``window`` rows of trajectories, cut on demand.
 
-    With ``from_rest`` the runs begin at rest, and before their start the robot stood there without load; without it only
-    windows that lie in the runs are cut.
+    With ``from_rest`` the runs begin at rest, and before their start the robot stood there without load;
+    without it only windows that lie in the runs are cut.
     """
 
     def __init__(self, trajectories: Trajectories, window: int, from_rest: bool = True) -> None:
@@ -186,7 +192,7 @@ class Windows:
         return self.rows[run[:, None], span], self.next_rate[run, end]
 
     def take_segments(self, index: torch.Tensor, steps: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return windows, the loads (B, steps, n + 3) held from their last row on, and the true rates (B, steps, 8 + n)."""
+        """Return windows, the loads (B, steps, n + 3) from their last row on, and the true rates (B, steps, 8 + n)."""
         run = index // self.per_run
         end = torch.clamp(index % self.per_run, max=self.per_run - steps)
         span = end[:, None] + torch.arange(self.window)

@@ -16,8 +16,9 @@ TURN = slice(5, 8)
 def predictors(net: ForwardNet, body: Body, dt_s: float) -> dict[str, Predictor]:
     """Return the network and the baselines by name.
 
-    ``rate_stays`` and ``state_stays`` know nothing of the load, ``arx`` is the linear part of the network by itself (least
-    squares on the training windows), ``rom`` the reduced model, which gives no rate of arc length, curvature, rotation.
+    ``rate_stays`` and ``state_stays`` know nothing of the load, ``arx`` is the linear part of the network by
+    itself (least squares on the training windows), ``rom`` the reduced model, which gives no rate of arc
+    length, curvature, rotation.
     """
     states = net.states
     return {
@@ -47,7 +48,7 @@ def onestep_errors(predict: Predictor, windows: Windows, dt_s: float) -> dict[st
 def rollout(
     predict: Predictor, windows: Windows, index: torch.Tensor, steps: int, dt_s: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return predicted and true states and rates (B, steps, 8 + n) of rollouts that begin at the windows ``index`` (B,)."""
+    """Return predicted and true states, then rates, (B, steps, 8 + n) of rollouts from the windows ``index`` (B,)."""
     rows, load, target = windows.take_segments(index, steps)
     size = target.shape[2]
     start = rows[:, -1, :size]
@@ -59,7 +60,8 @@ def rollout(
             states.append(rows[:, -1, :size])
             rates.append(rate)
     true = start.double()[:, None] + dt_s * torch.cumsum(target.double(), dim=1)
-    return tuple(x.double().numpy() for x in (torch.stack(states, 1), true, torch.stack(rates, 1), target))  # type: ignore[return-value]
+    state, rate = torch.stack(states, 1).double(), torch.stack(rates, 1).double()
+    return state.numpy(), true.numpy(), rate.numpy(), target.double().numpy()
 
 
 def rollout_errors(predict: Predictor, windows: Windows, steps: int, dt_s: float) -> dict[str, float]:

@@ -7,7 +7,7 @@ from softrl.dynamics.training import History
 
 
 def draw_losses(history: History, inverse: np.ndarray) -> Figure:
-    """Return the losses of f_S (data, physics, validation) and of its inverse (updates, 2), averaged over 50 updates."""
+    """Return the losses of f_S (data, physics, validation) and of its inverse (updates, 2), over 50 updates."""
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     forward, backward = figure.subplots(1, 2)
     forward.semilogy(_smooth(history.data), label="data")
@@ -38,7 +38,9 @@ def draw_rollout(time: np.ndarray, paths: dict[str, np.ndarray], true: np.ndarra
         low, high = 1e3 * true[:, i].min(), 1e3 * true[:, i].max()
         axes[i].set_ylim(low - 0.3 * (high - low) - 0.5, high + 0.3 * (high - low) + 0.5)
     for path, style in zip(paths, ("r-", "b--", "g:"), strict=False):
-        axes[3].semilogy(time, 1e3 * np.linalg.norm(paths[path][:, :3] - true[:, :3], axis=1), style, lw=1.0, label=path)
+        axes[3].semilogy(
+            time, 1e3 * np.linalg.norm(paths[path][:, :3] - true[:, :3], axis=1), style, lw=1.0, label=path
+        )
     axes[3].set(xlabel="time [s]", ylabel="tip error [mm]")
     axes[0].legend(fontsize=8, ncols=4)
     axes[0].set_title(title)

@@ -23,8 +23,8 @@ class InverseNet(nn.Module):
 
     Notes
     -----
-    Paper eqs. 15-16. The wanted rate enters as its change against the present one, in units of the typical change: their
-    difference is what pressures decide, and it is small beside either of them.
+    Paper eqs. 15-16. The wanted rate enters as its change against the present one, in units of the typical
+    change: their difference is what pressures decide, and it is small beside either of them.
     """
 
     def __init__(self, states: int, chambers: int, hidden: int) -> None:
@@ -49,7 +49,7 @@ class InverseNet(nn.Module):
         return torch.cat([*known, change, torch.ones_like(change[:, :1])], dim=1)
 
     def forward(self, row: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
-        """Return pressures (B, n) Pa for ``row`` (B, features; its pressures are not read) and ``wanted`` (B, states) rate."""
+        """Return pressures (B, n) Pa for ``row`` (B, features), less its pressures, and ``wanted`` (B, states) rate."""
         features = self.features(row, wanted)
         return features @ self.linear + self.fine * self.layers(features[:, :-1])
 
@@ -87,8 +87,8 @@ def train_inverse(forward: ForwardNet, train: Windows, settings: InverseSettings
 
     Notes
     -----
-    Paper eqs. 17-18: loss = pressure error + beta cycle error, the cycle being the rate that the frozen f_S predicts under the
-    answered pressures against the wanted one.
+    Paper eqs. 17-18: loss = pressure error + beta cycle error, the cycle being the rate that the frozen f_S
+    predicts under the answered pressures against the wanted one.
     """
     torch.manual_seed(settings.seed)
     chambers = train.rows.shape[2] - 2 * forward.states - 3
@@ -98,13 +98,19 @@ def train_inverse(forward: ForwardNet, train: Windows, settings: InverseSettings
     at = slice(2 * forward.states, 2 * forward.states + chambers)
     generator = torch.Generator().manual_seed(settings.seed)
     optimiser = torch.optim.AdamW(net.parameters(), lr=settings.learning_rate, weight_decay=1e-4)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, settings.learning_rate, settings.updates + 1, pct_start=0.05)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimiser, settings.learning_rate, settings.updates + 1, pct_start=0.05
+    )
     losses = []
     for _ in progress(range(settings.updates), "f_S inverse training"):
         rows, wanted = train.take(torch.randint(len(train), (settings.batch,), generator=generator))
         pressure = net(rows[:, -1], wanted)
         data = ((pressure - rows[:, -1, at]) / net.fine).pow(2).mean()
-        cycle = _cycle_error(forward, rows, pressure, wanted).pow(2).mean() if settings.cycle_weight > 0 else torch.zeros(())
+        cycle = (
+            _cycle_error(forward, rows, pressure, wanted).pow(2).mean()
+            if settings.cycle_weight > 0
+            else torch.zeros(())
+        )
         optimiser.zero_grad()
         (data + settings.cycle_weight * cycle).backward()
         optimiser.step()

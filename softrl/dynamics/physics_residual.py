@@ -15,14 +15,15 @@ class PhysicsResidual:
     Attributes
     ----------
     body : the reduced model
-    flexibility : (n + 3, n + 3) change of the rate of z per residual force, through the tangent of implicit Euler at rest
+    flexibility : (n + 3, n + 3) change of the rate of z per residual force, through the tangent of implicit
+        Euler at rest
     scale : (n + 3,) rms of ``flexibility`` R for the linear prediction on training windows, m^3/s and m/s
     dt_s : s
 
     Notes
     -----
-    Departure: forces are weighed by the rate that they would still change. Weighed by their own size, the stiff combinations of
-    volumes and tip rule the sum, and a larger lambda then made every prediction worse.
+    Departure: forces are weighed by the rate that they would still change. Weighed by their own size, the stiff
+    combinations of volumes and tip rule the sum, and a larger lambda then made every prediction worse.
     """
 
     body: Body
@@ -31,8 +32,10 @@ class PhysicsResidual:
     dt_s: float
 
     @classmethod
-    def fit(cls, body: Body, net: ForwardNet, windows: Windows, dt_s: float, samples: int, seed: int) -> "PhysicsResidual":
-        """Return the residual whose scale is that of ``net``'s linear map on ``samples`` windows of the training set."""
+    def fit(
+        cls, body: Body, net: ForwardNet, windows: Windows, dt_s: float, samples: int, seed: int
+    ) -> "PhysicsResidual":
+        """Return the residual, scaled by that of ``net``'s linear map on ``samples`` training windows."""
         size = body.chambers + 3
         unit = cls(body, _flexibility(body, dt_s), torch.ones(size, dtype=torch.float64), dt_s)
         index = torch.randint(len(windows), (samples,), generator=torch.Generator().manual_seed(seed))
@@ -50,8 +53,9 @@ class PhysicsResidual:
 
         Notes
         -----
-        Paper eq. 9; mass, damping and elastic force, weight, pressure and tip force are the reduced model's, evaluated at the
-        predicted state and rate, with the backward difference of the rates as acceleration: the balance of implicit Euler.
+        Paper eq. 9; mass, damping and elastic force, weight, pressure and tip force are the reduced model's,
+        evaluated at the predicted state and rate, with the backward difference of the rates as acceleration:
+        the balance of implicit Euler.
         """
         states = rate.shape[-1]
         row, rate = row.double(), rate.double()

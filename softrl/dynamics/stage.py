@@ -73,9 +73,9 @@ class Config:
     seed: int
 
     def __post_init__(self) -> None:
-        positive = ("training_runs", "validation_runs", "heldout_runs", "run_s", "dt_s", "heads", "layers", "feedforward",
-                    "linear_rows", "ridge", "onestep_updates", "rollout_steps", "learning_rate", "physics_samples",
-                    "inverse_hidden", "inverse_updates", "inverse_learning_rate")  # fmt: skip
+        positive = ("training_runs", "validation_runs", "heldout_runs", "run_s", "dt_s", "heads", "layers",
+                    "feedforward", "linear_rows", "ridge", "onestep_updates", "rollout_steps", "learning_rate",
+                    "physics_samples", "inverse_hidden", "inverse_updates", "inverse_learning_rate")  # fmt: skip
         for name in positive:
             if getattr(self, name) <= 0:
                 raise ConfigError(f"stage.{name}={getattr(self, name):g} must be positive")
@@ -89,7 +89,9 @@ class Config:
             raise ConfigError(f"stage.window={self.window} is below stage.linear_rows={self.linear_rows}")
         longest = max(self.rollout_s, self.dt_s * (self.rollout_steps + self.window))
         if self.run_s < longest + self.dt_s:
-            raise ConfigError(f"stage.run_s={self.run_s:g} is too short; rollouts and windows need {longest:g} s and a step")
+            raise ConfigError(
+                f"stage.run_s={self.run_s:g} is too short; rollouts and windows need {longest:g} s and a step"
+            )
 
 
 class Dynamics(NamedTuple):
@@ -120,10 +122,11 @@ def run(
     inverse, inverse_losses = learn_inverse(config, net, sets.train)
     tracker.figure("losses", draw_losses(history, inverse_losses))
     full = None if config.weight else full_order(snapshots, robot.axis, config.dt_s)
-    report(config, net, inverse, body, sets.heldout, full, tracker)
+    report(config, net, inverse, body, sets, full, tracker)
     forward = ForwardDynamics(
-        weights_of(net), config.window, config.width, config.heads, config.layers, config.feedforward, config.linear_rows,
-        config.dt_s, config.physics_weight, low, high, np.asarray(body.rest_tip), gravity, robot.axis, robot.chambers, robot.name,
+        weights_of(net), config.window, config.width, config.heads, config.layers, config.feedforward,
+        config.linear_rows, config.dt_s, config.physics_weight, low, high, np.asarray(body.rest_tip), gravity,
+        robot.axis, robot.chambers, robot.name,
     )  # fmt: skip
     backward = InverseDynamics(
         weights_of(inverse), config.inverse_hidden, config.dt_s, config.cycle_weight, robot.chambers, robot.name
@@ -184,20 +187,34 @@ def report(
     net: ForwardNet,
     inverse: InverseNet,
     body: Body,
-    heldout: Trajectories,
+    sets: Sets,
     full: Trajectories | None,
     tracker: Tracker,
 ) -> None:
     """Log errors, baselines, table and figures on held-out runs and, where there are any, the full model's runs."""
-    windows = Windows(heldout, config.window)
+    windows = Windows(sets.heldout, config.window)
+    tracker.metric(
+        "heldout/physics_residual_share",
+        _residual_share(config, net, body, Windows(sets.train, config.window), windows),
+    )
     known = predictors(net, body, config.dt_s)
     _report_set("heldout", known, windows, config, tracker)
     for name, value in inverse_errors(inverse, net, windows).items():
         tracker.metric(f"heldout/{name}", value)
     if full is None or full.state.shape[1] < config.window + 3:
-        log.info("f_S is not compared with the full model: that needs stage.weight=false and its trajectories on stage.dt_s")
+        log.info(
+            "f_S is not compared with the full model: that needs stage.weight=false and its trajectories on stage.dt_s"
+        )
         return
     _report_set("full_model", known, Windows(full, config.window, from_rest=False), config, tracker)
+
+
+def _residual_share(config: Config, net: ForwardNet, body: Body, train: Windows, heldout: Windows) -> float:
+    """Return the rms physics residual of f_S on held-out windows; 1 is that of the linear prediction in training."""
+    physics = PhysicsResidual.fit(body, net, train, config.dt_s, config.physics_samples, config.seed)
+    rows, _ = heldout.take(torch.arange(len(heldout)))
+    with torch.no_grad():
+        return float(physics(rows[:, -1], net(rows)[:, -1]).pow(2).mean().sqrt())
 
 
 def _report_set(split: str, known: dict[str, Predictor], windows: Windows, config: Config, tracker: Tracker) -> None:
@@ -216,4 +233,6 @@ def _report_set(split: str, known: dict[str, Predictor], windows: Windows, confi
     paths = {name: rollout(known[name], windows, first, windows.per_run, config.dt_s) for name in ("f_s", "arx")}
     time = config.dt_s * np.arange(1, windows.per_run + 1)
     states = {name: path[0][0] for name, path in paths.items()}
-    tracker.figure(f"rollout_{split}", draw_rollout(time, states, paths["f_s"][1][0], f"whole run, {split.replace('_', ' ')}"))
+    tracker.figure(
+        f"rollout_{split}", draw_rollout(time, states, paths["f_s"][1][0], f"whole run, {split.replace('_', ' ')}")
+    )

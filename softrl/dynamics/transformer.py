@@ -25,14 +25,25 @@ class ForwardNet(nn.Module):
 
     Notes
     -----
-    Paper eqs. 5-8 and 11: two encoder layers, four heads, window m, then a linear head; the axes are (batch, time, feature).
-    Departures: of a row the network reads tip, volumes, their rates and the load only, since arc length, curvature and rotation
-    follow from these (read too, they spoil rollouts as soon as they no longer fit together); the mask is causal, so every row of a window is a training example; the rate is predicted as the present one
-    (of tip and volumes) plus a linear map, fixed by least squares before training, plus the Transformer, which begins at zero.
+    Paper eqs. 5-8 and 11: two encoder layers, four heads, window m, then a linear head; the axes are (batch,
+    time, feature).
+    Departures: of a row the network reads tip, volumes, their rates and the load only, since arc length,
+    curvature and rotation follow from these (read too, they spoil rollouts as soon as they no longer fit
+    together); the mask is causal, so every row of a window is a training example; the rate is predicted as the
+    present one (of tip and volumes) plus a linear map, fixed by least squares before training,
+    plus the Transformer, which begins at zero.
     """
 
     def __init__(
-        self, states: int, loads: int, window: int, width: int, heads: int, layers: int, feedforward: int, linear_rows: int
+        self,
+        states: int,
+        loads: int,
+        window: int,
+        width: int,
+        heads: int,
+        layers: int,
+        feedforward: int,
+        linear_rows: int,
     ) -> None:
         super().__init__()
         features = 2 * states + loads
@@ -57,7 +68,7 @@ class ForwardNet(nn.Module):
         self.register_buffer("mask", nn.Transformer.generate_square_subsequent_mask(window), persistent=False)
 
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
-        """Return dX/dt (batch, rows, states) SI one step after each of ``rows`` (batch, at most window, features) SI."""
+        """Return dX/dt (batch, rows, states) SI one step after each of ``rows`` (batch, rows, features) SI."""
         scaled = self.scaled(rows)
         time = rows.shape[1]
         hidden = self.encoder(self.embed(scaled) + self.place[-time:], mask=self.mask[:time, :time], is_causal=True)
@@ -82,7 +93,7 @@ class ForwardNet(nn.Module):
         return self.base(rows) + self.features(scaled) @ self.linear
 
     def base(self, rows: torch.Tensor) -> torch.Tensor:
-        """Return the rate to which linear map and Transformer add: the present one of tip and volumes, zero of the rest."""
+        """Return the rate that the rest adds to: the present one of tip and volumes, zero of the other states."""
         return self.stays * rows[..., self.states : 2 * self.states]
 
 
@@ -102,7 +113,7 @@ def weights_of(net: nn.Module) -> dict[str, np.ndarray]:
 
 
 def advance(rows: torch.Tensor, rate: torch.Tensor, next_load: torch.Tensor, dt_s: float) -> torch.Tensor:
-    """Return the window one step on: its last state moved by ``rate`` (B, states) over ``dt_s``, then ``next_load`` held."""
+    """Return the window one step on: its last state moved by ``rate`` (B, states), then ``next_load`` held."""
     states = rate.shape[-1]
     moved = rows[:, -1, :states] + dt_s * rate
     last = torch.cat([moved, rate, next_load], dim=-1)

@@ -37,7 +37,12 @@ def scales_of(task: Task, space: Workspace) -> Scales:
 
 
 def observe(
-    scales: Scales, tip: np.ndarray, theta: np.ndarray, contact_force: np.ndarray, position: np.ndarray, force: np.ndarray
+    scales: Scales,
+    tip: np.ndarray,
+    theta: np.ndarray,
+    contact_force: np.ndarray,
+    position: np.ndarray,
+    force: np.ndarray,
 ) -> np.ndarray:
     """Return observations (B, 7 + 4 horizon), float32, by eq. 19 with the next targets.
 
@@ -72,7 +77,9 @@ class Batch:
         self.curve, self.phase, self.direction = (np.zeros(size, dtype=int) for _ in range(3))
         self.elapsed = np.zeros(size, dtype=int)
 
-    def start(self, which: np.ndarray, theta: np.ndarray, curve: np.ndarray, phase: np.ndarray, direction: np.ndarray) -> None:
+    def start(
+        self, which: np.ndarray, theta: np.ndarray, curve: np.ndarray, phase: np.ndarray, direction: np.ndarray
+    ) -> None:
         """Start the episodes ``which`` from equilibrium under ``theta``, on given curves, phases and directions (+1, -1)."""
         self.theta[which], self.curve[which], self.phase[which] = theta, curve, phase
         self.direction[which], self.elapsed[which] = direction, 0

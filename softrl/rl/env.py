@@ -31,16 +31,25 @@ class TwinEnv(gym.Env[np.ndarray, np.ndarray]):
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 2}
 
     def __init__(
-        self, surrogate: Surrogate, task: Task, curves: int = CURVES, expects: str | None = None, render_mode: str | None = None
+        self,
+        surrogate: Surrogate,
+        task: Task,
+        curves: int = CURVES,
+        expects: str | None = None,
+        render_mode: str | None = None,
     ) -> None:
         if expects not in (None, task.name):
-            raise ConfigError(f"task={task.name} does not belong into {ENVIRONMENTS[str(expects)]}; use {ENVIRONMENTS[task.name]}")
+            raise ConfigError(
+                f"task={task.name} does not belong into {ENVIRONMENTS[str(expects)]}; use {ENVIRONMENTS[task.name]}"
+            )
         space = Workspace(surrogate)
         self.batch = Batch(task, space, task.training_goals(curves, space, np.random.default_rng(CURVE_SEED)), 1)
         self.observation_space, self.action_space = spaces_of(self.batch)
         self.render_mode = render_mode
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start at a random command on a random curve; the same seed gives the same episode."""
         super().reset(seed=seed)
         self.batch.start_random(np.array([0]), self.np_random)

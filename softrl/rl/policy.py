@@ -21,7 +21,9 @@ def act(policy: Policy, robot_name: str | None = None) -> Act:
         If the policy is of another robot than ``robot_name``, or, when called, if the observations have another length.
     """
     if robot_name not in (None, policy.robot_name):
-        raise ArtifactError(f"the policy was trained for robot {policy.robot_name}, but robot={robot_name}; rerun stage=rl")
+        raise ArtifactError(
+            f"the policy was trained for robot {policy.robot_name}, but robot={robot_name}; rerun stage=rl"
+        )
     actor = Actor(policy.weights, policy.activation, policy.squash)
 
     def run(observation: np.ndarray) -> np.ndarray:
@@ -37,7 +39,12 @@ def act(policy: Policy, robot_name: str | None = None) -> Act:
 
 
 def observation(
-    policy: Policy, tip: np.ndarray, theta: np.ndarray, contact_force: np.ndarray, position: np.ndarray, force: np.ndarray
+    policy: Policy,
+    tip: np.ndarray,
+    theta: np.ndarray,
+    contact_force: np.ndarray,
+    position: np.ndarray,
+    force: np.ndarray,
 ) -> np.ndarray:
     """Return the observations (B, k) that ``policy`` was trained on, from SI values.
 

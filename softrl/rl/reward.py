@@ -2,6 +2,8 @@
 
 import numpy as np
 
+WIDER = 10.0
+
 
 def weigh(
     alpha: float, position_error: np.ndarray, force_error: np.ndarray, position_scale: float, force_scale: float
@@ -10,7 +12,12 @@ def weigh(
 
     Notes
     -----
-    ``R_q`` and ``R_F`` are ``exp(-error / scale)``: steep at zero, so that the last tenth of a millimetre pays. The
-    paper's own shape of the two terms was not checked.
+    ``R_q`` and ``R_F`` are each the mean of ``exp(-error / scale)`` at the given and at a wider scale: steep at zero, so
+    that the last tenth of a millimetre pays, yet telling far away where to go. The paper's own shape of the two terms
+    was not checked.
     """
-    return alpha * np.exp(-position_error / position_scale) + (1.0 - alpha) * np.exp(-force_error / force_scale)
+    return alpha * _closeness(position_error, position_scale) + (1.0 - alpha) * _closeness(force_error, force_scale)
+
+
+def _closeness(error: np.ndarray, scale: float) -> np.ndarray:
+    return 0.5 * np.exp(-error / scale) + 0.5 * np.exp(-error / (WIDER * scale))

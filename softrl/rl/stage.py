@@ -46,7 +46,9 @@ class Config:
 def run(config: Config, robot: Robot, surrogate: Surrogate, task: Task, agent: Agent, *, tracker: Tracker) -> Policy:
     """Return the agent's best policy on random curves, with its errors on curves it never saw beside two baselines."""
     if surrogate.robot_name != robot.name:
-        raise ArtifactError(f"the surrogate is of robot {surrogate.robot_name}, but robot={robot.name}; rerun stage=surrogate")
+        raise ArtifactError(
+            f"the surrogate is of robot {surrogate.robot_name}, but robot={robot.name}; rerun stage=surrogate"
+        )
     rng = np.random.default_rng(config.seed)
     space = Workspace(surrogate)
     training = task.training_goals(config.training_curves, space, rng)

@@ -8,7 +8,7 @@ from softrl.artifacts.surrogate import Surrogate
 from softrl.surrogate.maps import PressureToJoints
 from softrl.surrogate.twin import Twin
 
-TOLERANCE_M = 3e-4      # a point is reached if pressures within their range bring the tip this near
+TOLERANCE_M = 3e-4  # a point is reached if pressures within their range bring the tip this near
 BISECTIONS = 12
 
 

@@ -21,7 +21,9 @@ class Fit(NamedTuple):
 
 def fit_joints(chain: Chain, tip: np.ndarray, low: np.ndarray, high: np.ndarray) -> Fit:
     """Return the commands in ``low`` .. ``high`` (3,) that reach tips (B, 3) m, by damped, projected Gauss-Newton."""
-    theta, residual = _gauss_newton(np.ascontiguousarray(tip, dtype=float), low.astype(float), high.astype(float), chain)
+    theta, residual = _gauss_newton(
+        np.ascontiguousarray(tip, dtype=float), low.astype(float), high.astype(float), chain
+    )
     return Fit(theta, residual)
 
 

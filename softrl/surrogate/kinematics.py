@@ -83,7 +83,12 @@ def quaternion_of(rotation: np.ndarray, quaternion: np.ndarray) -> None:
 
 @nb.njit(cache=True)
 def grouped_pose(
-    theta: np.ndarray, chain: Chain, q: np.ndarray, tip: np.ndarray, rotation: np.ndarray, jacobian: np.ndarray,
+    theta: np.ndarray,
+    chain: Chain,
+    q: np.ndarray,
+    tip: np.ndarray,
+    rotation: np.ndarray,
+    jacobian: np.ndarray,
     grouped: np.ndarray,
 ) -> None:
     """Fill the pose under the grouped command ``theta`` (3,) and d tip / d theta (3, 3) in ``grouped``."""

@@ -4,7 +4,9 @@ import numpy as np
 import torch
 
 
-def train_network(inputs: np.ndarray, targets: np.ndarray, hidden: int, iterations: int, seed: int) -> dict[str, np.ndarray]:
+def train_network(
+    inputs: np.ndarray, targets: np.ndarray, hidden: int, iterations: int, seed: int
+) -> dict[str, np.ndarray]:
     """Return the weights of a two-layer tanh network with a linear path, fitted to scaled rows by L-BFGS.
 
     Notes
@@ -16,8 +18,12 @@ def train_network(inputs: np.ndarray, targets: np.ndarray, hidden: int, iteratio
     weights = _initial(inputs, targets, hidden, seed)
     x, y = torch.tensor(inputs), torch.tensor(targets)
     optimiser = torch.optim.LBFGS(
-        list(weights.values()), max_iter=iterations, history_size=50, line_search_fn="strong_wolfe",
-        tolerance_grad=1e-9, tolerance_change=1e-13,
+        list(weights.values()),
+        max_iter=iterations,
+        history_size=50,
+        line_search_fn="strong_wolfe",
+        tolerance_grad=1e-9,
+        tolerance_change=1e-13,
     )
 
     def closure() -> torch.Tensor:

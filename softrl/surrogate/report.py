@@ -18,8 +18,12 @@ RATE_BATCH = 4096
 
 
 def report(
-    surrogate: Surrogate, residual: np.ndarray, compliance: tuple[np.ndarray, np.ndarray], compared_fits: int,
-    parity_samples: int, tracker: Tracker,
+    surrogate: Surrogate,
+    residual: np.ndarray,
+    compliance: tuple[np.ndarray, np.ndarray],
+    compared_fits: int,
+    parity_samples: int,
+    tracker: Tracker,
 ) -> Surrogate:
     """Return the surrogate with its metrics, after sending them and the figures to ``tracker``.
 
@@ -56,7 +60,9 @@ def _map_errors(s: Surrogate) -> dict[str, float]:
         errors[f"heldout/{label}joint_angle_deg"] = float(np.rad2deg(np.sqrt(np.mean((guess - joints)[:, :2] ** 2))))
         errors[f"heldout/{label}tip_error_mm"] = _rms(1e3 * (twin.tip(guess) - tip))
     errors["heldout/joint_slide_mm"] = 1e3 * float(np.sqrt(np.mean((maps.joints(pressure) - joints)[:, 2] ** 2)))
-    errors["heldout/tip_error_max_mm"] = 1e3 * float(np.linalg.norm(twin.tip(maps.joints(pressure)) - tip, axis=1).max())
+    errors["heldout/tip_error_max_mm"] = 1e3 * float(
+        np.linalg.norm(twin.tip(maps.joints(pressure)) - tip, axis=1).max()
+    )
     back = maps.pressure(joints) - pressure
     errors["heldout/roundtrip_pressure_kpa"] = float(np.sqrt(np.mean(back**2)) / 1e3)
     network_back = maps.pressure_by_network(joints) - pressure
@@ -70,7 +76,9 @@ def _stiffness_errors(s: Surrogate, joints: np.ndarray, compliance: np.ndarray) 
     chain = 1.0 / np.einsum("sii->si", chain_compliance(joints, chain_of(s), s.joint_stiffness))
     error = 100.0 * np.sqrt(np.mean((chain / body - 1.0) ** 2, axis=0))
     found = {f"heldout/tip_stiffness_{a}_pct": float(e) for a, e in zip("xyz", error, strict=True)}
-    return found | {f"train/tip_stiffness_{a}_n_per_mm": 1e-3 * float(k) for a, k in zip("xyz", body.mean(axis=0), strict=True)}
+    return found | {
+        f"train/tip_stiffness_{a}_n_per_mm": 1e-3 * float(k) for a, k in zip("xyz", body.mean(axis=0), strict=True)
+    }
 
 
 def _fit_comparison(s: Surrogate, count: int) -> dict[str, float]:
@@ -116,9 +124,17 @@ def draw_workspace(s: Surrogate) -> Figure:
     body, chain = 1e3 * s.sample_tip, 1e3 * twin.tip(maps.joints(s.sample_pressure))
     for axis, (i, j) in zip(axes, ((0, 2), (0, 1)), strict=True):
         axis.plot(body[:, i], body[:, j], ".", ms=3, color="0.65", label="body at equilibrium")
-        axis.plot(chain[s.heldout, i], chain[s.heldout, j], "x", ms=3.5, mew=0.8, color="C0", label=r"$f_{SP}$ and chain, held out")
+        axis.plot(
+            chain[s.heldout, i],
+            chain[s.heldout, j],
+            "x",
+            ms=3.5,
+            mew=0.8,
+            color="C0",
+            label=r"$f_{SP}$ and chain, held out",
+        )
         axis.set(xlabel=f"{'xyz'[i]} in mm", ylabel=f"{'xyz'[j]} in mm", aspect="equal")
-    axes[0].legend(frameon=False, loc="lower center", fontsize=8)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=8)
     figure.suptitle(f"Workspace of {s.robot_name} and of its surrogate")
     return figure
 

@@ -1,4 +1,4 @@
-"""The chain in PyBullet: joint springs as explicit torques, velocity motors as dampers, soft contact."""
+"""The chain in PyBullet: joint springs and mass-proportional dampers as explicit torques, soft contact."""
 
 import math
 import tempfile
@@ -18,11 +18,10 @@ from softrl.core.simulator import Hook, Motion
 from softrl.robots.robot import Robot
 from softrl.surrogate.maps import PressureToJoints
 
-RATE_HZ = 240.0            # never slower than this
-PHASE_PER_STEP = 1.0       # rad of the fastest joint mode per step; explicit springs are stable below 2
+RATE_HZ = 240.0  # never slower than this
+PHASE_PER_STEP = 1.0  # rad of the fastest joint mode per step; explicit springs are stable below 2
 SOLVER_ITERATIONS = 100
-MOTOR_FORCE = 1e6          # N or N m: a damper that never saturates
-HALF_EXTENT_M = 0.2        # of the box whose upper face is the contact plane
+HALF_EXTENT_M = 0.2  # of the box whose upper face is the contact plane
 BOX_THICKNESS_M = 0.05
 TIP = "tip"
 
@@ -37,11 +36,13 @@ class SurrogateState(NamedTuple):
 class World:
     """One chain in one PyBullet server of its own, without weight: the commands contain it."""
 
-    def __init__(self, surrogate: Surrogate, stiffness_scale: float, damping_rate_per_s: float, mass_scale: float) -> None:
+    def __init__(
+        self, surrogate: Surrogate, stiffness_scale: float, damping_rate_per_s: float, mass_scale: float
+    ) -> None:
         self._client = bullet.connect(bullet.DIRECT)
         if self._client < 0:
             raise SolverError("PyBullet gave no server; it allows a limited number per process, close other simulators")
-        # with the default threshold the dampers' constraints stop half solved and the links creep
+        # with the default threshold constraints stop half solved and the links creep
         bullet.setPhysicsEngineParameter(
             numSolverIterations=SOLVER_ITERATIONS, solverResidualThreshold=0.0, physicsClientId=self._client
         )
@@ -86,8 +87,9 @@ class World:
 
     def _stable_rate(self) -> float:
         """Return the slowest rate, a multiple of 240 Hz, at which the fastest joint mode is followed."""
-        mass = np.array(bullet.calculateMassMatrix(self.body, [0.0] * len(self.joints), physicsClientId=self._client))
-        fastest = math.sqrt(float(eigh(np.diag(self.stiffness), mass, eigvals_only=True)[-1]))
+        rest = [0.0] * len(self.joints)
+        self._mass = np.array(bullet.calculateMassMatrix(self.body, rest, physicsClientId=self._client))
+        fastest = math.sqrt(float(eigh(np.diag(self.stiffness), self._mass, eigvals_only=True)[-1]))
         return RATE_HZ * max(1, math.ceil(fastest / (PHASE_PER_STEP * RATE_HZ)))
 
     def place_plane(self, normal: np.ndarray, point: np.ndarray, friction: float) -> None:
@@ -109,7 +111,9 @@ class World:
         for link in range(-1, self.tip):  # only the tip's sphere touches; the discs are for looks and for other users
             bullet.setCollisionFilterPair(self.body, self._plane, link, -1, 0, physicsClientId=client)
 
-    def advance(self, state: SurrogateState, theta: np.ndarray, dt_s: float, force: np.ndarray | None) -> SurrogateState:
+    def advance(
+        self, state: SurrogateState, theta: np.ndarray, dt_s: float, force: np.ndarray | None
+    ) -> SurrogateState:
         """Return the state after ``dt_s`` under the grouped command ``theta`` (3,) and a tip force (3,) N."""
         client, body, joints = self._client, self.body, self.joints
         steps = max(1, math.ceil(dt_s * self.rate_hz - 1e-9))
@@ -118,15 +122,13 @@ class World:
         for joint, value, speed in zip(joints, state.coordinates, state.velocity, strict=True):
             bullet.resetJointState(body, joint, value, speed, physicsClientId=client)
         bullet.setTimeStep(step_s, physicsClientId=client)
-        # a motor towards rest takes this share of a joint's speed away in every step
-        gain = -math.expm1(-self._damping_rate * step_s)
+        # PyBullet gives every joint a motor towards rest, which would hold contact loads in the springs' place
         bullet.setJointMotorControlArray(
-            body, joints, bullet.VELOCITY_CONTROL, targetVelocities=[0.0] * len(joints),
-            velocityGains=[gain] * len(joints), forces=[MOTOR_FORCE] * len(joints), physicsClientId=client,
-        )  # fmt: skip
+            body, joints, bullet.VELOCITY_CONTROL, forces=[0.0] * len(joints), physicsClientId=client
+        )
         q, velocity = state.coordinates, state.velocity
         for _ in range(steps):
-            torque = self.stiffness * (command - q)
+            torque = self.stiffness * (command - q) - self._damping_rate * (self._mass @ velocity)
             bullet.setJointMotorControlArray(
                 body, joints, bullet.TORQUE_CONTROL, forces=torque.tolist(), physicsClientId=client
             )
@@ -139,7 +141,9 @@ class World:
             read = bullet.getJointStates(body, joints, physicsClientId=client)
             q, velocity = np.array([r[0] for r in read]), np.array([r[1] for r in read])
         if not np.isfinite(q).all():
-            raise SolverError(f"simulator surrogate diverged at {1 / step_s:.0f} Hz; a smaller dt_s or softer joints help")
+            raise SolverError(
+                f"simulator surrogate diverged at {1 / step_s:.0f} Hz; a smaller dt_s or softer joints help"
+            )
         return SurrogateState(q, velocity)
 
     def pose(self, state: SurrogateState) -> tuple[np.ndarray, np.ndarray]:

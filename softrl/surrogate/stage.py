@@ -76,7 +76,9 @@ class Config:
         if not 0.0 < self.heldout_share < 1.0:
             raise ConfigError(f"stage.heldout_share={self.heldout_share:g}; expected a share between 0 and 1")
         if self.compliance_samples < 2:
-            raise ConfigError(f"stage.compliance_samples={self.compliance_samples}; expected 2 or more, half are held out")
+            raise ConfigError(
+                f"stage.compliance_samples={self.compliance_samples}; expected 2 or more, half are held out"
+            )
         if not self.bend_max_rad < np.pi:
             raise ConfigError(f"stage.bend_max_rad={self.bend_max_rad:g}; expected less than half a turn, 3.14")
 
@@ -91,9 +93,7 @@ class Samples(NamedTuple):
     heldout: np.ndarray
 
 
-def run(
-    config: Config, robot: Robot, mesh: Mesh | None, reduced_model: ReducedModel, *, tracker: Tracker
-) -> Surrogate:
+def run(config: Config, robot: Robot, mesh: Mesh | None, reduced_model: ReducedModel, *, tracker: Tracker) -> Surrogate:
     """Return the surrogate fitted to the reduced model's equilibria."""
     return build_surrogate(
         config, robot, mesh, partial(model_tips, reduced_model), float(reduced_model.rest_tip[2]), tracker
@@ -130,7 +130,10 @@ def _sample(
         raise SolverError(f"{(~found).sum()} of {len(found)} sampled equilibria were not found; expected 5 % at most")
     pressure, tip = pressure[found], tip[found]
     gaps = len(dimensions.plane_height)
-    bend, slide = config.bend_max_rad / gaps, config.slide_max_share * float(np.diff(dimensions.plane_height, prepend=0).mean())
+    bend, slide = (
+        config.bend_max_rad / gaps,
+        config.slide_max_share * float(np.diff(dimensions.plane_height, prepend=0).mean()),
+    )
     limit = np.array([bend, bend, slide])
     fit = fit_joints(chain, tip, -limit, limit)
     log.info(

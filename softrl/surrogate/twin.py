@@ -11,7 +11,7 @@ from softrl.surrogate.fit import fit_joints
 from softrl.surrogate.kinematics import Chain, chain_of, grouped_poses, joint_jacobians, pose, quaternion_of
 
 ITERATIONS = 300
-TOLERANCE_N = 1e-9      # change of the reaction between two iterations
+TOLERANCE_N = 1e-9  # change of the reaction between two iterations
 Plane = tuple[np.ndarray, np.ndarray]
 
 
@@ -95,11 +95,17 @@ class Twin:
         """
         theta = _rows(theta)
         batch = len(theta)
-        forces = np.zeros((batch, 3)) if force is None else np.ascontiguousarray(np.broadcast_to(force, (batch, 3)), float)
+        forces = (
+            np.zeros((batch, 3)) if force is None else np.ascontiguousarray(np.broadcast_to(force, (batch, 3)), float)
+        )
         if force is None and plane is None:
             tip, quaternion, _ = grouped_poses(theta, self.chain)
-            return TwinState(tip, quaternion, np.zeros(batch), np.zeros((batch, 3)), np.tile(theta, (1, len(self.chain.below))))
-        normal, point = (np.zeros(3), np.zeros(3)) if plane is None else (np.asarray(v, dtype=float) for v in plane)
+            return TwinState(
+                tip, quaternion, np.zeros(batch), np.zeros((batch, 3)), np.tile(theta, (1, len(self.chain.below)))
+            )
+        normal, point = (
+            (np.zeros(3), np.zeros(3)) if plane is None else (np.ascontiguousarray(v, dtype=float) for v in plane)
+        )
         before = self.tip(theta) if start is None else _rows(start)
         *state, failed = _equilibria(
             theta, forces, normal, point, float(friction), before, self.chain, self.stiffness, self.contact_stiffness
@@ -118,8 +124,15 @@ def _rows(values: np.ndarray) -> np.ndarray:
 
 @nb.njit(cache=True)
 def _equilibria(
-    theta: np.ndarray, force: np.ndarray, normal: np.ndarray, point: np.ndarray, friction: float, start: np.ndarray,
-    chain: Chain, stiffness: np.ndarray, contact_stiffness: float,
+    theta: np.ndarray,
+    force: np.ndarray,
+    normal: np.ndarray,
+    point: np.ndarray,
+    friction: float,
+    start: np.ndarray,
+    chain: Chain,
+    stiffness: np.ndarray,
+    contact_stiffness: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
     batch, joints = len(theta), len(stiffness)
     tips, quaternions, reactions = np.empty((batch, 3)), np.empty((batch, 4)), np.zeros((batch, 3))

@@ -4,7 +4,7 @@ import numpy as np
 
 from softrl.surrogate.dimensions import Dimensions
 
-HINGE_MASS_KG = 1e-3       # the two hinges of a gap need a link between them; its mass is part of the total
+HINGE_MASS_KG = 1e-3  # the two hinges of a gap need a link between them; its mass is part of the total
 EFFORT, VELOCITY = 1e4, 1e2
 
 
@@ -45,7 +45,7 @@ def _link(name: str, mass: float, radius: float, thickness: float, centre: float
              "</geometry>")  # fmt: skip
     return (
         f'<link name="{name}"><inertial><origin xyz="0 0 {centre:.9g}"/><mass value="{mass:.9g}"/>'
-        f'{_inertia(across, 0.5 * mass * radius**2)}</inertial>'
+        f"{_inertia(across, 0.5 * mass * radius**2)}</inertial>"
         f"<visual>{shape}</visual><collision>{shape}</collision></link>"
     )
 

@@ -31,7 +31,9 @@ def energy(law: str, parameters: dict[str, float], principal: np.ndarray) -> flo
 
 
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize(("mode", "exponents"), [("uniaxial", (1, -0.5, -0.5)), ("equibiaxial", (1, 1, -2)), ("planar", (1, 0, -1))])
+@pytest.mark.parametrize(
+    ("mode", "exponents"), [("uniaxial", (1, -0.5, -0.5)), ("equibiaxial", (1, 1, -2)), ("planar", (1, 0, -1))]
+)
 def test_stress_is_the_slope_of_the_energy(law: str, mode: str, exponents: tuple[float, ...]) -> None:
     # an incompressible specimen pulled in k directions by the same stretch takes up k times stress times d stretch
     pulled = sum(e == 1 for e in exponents)
@@ -77,7 +79,10 @@ def test_instability_is_told() -> None:
         ("stretch,stress\n" + "1.1,nan\n", "line 2: stress='nan'"),
         ("stretch,stress\n" + "".join(f"{0.02 * i},{30 * i}\n" for i in range(30)), "strain must have 1 added"),
         ("stretch,stress\n" + "".join(f"{1 + 0.02 * i},{1e-3 * i}\n" for i in range(30)), "secant modulus of 0.05 kPa"),
-        ("stretch,stress\n" + "".join(f"{1 + 0.02 * i},{3e7 * i}\n" for i in range(30)), "expected nominal stress in kPa"),
+        (
+            "stretch,stress\n" + "".join(f"{1 + 0.02 * i},{3e7 * i}\n" for i in range(30)),
+            "expected nominal stress in kPa",
+        ),
     ],
 )
 def test_bad_files_are_refused_in_one_line(tmp_path: Path, text: str, told: str) -> None:

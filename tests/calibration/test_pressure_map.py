@@ -1,4 +1,4 @@
-"""f_RS: the NumPy map is the trained network, its slope is right, its inverse exact, and without data it is the identity."""
+"""f_RS: NumPy equals the trained network, its slope is right, its inverse exact, and the identity its prior."""
 
 import numpy as np
 import pytest
@@ -21,8 +21,9 @@ def bent(pressure: np.ndarray) -> np.ndarray:
 def calibration_of(sim: np.ndarray, real: np.ndarray, settings: EnsembleSettings = SETTINGS) -> Calibration:
     ensemble = fit_ensemble(real, sim, settings)
     return Calibration(
-        ensemble.weights, settings.members, ensemble.pressure.mean, ensemble.pressure.spread, ensemble.correction_spread,
-        real.min(axis=0), real.max(axis=0), real, sim, np.zeros(len(real), dtype=bool), "simulator", {}, "triple",
+        ensemble.weights, settings.members, ensemble.pressure.mean, ensemble.pressure.spread,
+        ensemble.correction_spread, real.min(axis=0), real.max(axis=0), real, sim, np.zeros(len(real), dtype=bool),
+        "simulator", {}, "triple",
     )  # fmt: skip
 
 
@@ -90,6 +91,10 @@ def test_a_folded_map_is_refused_with_the_remedy(calibration: Calibration) -> No
     weights = {name: np.zeros_like(w) for name, w in calibration.weights.items()}
     # P_S = P_R - P_R + const: no P_R gives another P_S
     weights["skip"] = -np.tile(np.diag(calibration.pressure_spread / calibration.correction_spread), (3, 1, 1))
-    fields = vars(calibration) | {"weights": weights, "pressure_low": np.full(3, -1e9), "pressure_high": np.full(3, 1e9)}
-    with pytest.raises(SolverError, match="raise stage.weight_decays"):
+    fields = vars(calibration) | {
+        "weights": weights,
+        "pressure_low": np.full(3, -1e9),
+        "pressure_high": np.full(3, 1e9),
+    }
+    with pytest.raises(SolverError, match=r"raise stage\.weight_decays"):
         PressureMap(Calibration(**fields)).sim_to_real(np.full((1, 3), 5e3))

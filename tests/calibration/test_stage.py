@@ -24,13 +24,20 @@ CONF = Path(__file__).resolve().parents[2] / "conf" / "stage"
 def config(**changes: object) -> Config:
     merged = OmegaConf.merge(
         OmegaConf.create({"seed": 0}),
-        {"stage": OmegaConf.merge(OmegaConf.load(CONF / "calibration.yaml"), OmegaConf.load(CONF.parent / "profile/tiny/calibration.yaml"), changes)},
+        {
+            "stage": OmegaConf.merge(
+                OmegaConf.load(CONF / "calibration.yaml"),
+                OmegaConf.load(CONF.parent / "profile/tiny/calibration.yaml"),
+                changes,
+            )
+        },
     )
     return Config(**OmegaConf.to_container(merged.stage, resolve=True))  # type: ignore[arg-type]
 
 
 FAST = {"runs": 8, "holds_per_run": 14, "hold_s": 2.0, "hold_min_s": 1.5, "dt_s": 0.02, "settle_s": 2.0, "hidden": 8,
-        "epochs": 1500, "members": 3, "weight_decays": [5e-5, 1e-2], "drift_max_mm": 0.2, "residual_max_mm": 0.5}  # fmt: skip
+        "epochs": 1500, "members": 3, "weight_decays": [5e-5, 1e-2], "drift_max_mm": 0.2, "residual_max_mm":
+        0.5}  # fmt: skip
 
 
 def test_stage_finds_the_pressures_that_acted(
@@ -49,7 +56,9 @@ def test_stage_finds_the_pressures_that_acted(
     assert calibration.material["chosen"] == "yeoh"
 
 
-def test_tiny_runs_with_one_seed_are_identical(robot: Robot, body: PccSimulator, driver: Driver, tmp_path: Path) -> None:
+def test_tiny_runs_with_one_seed_are_identical(
+    robot: Robot, body: PccSimulator, driver: Driver, tmp_path: Path
+) -> None:
     first, second = (run(config(), robot, body, driver, None, tracker=NullTracker()) for _ in range(2))
     np.testing.assert_array_equal(first.pressure_sim, second.pressure_sim)
     for name, weight in first.weights.items():
@@ -119,7 +128,8 @@ def test_bad_values_name_the_key(key: str, value: float) -> None:
 def test_simulator_out_of_reach_is_told(robot: Robot, body: PccSimulator, driver: Driver) -> None:
     recordings = record_of(driver, robot, body, config())
     far = tuple(
-        Recording(r.name, r.session, r.time, r.pressure_cmd, position=1e3 * np.asarray(r.position)) for r in recordings.recordings
+        Recording(r.name, r.session, r.time, r.pressure_cmd, position=1e3 * np.asarray(r.position))
+        for r in recordings.recordings
     )
     with pytest.raises(RecordingError, match="check frame and units"):
         run(config(drift_max_mm=1e4), robot, body, driver, RecordingSet(robot.name, far), tracker=NullTracker())

@@ -32,10 +32,14 @@ class QuadraticBody:
         spring = u @ torch.tensor(self.stiffness) + self.stiffening * u * u.pow(2).sum(dim=1, keepdim=True)
         return torch.cat([pressure, spring - pressure @ area], dim=1)
 
-    def residual(self, z: torch.Tensor, velocity: torch.Tensor, acceleration: torch.Tensor, load: torch.Tensor) -> torch.Tensor:
+    def residual(
+        self, z: torch.Tensor, velocity: torch.Tensor, acceleration: torch.Tensor, load: torch.Tensor
+    ) -> torch.Tensor:
         return acceleration @ torch.tensor(self.mass) + velocity @ torch.tensor(self.damping) + self.force(z) - load
 
-    def step(self, z: torch.Tensor, velocity: torch.Tensor, load: torch.Tensor, dt: float) -> tuple[torch.Tensor, torch.Tensor]:
+    def step(
+        self, z: torch.Tensor, velocity: torch.Tensor, load: torch.Tensor, dt: float
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         new = z + dt * velocity
         for _ in range(4):
             v = (new - z) / dt
@@ -87,6 +91,7 @@ def body() -> QuadraticBody:
 def robot() -> Robot:
     return Robot(
         name="triple", chamber_angle_deg=(-90.0, -210.0, -330.0), chamber_radius_m=0.05, chamber_area_m2=1e-3,
-        length_m=0.174, mass_kg=0.6, pressure_min_pa=-20e3, pressure_max_pa=35e3, slew_pa_per_s=2e5, tip_force_max_n=2.0,
-        axis="+z", output="tip_pose", command="pressure", command_to_pa=1.0, gravity_m_s2=(0.0, 0.0, -9.81),
+        length_m=0.174, mass_kg=0.6, pressure_min_pa=-20e3, pressure_max_pa=35e3, slew_pa_per_s=2e5,
+        tip_force_max_n=2.0, axis="+z", output="tip_pose", command="pressure", command_to_pa=1.0,
+        gravity_m_s2=(0.0, 0.0, -9.81),
     )  # fmt: skip

@@ -88,7 +88,9 @@ def test_it_falls_with_the_time_step_of_finely_computed_motions(body: Body, robo
         still = np.tile([1.0, 0.0, 0.0, 0.0], (*part.shape[:2], 1))
         coarse = Windows(trajectories_from(part, still, held, body.rest_tip, "+z", 1e-3 * every), 2, from_rest=False)
         rows, rate = coarse.take(torch.arange(len(coarse)))
-        unit = PhysicsResidual(body, torch.eye(6, dtype=torch.float64), torch.ones(6, dtype=torch.float64), 1e-3 * every)
+        unit = PhysicsResidual(
+            body, torch.eye(6, dtype=torch.float64), torch.ones(6, dtype=torch.float64), 1e-3 * every
+        )
         left.append(rms(unit.force(rows[:, -1], rate)[:, 3:]))
     orders = np.log2(np.array(left[:-1]) / left[1:])
     assert (orders > 0.7).all(), f"residuals {left} N, orders {orders}"
@@ -100,5 +102,7 @@ def test_its_gradient_is_that_of_finite_differences(windows: Windows, physics: P
     (gradient,) = torch.autograd.grad(physics(row, rate).pow(2).sum(), rate)
     for i in (0, 2, 8, 10):
         h = 1e-6 * max(float(rate[0, i].detach().abs()), 1e-6)
-        up, down = (physics(row, rate + s * h * torch.eye(STATES, dtype=torch.float64)[i]).pow(2).sum() for s in (1, -1))
+        up, down = (
+            physics(row, rate + s * h * torch.eye(STATES, dtype=torch.float64)[i]).pow(2).sum() for s in (1, -1)
+        )
         assert float(gradient[0, i]) == pytest.approx(float((up - down).detach() / (2 * h)), rel=1e-3)

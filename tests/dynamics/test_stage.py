@@ -11,25 +11,33 @@ from omegaconf import OmegaConf
 from softrl.artifacts.dynamics import ForwardDynamics, InverseDynamics
 from softrl.core.errors import ConfigError
 from softrl.core.tracking import NullTracker
+from softrl.dynamics.body import ReducedBody
 from softrl.dynamics.dataset import Body, Windows
 from softrl.dynamics.evaluate import onestep_errors, predictors, rollout_errors
 from softrl.dynamics.inverse import inverse_errors, inverse_net
-from softrl.dynamics.stage import Config, Sets, generate, learn_forward, learn_inverse, report
+from softrl.dynamics.physics_residual import PhysicsResidual
+from softrl.dynamics.stage import Config, Sets, generate, learn_forward, learn_inverse, report, run
 from softrl.dynamics.transformer import ForwardNet, forward_net, weights_of
 from softrl.robots.robot import Robot
+from tests.pod.conftest import fitted
 
 CONF = Path(__file__).resolve().parents[2] / "conf" / "stage"
 LOW, HIGH = np.array([-2e4] * 3 + [-1.0] * 3), np.array([3.5e4] * 3 + [1.0] * 3)
 
 
 def config(**changes: float) -> Config:
-    parts = (OmegaConf.load(CONF / "dynamics.yaml"), OmegaConf.load(CONF.parent / "profile/tiny/dynamics.yaml"), changes)
+    parts = (
+        OmegaConf.load(CONF / "dynamics.yaml"),
+        OmegaConf.load(CONF.parent / "profile/tiny/dynamics.yaml"),
+        changes,
+    )
     whole = OmegaConf.merge({"seed": 0, "lambda": 0.01}, {"stage": OmegaConf.merge(*parts)})
     return Config(**OmegaConf.to_container(whole.stage, resolve=True))  # type: ignore[arg-type]
 
 
 FAST = {"training_runs": 24, "run_s": 1.5, "batch": 64, "onestep_updates": 300, "rollout_updates": 0, "width": 32,
-        "feedforward": 64, "inverse_updates": 200, "inverse_hidden": 32, "inverse_batch": 128, "learning_rate": 3e-3}  # fmt: skip
+        "feedforward": 64, "inverse_updates": 200, "inverse_hidden": 32, "inverse_batch": 128, "learning_rate":
+        3e-3}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +51,9 @@ def trained(body: Body, sets: Sets) -> ForwardNet:
     return learn_forward(config(**FAST), sets, body)[0]
 
 
-def test_network_beats_the_linear_map_and_persistence_on_unseen_runs(body: Body, sets: Sets, trained: ForwardNet) -> None:
+def test_network_beats_the_linear_map_and_persistence_on_unseen_runs(
+    body: Body, sets: Sets, trained: ForwardNet
+) -> None:
     windows = Windows(sets.heldout, trained.window)
     known = predictors(trained, body, 0.01)
     onestep = {name: onestep_errors(p, windows, 0.01)["position_onestep_mm"] for name, p in known.items()}
@@ -62,7 +72,10 @@ def test_physics_weight_changes_the_answer(body: Body, sets: Sets) -> None:
 
 
 def test_scalers_and_training_see_training_runs_only(body: Body, sets: Sets) -> None:
-    spoilt = replace(sets.heldout, state=sets.heldout.state + 1.0), replace(sets.validation, rate=10.0 * sets.validation.rate)
+    spoilt = (
+        replace(sets.heldout, state=sets.heldout.state + 1.0),
+        replace(sets.validation, rate=10.0 * sets.validation.rate),
+    )
     first, _ = learn_forward(config(), sets, body)
     second, history = learn_forward(config(), Sets(sets.train, spoilt[1], spoilt[0]), body)
     for name, weight in weights_of(first).items():
@@ -86,8 +99,8 @@ def test_tiny_training_with_one_seed_is_identical_and_survives_the_disk(
         for name, weight in weights_of(pair[0]).items():
             np.testing.assert_array_equal(weight, weights_of(pair[1])[name], err_msg=name)
     forward = ForwardDynamics(
-        weights_of(nets[0]), c.window, c.width, c.heads, c.layers, c.feedforward, c.linear_rows, c.dt_s, c.physics_weight,
-        LOW, HIGH, body.rest_tip, np.zeros(3), robot.axis, 3, robot.name,
+        weights_of(nets[0]), c.window, c.width, c.heads, c.layers, c.feedforward, c.linear_rows, c.dt_s,
+        c.physics_weight, LOW, HIGH, body.rest_tip, np.zeros(3), robot.axis, 3, robot.name,
     )  # fmt: skip
     inverse = InverseDynamics(weights_of(inverses[0]), c.inverse_hidden, c.dt_s, c.cycle_weight, 3, robot.name)
     forward.save(tmp_path / "forward")
@@ -124,19 +137,45 @@ def test_inverse_does_not_read_the_pressures_that_it_answers(sets: Sets, trained
 def test_report_names_errors_beside_baselines(body: Body, sets: Sets, trained: ForwardNet) -> None:
     tracker = NullTracker()
     inverse, _ = learn_inverse(config(), trained, sets.train)
-    report(config(), trained, inverse, body, sets.heldout, sets.validation, tracker)
+    report(config(), trained, inverse, body, sets, sets.validation, tracker)
     for name in ("position_onestep_mm", "position_rollout_mm", "velocity_onestep_mm_s", "velocity_rollout_mm_s"):
         for baseline in ("", "arx_", "rate_stays_", "state_stays_"):
             assert np.isfinite(tracker.metrics[f"heldout/{baseline}{name}"])
         assert np.isfinite(tracker.metrics[f"full_model/rom_{name}"])
         assert f"heldout/rom_{name}" not in tracker.metrics
     assert np.isfinite(tracker.metrics["heldout/inverse_pressure_kpa"])
+    assert 0.0 < tracker.metrics["heldout/physics_residual_share"] < 1.5
 
 
 @pytest.mark.parametrize(
     ("key", "value", "told"),
-    [("physics_weight", -1.0, "lambda=-1"), ("width", 30, "stage.heads"), ("window", 1, "stage.linear_rows"), ("run_s", 0.2, "stage.run_s")],
+    [
+        ("physics_weight", -1.0, "lambda=-1"),
+        ("width", 30, "stage.heads"),
+        ("window", 1, "stage.linear_rows"),
+        ("run_s", 0.2, "stage.run_s"),
+    ],
 )
 def test_bad_values_name_the_key(key: str, value: float, told: str) -> None:
     with pytest.raises(ConfigError, match=told):
         config(**{key: value})
+
+
+def test_stage_runs_on_a_fitted_reduced_model_whose_motions_leave_no_residual() -> None:
+    """The whole stage, twice the same, on the torch twin; rotation and volumes included."""
+    robot, snapshots, model = fitted(3)
+    first, second = NullTracker(), NullTracker()
+    made = [run(config(), robot, model, snapshots, tracker=tracker) for tracker in (first, second)]
+    assert first.metrics == second.metrics
+    np.testing.assert_array_equal(made[0].forward.weights["linear"], made[1].forward.weights["linear"])
+    assert first.metrics["full_model/rom_position_onestep_mm"] < first.metrics["full_model/arx_position_onestep_mm"]
+    body = ReducedBody(model, np.zeros(3))
+    sets = generate(config(), robot, body, made[0].forward.load_low, made[0].forward.load_high)
+    windows = Windows(sets.heldout, config().window)
+    physics = PhysicsResidual.fit(
+        body, forward_net(made[0].forward), Windows(sets.train, config().window), 0.01, 200, 0
+    )
+    rows, rate = windows.take(torch.arange(len(windows)))
+    with torch.no_grad():
+        true, wrong = (float(physics(rows[:, -1], r).pow(2).mean().sqrt()) for r in (rate, 1.05 * rate))
+    assert true < 0.3 * wrong, f"residual of motions {true:.3g}, of rates 5 % off {wrong:.3g}"

@@ -13,9 +13,9 @@ from softrl.rl.agents.agent import Agent, Best, Lesson, Practice, actor_from
 from softrl.rl.vector_env import TwinVecEnv
 from softrl.surrogate.mlp import train_network
 
-CARRIERS = 3            # units that pass the linear part of the map through both tanh layers, one per action
-CARRIED = 0.02          # scale at which they do it: the cube of it is what tanh adds
-EDGE = 0.999            # actions are squashed by tanh, which never reaches 1
+CARRIERS = 3  # units that pass the linear part of the map through both tanh layers, one per action
+CARRIED = 0.02  # scale at which they do it: the cube of it is what tanh adds
+EDGE = 0.999  # actions are squashed by tanh, which never reaches 1
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,9 @@ class Ppo(Agent):
     judge_every: int
 
     def __post_init__(self) -> None:
-        self._require_positive("hidden", "envs", "steps", "rollout", "epochs", "batch_size", "learning_rate", "judge_every")
+        self._require_positive(
+            "hidden", "envs", "steps", "rollout", "epochs", "batch_size", "learning_rate", "judge_every"
+        )
 
     def train(self, practice: Practice, seed: int) -> Lesson:
         """Return the actor with the best validation reward."""

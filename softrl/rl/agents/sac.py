@@ -41,7 +41,9 @@ class Sac(Agent):
     start_from: Bc | None
 
     def __post_init__(self) -> None:
-        self._require_positive("hidden", "envs", "steps", "gradient_steps", "batch_size", "learning_rate", "judge_every")
+        self._require_positive(
+            "hidden", "envs", "steps", "gradient_steps", "batch_size", "learning_rate", "judge_every"
+        )
 
     def train(self, practice: Practice, seed: int) -> Lesson:
         """Return the actor with the best validation reward."""

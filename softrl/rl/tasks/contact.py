@@ -31,7 +31,9 @@ class ContactTask(Task, ABC):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 0.0 < self.force_min_n < self.force_max_n:
-            raise ConfigError(f"task.force_min_n={self.force_min_n:g}, force_max_n={self.force_max_n:g}; expected 0 < min < max")
+            raise ConfigError(
+                f"task.force_min_n={self.force_min_n:g}, force_max_n={self.force_max_n:g}; expected 0 < min < max"
+            )
         if not abs(self.slope_deg) < 60.0:
             raise ConfigError(f"task.slope_deg={self.slope_deg:g}; expected less than 60")
         if self.friction_coefficient < 0.0:

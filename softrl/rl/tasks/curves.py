@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 
 STAR_POINTS = 5
-STAR_INNER = 0.45           # radius of the inner corners
-EIGHT_HEIGHT = 0.25         # amplitude across the drawing plane
+STAR_INNER = 0.45  # radius of the inner corners
+EIGHT_HEIGHT = 0.25  # amplitude across the drawing plane
 
 
 def circle(points: int) -> np.ndarray:

@@ -16,7 +16,7 @@ FORCES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "force_steps": lambda s: np.floor(4.0 * s) / 3.0,
     "force_ramp": lambda s: 1.0 - np.abs(2.0 * s - 1.0),
 }
-SPREAD = 0.5    # training presses at points up to this share of the reachable radius from the centre
+SPREAD = 0.5  # training presses at points up to this share of the reachable radius from the centre
 
 
 @dataclass(frozen=True)

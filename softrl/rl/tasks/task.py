@@ -32,7 +32,7 @@ class Task(ABC):
     step_s : time between two targets
     radius_share : size of the evaluation curves in the largest that the tip can reach
     harmonics : of the random curves for training
-    position_scale_m, force_scale_n : errors at which the reward falls to 1/e
+    position_scale_m, force_scale_n : errors at which the steep half of the reward falls to 1/e
     """
 
     name: ClassVar[str]
@@ -53,7 +53,15 @@ class Task(ABC):
             raise ConfigError(f"alpha={self.alpha:g}; expected a share between 0 and 1")
         if not 0.0 < self.radius_share <= 1.0:
             raise ConfigError(f"task.radius_share={self.radius_share:g}; expected a share above 0 and at most 1")
-        for key in ("horizon", "episode_steps", "lap_steps", "step_s", "harmonics", "position_scale_m", "force_scale_n"):
+        for key in (
+            "horizon",
+            "episode_steps",
+            "lap_steps",
+            "step_s",
+            "harmonics",
+            "position_scale_m",
+            "force_scale_n",
+        ):
             if getattr(self, key) <= 0:
                 raise ConfigError(f"task.{key}={getattr(self, key):g} must be positive")
 
@@ -104,7 +112,13 @@ class Task(ABC):
 
 
 def fourier_positions(
-    count: int, task: Task, space: Workspace, frame: np.ndarray, centre: np.ndarray, height: float, rng: np.random.Generator
+    count: int,
+    task: Task,
+    space: Workspace,
+    frame: np.ndarray,
+    centre: np.ndarray,
+    height: float,
+    rng: np.random.Generator,
 ) -> np.ndarray:
     """Return random reachable curves (count, lap, 3) m about ``centre`` (3,) m in the axes ``frame`` (3, 3) (columns)."""
     curves = np.empty((count, task.lap_steps, 3))

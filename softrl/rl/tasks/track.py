@@ -34,7 +34,10 @@ def random_waves(task: Task, channels: int, rng: np.random.Generator) -> np.ndar
     """Return random periodic shares (lap, channels), each swinging over a random part of 0 .. 1."""
     phase = 2.0 * np.pi * np.arange(task.lap_steps)[:, None, None] / task.lap_steps
     order = np.arange(1, task.harmonics + 1)[:, None]
-    size, shift = rng.normal(size=(task.harmonics, channels)) / order, rng.uniform(0.0, 2.0 * np.pi, (task.harmonics, channels))
+    size, shift = (
+        rng.normal(size=(task.harmonics, channels)) / order,
+        rng.uniform(0.0, 2.0 * np.pi, (task.harmonics, channels)),
+    )
     wave = (size * np.sin(order * phase + shift)).sum(axis=1)
     wave = (wave - wave.min(axis=0)) / np.ptp(wave, axis=0)
     low, high = np.sort(rng.uniform(-0.2, 1.2, (2, channels)), axis=0)  # past the ends, so that the edge is not rare

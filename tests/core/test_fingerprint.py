@@ -1,0 +1,26 @@
+"""Fingerprints change with what can change a result, and with nothing else."""
+
+from pathlib import Path
+
+from softrl.core import fingerprint
+
+
+def test_order_of_keys_does_not_matter_but_values_do() -> None:
+    assert fingerprint.of_values({"a": 1, "b": 2}) == fingerprint.of_values({"b": 2, "a": 1})
+    assert fingerprint.of_values({"a": 1}) != fingerprint.of_values({"a": 2})
+
+
+def test_a_file_that_changes_under_the_same_name_is_seen(tmp_path: Path) -> None:
+    path = tmp_path / "mesh.stl"
+    path.write_text("one")
+    before = fingerprint.of_named_files({"stage": {"source": str(path), "others": [str(path)]}})
+    path.write_text("two")
+    assert fingerprint.of_named_files({"stage": {"source": str(path)}}) != before
+    assert set(before) == {str(path)}
+
+
+def test_code_follows_imports_into_the_package_only() -> None:
+    one = fingerprint.of_code("softrl.effects.lag")
+    assert one == fingerprint.of_code("softrl.effects.lag")
+    assert one != fingerprint.of_code("softrl.effects.leak")
+    assert fingerprint.of_code("numpy") == fingerprint.of_code()

@@ -1,0 +1,47 @@
+"""The search finds minima, respects bounds, survives failures and is thrifty."""
+
+import numpy as np
+import pytest
+
+from softrl.core.errors import SolverError
+from softrl.diagnosis.search import jacobian_at, least_squares
+
+FAR = np.array([10.0, 10.0])
+
+
+def rosenbrock(u: np.ndarray) -> np.ndarray:
+    return np.array([10.0 * (u[1] - u[0] ** 2), 1.0 - u[0]])
+
+
+def test_finds_the_minimum_of_a_curved_valley() -> None:
+    fit = least_squares(rosenbrock, np.array([-1.2, 1.0]), -FAR, FAR, 60, step=1e-5, tolerance=0.0)
+    np.testing.assert_allclose(fit.point, [1.0, 1.0], atol=1e-3)
+
+
+def test_linear_problem_takes_one_step() -> None:
+    rng = np.random.default_rng(0)
+    matrix, target = rng.standard_normal((30, 4)), rng.standard_normal(30)
+    fit = least_squares(lambda u: matrix @ u - target, np.zeros(4), -10 * np.ones(4), 10 * np.ones(4), 6)
+    np.testing.assert_allclose(fit.point, np.linalg.lstsq(matrix, target, rcond=None)[0], atol=1e-3)
+    np.testing.assert_allclose(fit.jacobian, matrix, atol=1e-8)
+    assert fit.evaluations < 25
+
+
+def test_bound_holds_and_the_rest_is_optimal_there() -> None:
+    fit = least_squares(rosenbrock, np.array([0.0, 0.0]), -FAR, np.array([0.5, 10.0]), 60, step=1e-5, tolerance=0.0)
+    np.testing.assert_allclose(fit.point, [0.5, 0.25], atol=1e-3)
+
+
+def test_failed_evaluations_are_walked_around() -> None:
+    def residual(u: np.ndarray) -> np.ndarray:
+        if u[0] > 1.5:
+            raise SolverError("diverged")
+        return np.array([u[0] ** 3 - 1.0])
+
+    fit = least_squares(residual, np.array([0.2]), np.array([-5.0]), np.array([5.0]), 30, step=1e-4)
+    assert fit.point[0] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_jacobian_turns_backward_at_the_upper_bound() -> None:
+    columns = jacobian_at(rosenbrock, np.array([1.0, 1.0]), rosenbrock(np.ones(2)), -FAR, np.ones(2), 1e-6)
+    np.testing.assert_allclose(columns, [[-20.0, 10.0], [-1.0, 0.0]], atol=1e-4)

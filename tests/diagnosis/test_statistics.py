@@ -1,0 +1,97 @@
+"""Tests keep their level on autocorrelated noise, and find what is there."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from softrl.diagnosis.statistics import (
+    blocks_of,
+    bootstrap_means,
+    correlation_time,
+    holm,
+    sandwich,
+    slope_test,
+    whiteness,
+)
+
+
+def coloured(rng: np.random.Generator, count: int, memory: float) -> np.ndarray:
+    noise = rng.standard_normal(count + 500)
+    return np.asarray(lfilter([1.0], [1.0, -memory], noise)[500:])
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.5, 0.8])
+def test_correlation_time_of_a_first_order_process(memory: float) -> None:
+    series = coloured(np.random.default_rng(1), 200_000, memory)
+    assert correlation_time(series) == pytest.approx((1.0 + memory) / (1.0 - memory), rel=0.1)
+
+
+def test_blocks_never_span_runs_and_hold_every_sample() -> None:
+    runs = np.repeat([0, 1, 2], [105, 10, 50])
+    blocks = blocks_of(runs, 20)
+    assert np.all(np.diff(blocks) >= 0) and np.all(np.diff(blocks) <= 1)
+    for block in np.unique(blocks):
+        assert len(np.unique(runs[blocks == block])) == 1
+    assert np.bincount(blocks).min() >= 10
+
+
+def test_bootstrap_interval_covers_the_mean_of_dependent_samples() -> None:
+    rng, hits = np.random.default_rng(2), 0
+    for _ in range(200):
+        series = coloured(rng, 1000, 0.8)
+        means = bootstrap_means(series, blocks_of(np.zeros(1000, int), 40), 400, rng)
+        low, high = np.quantile(means, [0.05, 0.95])
+        hits += low <= 0.0 <= high
+    assert 165 <= hits <= 195, f"90 % interval covered {hits} of 200"
+
+
+def test_holm_by_hand_and_never_below_the_raw_value() -> None:
+    np.testing.assert_allclose(holm([0.01, 0.04, 0.03]), [0.03, 0.06, 0.06])
+    p = np.random.default_rng(3).uniform(size=50)
+    assert np.all(holm(p.tolist()) >= p)
+
+
+def test_slope_test_keeps_its_level_where_a_naive_test_fails() -> None:
+    rng, robust, naive = np.random.default_rng(4), 0, 0
+    blocks = blocks_of(np.zeros(1500, int), 50)
+    for _ in range(300):
+        x, y = coloured(rng, 1500, 0.9), coloured(rng, 1500, 0.9)
+        robust += slope_test(y, x, blocks)[1] < 0.05
+        naive += slope_test(y, x, np.arange(1500))[1] < 0.05
+    assert robust <= 33, f"{robust} of 300 false alarms at 5 %"
+    assert naive > 90
+
+
+def test_slope_test_finds_a_weak_dependence() -> None:
+    rng = np.random.default_rng(5)
+    x = coloured(rng, 3000, 0.8)
+    size, p_value = slope_test(0.3 * x + coloured(rng, 3000, 0.8), x, blocks_of(np.zeros(3000, int), 50))
+    assert p_value < 1e-3
+    assert size == pytest.approx(0.3 / np.hypot(0.3, 1.0), abs=0.1)
+
+
+def test_whiteness_keeps_its_level_and_rejects_colour() -> None:
+    rng = np.random.default_rng(6)
+    alarms = sum(whiteness(rng.standard_normal(400), 15)[1] < 0.05 for _ in range(400))
+    assert 8 <= alarms <= 36
+    assert whiteness(coloured(rng, 400, 0.5), 15)[1] < 1e-6
+
+
+def test_sandwich_interval_covers_under_dependent_errors() -> None:
+    rng, hits = np.random.default_rng(7), 0
+    for _ in range(200):
+        jacobian = np.stack([coloured(rng, 1200, 0.9), np.ones(1200)], axis=1)
+        error = coloured(rng, 1200, 0.9)
+        fitted = np.linalg.lstsq(jacobian, error, rcond=None)[0]
+        spread = np.sqrt(sandwich(jacobian, error - jacobian @ fitted, blocks_of(np.zeros(1200, int), 60))[0, 0])
+        hits += abs(fitted[0]) <= 1.72 * spread
+    assert 160 <= hits <= 195, f"90 % interval covered {hits} of 200"
+
+
+def test_sandwich_calls_an_unseen_parameter_unknown() -> None:
+    rng = np.random.default_rng(8)
+    x = rng.standard_normal(300)
+    jacobian = np.stack([x, x + 1e-9 * rng.standard_normal(300)], axis=1)
+    covariance = sandwich(jacobian, rng.standard_normal(300), blocks_of(np.zeros(300, int), 10))
+    alone = sandwich(jacobian[:, :1], rng.standard_normal(300), blocks_of(np.zeros(300, int), 10))
+    assert covariance[0, 0] > 100.0 * alone[0, 0]

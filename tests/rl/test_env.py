@@ -1,0 +1,104 @@
+"""The environments: checkers, seeds, reward, curves within reach, the expert."""
+
+import warnings
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import yaml
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as check_env_sb3
+
+from softrl.artifacts.surrogate import Surrogate
+from softrl.core.config import build_target
+from softrl.core.errors import ConfigError
+from softrl.rl.batch import Batch
+from softrl.rl.env import ENVIRONMENTS
+from softrl.rl.evaluate import evaluate, expert, rest
+from softrl.rl.reward import weigh
+from softrl.rl.tasks.curves import CURVES, random_fourier
+from softrl.rl.tasks.task import Task
+from softrl.rl.vector_env import TwinVecEnv
+from softrl.rl.workspace import Workspace
+
+TASKS = tuple(ENVIRONMENTS)
+CONF = Path(__file__).parents[2] / "conf" / "task"
+
+
+def task_of(name: str, **changes: float) -> Task:
+    """Return a task of conf/ with some numbers changed."""
+    node = yaml.safe_load((CONF / f"{name}.yaml").read_text())
+    return build_target(node | {"alpha": 0.5} | changes, "task")
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_the_checkers_are_content(name: str, surrogate: Surrogate) -> None:
+    env = gym.make(ENVIRONMENTS[name], surrogate=surrogate, task=task_of(name), curves=3, render_mode="rgb_array")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env.unwrapped, skip_render_check=True)
+        check_env_sb3(env.unwrapped)
+    env.reset(seed=0)
+    picture = env.render()
+    assert picture.ndim == 3 and picture.dtype == np.uint8 and np.ptp(picture) > 100
+
+
+def test_an_id_takes_its_own_task_only(surrogate: Surrogate) -> None:
+    with pytest.raises(ConfigError, match="Track"):
+        gym.make(ENVIRONMENTS["hybrid"], surrogate=surrogate, task=task_of("track"), curves=2)
+
+
+def test_a_seed_gives_the_same_episode(space: Workspace) -> None:
+    task = task_of("track")
+    goals = task.training_goals(4, space, np.random.default_rng(0))
+    action = np.random.default_rng(1).uniform(-1, 1, (50, 5, 3))
+    runs = []
+    for _ in range(2):
+        env = TwinVecEnv(Batch(task, space, goals, 5), seed=7)
+        rows = [env.reset()]
+        for a in action:
+            env.step_async(a)
+            rows.append(env.step_wait()[0])
+        runs.append(np.stack(rows))
+    np.testing.assert_array_equal(*runs)
+
+
+def test_the_reward_is_bounded_and_falls_with_either_error() -> None:
+    error = np.linspace(0.0, 0.1, 50)
+    for alpha in (0.0, 0.3, 1.0):
+        near, firm = weigh(alpha, error, 0.0 * error, 2e-3, 0.3), weigh(alpha, 0.0 * error, error, 2e-3, 0.3)
+        for reward in (near, firm):
+            assert reward[0] == pytest.approx(1.0) and (reward >= 0.0).all() and (np.diff(reward) <= 0.0).all()
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_goals_are_within_reach_and_unseen(name: str, space: Workspace) -> None:
+    task = task_of(name)
+    training = task.training_goals(3, space, np.random.default_rng(0))
+    assert space.reachable(training.position.reshape(-1, 3)).mean() > 0.97
+    for curve in task.curves:
+        goals = task.evaluation_goals(curve, space)
+        assert space.reachable(goals.position[0]).all()
+        plane = task.plane(space)
+        if plane is not None:
+            np.testing.assert_allclose((goals.position[0] - plane[1]) @ plane[0], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_the_expert_is_near_and_rest_is_not(name: str, space: Workspace) -> None:
+    task = task_of(name, lap_steps=40, friction_coefficient=0.0) if name != "track" else task_of(name, lap_steps=40)
+    goals = task.evaluation_goals(task.curves[0], space)
+    good, bad = evaluate(expert, task, space, goals, 2), evaluate(rest, task, space, goals, 2)
+    assert good.position_rmse < 3e-4 and good.reward > 0.9 > bad.reward
+    if name != "track":
+        assert good.force_mae < 0.05 < bad.force_mae
+
+
+def test_curves_close_and_have_unit_size() -> None:
+    for curve in CURVES.values():
+        points = curve(400)
+        assert np.linalg.norm(points, axis=1).max() == pytest.approx(1.0, abs=0.05)
+        assert np.linalg.norm(points[0] - points[-1]) < 0.03
+    wave = random_fourier(100, 4, 0.5, np.random.default_rng(0))
+    assert np.linalg.norm(wave, axis=1).max() == pytest.approx(1.0)

@@ -1,0 +1,81 @@
+"""Agents learn, seeds repeat, and a policy runs from its arrays alone."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from softrl.artifacts.policy import Policy
+from softrl.artifacts.surrogate import Surrogate
+from softrl.core.config import build_target
+from softrl.core.errors import ArtifactError
+from softrl.core.tracking import NullTracker
+from softrl.rl.agents.agent import Agent
+from softrl.rl.policy import act, joints
+from softrl.rl.stage import Config, run
+from softrl.robots.robot import Robot
+
+CONF = Path(__file__).parents[2] / "conf"
+CONFIG = Config(training_curves=8, validation_curves=2, episodes=2, seed=0)
+SMALL = {
+    "bc": {"hidden": 24, "envs": 32, "steps": 40, "iterations": 120},
+    "sac": {"hidden": 16, "envs": 8, "steps": 400, "learning_starts": 100, "judge_every": 200, "gradient_steps": 1},
+    "ppo": {"hidden": 16, "envs": 8, "steps": 512, "rollout": 32, "batch_size": 128, "judge_every": 256, "epochs": 2},
+}
+
+
+def agent_of(name: str) -> Agent:
+    """Return an agent of conf/, made small."""
+    return build_target(yaml.safe_load((CONF / "agent" / f"{name}.yaml").read_text()) | SMALL[name], "agent")
+
+
+def train(name: str, robot: Robot, surrogate: Surrogate) -> tuple[Policy, dict[str, float]]:
+    """Return a policy for tracking and the stage's metrics."""
+    tracker = NullTracker()
+    task = yaml.safe_load((CONF / "task" / "track.yaml").read_text()) | {"alpha": 1.0, "lap_steps": 40}
+    return run(CONFIG, robot, surrogate, build_target(task, "task"), agent_of(name), tracker=tracker), tracker.metrics
+
+
+@pytest.fixture(scope="module")
+def cloned(robot: Robot, surrogate: Surrogate) -> tuple[Policy, dict[str, float]]:
+    """Return a cloned policy and its metrics."""
+    return train("bc", robot, surrogate)
+
+
+def test_cloning_comes_near_the_expert(cloned: tuple[Policy, dict[str, float]]) -> None:
+    _, metrics = cloned
+    assert metrics["heldout/circle_position_rmse_mm"] < 0.1 * metrics["heldout/rest_circle_position_rmse_mm"]
+    assert metrics["heldout/expert_circle_position_rmse_mm"] < 0.01
+
+
+@pytest.mark.parametrize("name", ["sac", "ppo"])
+def test_other_agents_run_and_keep_their_best(name: str, robot: Robot, surrogate: Surrogate) -> None:
+    policy, metrics = train(name, robot, surrogate)
+    assert policy.agent_name == name and 0.0 <= metrics["val/reward"] <= 1.0
+
+
+def test_a_seed_gives_the_same_policy(
+    cloned: tuple[Policy, dict[str, float]], robot: Robot, surrogate: Surrogate
+) -> None:
+    again, _ = train("bc", robot, surrogate)
+    for name, weight in cloned[0].weights.items():
+        np.testing.assert_array_equal(weight, again.weights[name])
+
+
+def test_a_policy_survives_its_folder_and_runs(cloned: tuple[Policy, dict[str, float]], tmp_path: Path) -> None:
+    policy = cloned[0]
+    policy.save(tmp_path / "policy")
+    loaded = Policy.load(tmp_path / "policy")
+    seen = np.random.default_rng(0).normal(size=(6, policy.observation_size))
+    np.testing.assert_array_equal(act(policy)(seen), act(loaded)(seen))
+    command = joints(loaded, act(loaded)(seen))
+    assert (command >= policy.joint_low).all() and (command <= policy.joint_high).all()
+
+
+def test_a_foreign_policy_or_observation_is_refused(cloned: tuple[Policy, dict[str, float]]) -> None:
+    policy = cloned[0]
+    with pytest.raises(ArtifactError, match="robot=other"):
+        act(policy, "other")
+    with pytest.raises(ArtifactError, match="length 15"):
+        act(policy)(np.zeros((1, 9)))

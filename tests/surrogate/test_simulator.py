@@ -1,0 +1,55 @@
+"""The surrogate as a body: the simulator contract, and rest where f_SP says."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+from softrl.artifacts.surrogate import Surrogate
+from softrl.core.errors import ArtifactError, ConfigError
+from softrl.robots.robot import Robot
+from softrl.surrogate.simulator import SurrogateSimulator
+from softrl.surrogate.twin import Twin
+
+DT_S = 0.02
+
+
+@pytest.fixture(scope="module")
+def simulator(robot: Robot, surrogate: Surrogate) -> SurrogateSimulator:
+    """Return the surrogate of the lumped body in PyBullet."""
+    return SurrogateSimulator(robot, surrogate, 1.0, 24.0, 1.0)
+
+
+def test_it_settles_where_the_map_says(simulator: SurrogateSimulator) -> None:
+    pressure = np.tile([2e4, 5e3, -5e3], (60, 1))
+    motion = simulator.simulate(DT_S * np.arange(1, 61), pressure)
+    expected = Twin(simulator.surrogate).tip(simulator.joint_targets(pressure[:1]))[0]
+    assert np.linalg.norm(motion.position[-1] - expected) < 2e-4  # 1.2 s after the step
+    assert np.linalg.norm(motion.position[0] - expected) > 5e-3
+
+
+def test_steps_make_the_simulation_and_travel(simulator: SurrogateSimulator) -> None:
+    pressure = np.random.default_rng(0).uniform(0, 2e4, (8, 3))
+    whole = simulator.simulate(DT_S * np.arange(1, 9), pressure)
+    twin = pickle.loads(pickle.dumps(simulator))
+    state = twin.reset()
+    for k, row in enumerate(pressure):
+        state = twin.step(state, row, DT_S)
+        np.testing.assert_allclose(twin.observe(state)[0], whole.position[k], atol=1e-9)
+
+
+def test_a_stiffer_body_bends_less(simulator: SurrogateSimulator) -> None:
+    stiff = simulator.with_parameters(youngs_modulus_scale=2.0)
+    pressure = np.array([[2e4, 0.0, 0.0]])
+    np.testing.assert_allclose(stiff.joint_targets(pressure), simulator.joint_targets(0.5 * pressure))
+
+
+def test_misuse_is_refused(simulator: SurrogateSimulator, robot: Robot) -> None:
+    from dataclasses import replace
+
+    with pytest.raises(ConfigError, match="wobble"):
+        simulator.with_parameters(wobble=1.0)
+    with pytest.raises(ArtifactError, match="rerun stage=surrogate"):
+        replace(simulator, robot=replace(robot, name="other"))
+    with pytest.raises(ConfigError, match="body and load"):
+        simulator.step(simulator.reset(), np.zeros(3), DT_S, body=[object()])  # type: ignore[list-item]

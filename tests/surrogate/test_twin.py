@@ -1,0 +1,121 @@
+"""Equilibrium of the twin: forces balance, contact obeys its laws, PyBullet settles at the same place."""
+
+import numpy as np
+import pytest
+
+from softrl.artifacts.surrogate import Surrogate
+from softrl.core.tracking import NullTracker
+from softrl.surrogate.kinematics import chain_of
+from softrl.surrogate.maps import PressureToJoints, network, network_jacobian
+from softrl.surrogate.parity import contact_parity, parity
+from softrl.surrogate.stiffness import chain_compliance, fit_joint_stiffness
+from softrl.surrogate.twin import Plane, Twin
+
+TILT = np.deg2rad(15.0)
+NORMAL = np.array([np.sin(TILT), 0.0, -np.cos(TILT)])
+
+
+@pytest.fixture(scope="module")
+def pressed(surrogate: Surrogate) -> tuple[Twin, np.ndarray, Plane]:
+    """Return commands whose free tips lie 1 to 6 mm behind a slope."""
+    twin = Twin(surrogate)
+    theta = surrogate.sample_joints[:6]
+    centre = twin.tip(theta)
+    depth = 1e-3 * np.arange(1, 7)
+    aim = centre[:1] - depth[:, None] * NORMAL
+    return twin, twin.joints_for_tip(aim), (NORMAL, centre[0])
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_joint_torques_balance_the_reaction(pressed: tuple[Twin, np.ndarray, Plane], friction: float) -> None:
+    twin, theta, plane = pressed
+    push = np.array([0.2, -0.1, 0.1])
+    state = twin.solve(theta, push, plane, friction)
+    command = np.tile(theta, (1, len(twin.chain.below)))
+    torque = twin.stiffness * (state.joints - command)
+    for b in range(len(theta)):
+        slope = _jacobian(twin, state.joints[b])
+        np.testing.assert_allclose(torque[b], slope.T @ (push + state.reaction[b]), atol=1e-6)
+
+
+def _jacobian(twin: Twin, q: np.ndarray) -> np.ndarray:
+    from softrl.surrogate.kinematics import pose
+
+    tip, rotation, jacobian = np.empty(3), np.empty((3, 3)), np.empty((3, len(q)))
+    pose(q, twin.chain, tip, rotation, jacobian)
+    return jacobian
+
+
+def test_contact_force_is_penetration_times_stiffness_and_grows(pressed: tuple[Twin, np.ndarray, Plane]) -> None:
+    twin, theta, plane = pressed
+    state = twin.solve(theta, None, plane)
+    depth = -(state.tip - plane[1]) @ plane[0]
+    np.testing.assert_allclose(state.contact_force, twin.contact_stiffness * depth, atol=1e-6)
+    assert (np.diff(state.contact_force) > 0).all() and (state.contact_force > 0).all()
+
+
+def test_friction_stays_in_its_cone_and_sticks(pressed: tuple[Twin, np.ndarray, Plane]) -> None:
+    twin, theta, plane = pressed
+    normal, start = plane[0], np.tile(plane[1] + [2e-3, 1e-3, 0.0], (len(theta), 1))
+    for friction in (0.05, 5.0):
+        state = twin.solve(theta, None, plane, friction, start)
+        across = state.reaction - (state.reaction @ normal)[:, None] * normal
+        assert (np.linalg.norm(across, axis=1) <= friction * state.contact_force + 1e-9).all()
+    slip = state.tip - start
+    slip -= (slip @ normal)[:, None] * normal
+    assert np.abs(slip).max() < 1e-6  # with a coefficient of 5 it sticks
+
+
+def test_without_touch_there_is_no_force(surrogate: Surrogate) -> None:
+    twin = Twin(surrogate)
+    theta = surrogate.sample_joints[:4]
+    state = twin.solve(theta, None, (NORMAL, np.array([0.0, 0.0, 1.0])), 0.3)
+    np.testing.assert_array_equal(state.contact_force, 0.0)
+    np.testing.assert_allclose(state.tip, twin.tip(theta), atol=1e-12)
+
+
+def test_pybullet_settles_where_the_twin_is(surrogate: Surrogate) -> None:
+    free, loaded = parity(surrogate, surrogate.sample_joints[:2], np.array([0.5, 0.5, -0.5]))
+    assert free < 1e-6 and loaded < 1e-5, f"free {1e3 * free:g} mm, loaded {1e3 * loaded:g} mm"
+
+
+def test_pybullet_presses_as_hard_as_the_twin(surrogate: Surrogate, pressed: tuple[Twin, np.ndarray, Plane]) -> None:
+    _, theta, plane = pressed
+    felt, expected = contact_parity(surrogate, theta[[1, 4]], plane, 0.0)
+    np.testing.assert_allclose(felt, expected, rtol=0.05)
+
+
+def test_springs_are_found_again(surrogate: Surrogate) -> None:
+    chain, truth = chain_of(surrogate), np.array([20.0, 30.0, 1e4])
+    theta = surrogate.sample_joints[:30]
+    found = fit_joint_stiffness(theta, chain, chain_compliance(theta, chain, truth))
+    np.testing.assert_allclose(found, truth, rtol=1e-6)
+
+
+def test_compliance_predicts_a_small_load(surrogate: Surrogate) -> None:
+    twin, theta = Twin(surrogate), surrogate.sample_joints[:5]
+    force = np.array([0.01, -0.02, 0.01])
+    moved = twin.solve(theta, force).tip - twin.tip(theta)
+    expected = chain_compliance(theta, twin.chain, surrogate.joint_stiffness) @ force
+    np.testing.assert_allclose(moved, expected, atol=2e-3 * np.abs(expected).max())
+
+
+def test_the_map_beats_its_baselines_and_goes_round(surrogate: Surrogate, tracker: NullTracker) -> None:
+    found = tracker.metrics
+    assert (
+        found["heldout/tip_error_mm"]
+        < 0.5 * found["heldout/affine_tip_error_mm"]
+        < 0.1 * found["heldout/mean_tip_error_mm"]
+    )
+    assert found["heldout/roundtrip_pressure_kpa"] < 0.1
+    maps = PressureToJoints(surrogate)
+    np.testing.assert_allclose(maps.joints(maps.pressure(surrogate.sample_joints)), surrogate.sample_joints, atol=5e-4)
+
+
+def test_the_networks_slope_is_its_derivative(surrogate: Surrogate) -> None:
+    x = np.random.default_rng(0).normal(size=(5, surrogate.chambers))
+    slope = network_jacobian(surrogate.forward, x)
+    for j in range(surrogate.chambers):
+        nudge = 1e-6 * np.eye(surrogate.chambers)[j]
+        numeric = (network(surrogate.forward, x + nudge) - network(surrogate.forward, x - nudge)) / 2e-6
+        np.testing.assert_allclose(slope[:, :, j], numeric, atol=1e-8)
