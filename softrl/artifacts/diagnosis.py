@@ -22,7 +22,7 @@ class Diagnosis(Artifact):
     sentences : the finding in plain words, the verdict first
     effects : one entry a named effect: name, site, where, chamber (-1 all), parameters ({value, low, high, unit}),
         evidence (one sentence with numbers)
-    simulator_parameters : tunable parameter -> identified value, in the unit of its name; empty if the nominal ones stay
+    simulator_parameters : tunable parameter -> identified value, in the unit of its name
     retuned : tunable parameter -> {nominal, value, plausible}: the competitor that changes parameters only
     rivals : {name, score_gap, low, high, equivalent}, score gaps in mm of held-out error, best first
     located : {site, channel, chamber, region, effect_size, p_value}, p-values corrected for their number

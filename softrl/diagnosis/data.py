@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import comb
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -75,7 +75,8 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, fit_s:
     travel = rms_about_mean([_seen(r, robot) for r in training.recordings])
     if travel < MIN_SIGNAL * noise:
         return Refusal(
-            found, f"the motion ({1e3 * travel:.3g} mm rms) hardly exceeds its noise ({1e3 * noise:.3g} mm); drive harder"
+            found,
+            f"the motion ({1e3 * travel:.3g} mm rms) hardly exceeds its noise ({1e3 * noise:.3g} mm); drive harder",
         )
     pressure = all(r.pressure_meas is not None for r in usable)
     return Data(
@@ -133,7 +134,7 @@ def _within(runs: Sequence[Recording], seconds: float) -> tuple[Recording, ...]:
 def cut(run: Recording, end: float) -> Recording:
     """Return the run up to ``end`` s."""
     count = int(np.searchsorted(run.time, end, side="right"))
-    changed = {name: values[:count] for name, values in run.channels() if name not in run.markers}
+    changed: dict[str, Any] = {name: values[:count] for name, values in run.channels() if name not in run.markers}
     return replace(run, **changed, markers={name: values[:count] for name, values in run.markers.items()})
 
 

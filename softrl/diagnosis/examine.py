@@ -129,7 +129,9 @@ def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Fi
     if unknown:
         final, named, without = base, [], {}
         explained, left = _explained(judge, base, final)
-    rivals = [rival for choice, trial in without.items() for rival in _rivals(part, judge, path, final, trial, choice, search)]
+    rivals = []
+    for choice, trial in without.items():
+        rivals += _rivals(part, judge, path, final, trial, choice, search)
     before, after = (_heldout(judge, trial) for trial in (base, final))
     return Finding(part, path, base, final, named, rivals, explained, left, unknown, closest, before, after, judge)
 

@@ -153,8 +153,8 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
     held = diagnosis.errors_mm["heldout"]
     lines = [_verdict_sentence(diagnosis)]
     lines.append(
-        f"Held-out error from command to motion: nominal {held['nominal']:.3g} mm, retuned only {held['retuned']:.3g} mm, "
-        f"corrected {held['corrected']:.3g} mm, noise {held['noise_floor']:.2g} mm."
+        f"Held-out error from command to motion: nominal {held['nominal']:.3g} mm, "
+        f"retuned only {held['retuned']:.3g} mm, corrected {held['corrected']:.3g} mm, noise {held['noise_floor']:.2g} mm."
     )
     lines += [_effect_sentence(effect) for effect in diagnosis.effects]
     for rival in diagnosis.rivals[:4]:
@@ -166,7 +166,8 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
     odd = [name for name, entry in diagnosis.retuned.items() if not entry["plausible"]]
     if odd:
         lines.append(
-            f"Retuning alone drives {', '.join(odd)} to the end of the plausible range: evidence that physics is missing."
+            f"Retuning alone drives {', '.join(odd)} to the end of the plausible range: "
+            "evidence that physics is missing."
         )
     lines += [_left_sentence(finding) for finding in findings if finding.left > finding.judge.material]
     return lines
@@ -175,12 +176,12 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
 def _verdict_sentence(diagnosis: Diagnosis) -> str:
     names_ = " and ".join(f"{effect['title']} ({effect['where']})" for effect in diagnosis.effects)
     if diagnosis.verdict == "nothing missing":
-        return "Nothing is missing that these recordings could show: with retuned parameters the simulator reaches the noise."
+        return "Nothing is missing that these recordings could show: retuned parameters suffice."
     if diagnosis.verdict == "named":
         return f"The simulator leaves out: {names_}."
     if diagnosis.verdict == "indistinguishable":
         alike = ", ".join(sorted({row["name"] for row in diagnosis.rivals if row["equivalent"]}))
-        return f"The simulator leaves out {names_}, or one of these that the recordings cannot tell from it: {alike}."
+        return f"The simulator leaves out {names_}; the recordings cannot tell from it: {alike}."
     also = f" Named so far: {names_}." if names_ else ""
     return f"Something is missing that no effect of the library explains.{also}"
 

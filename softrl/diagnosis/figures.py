@@ -42,7 +42,8 @@ def draw_run(heldout: Problem, judged: dict[str, Traces]) -> Figure:
     for name, traces in judged.items():
         above.plot(run.time, factor * traces.predicted[k][:, main], color=COLOURS[name], lw=0.9, label=name)
         error = factor * np.linalg.norm(measured - traces.predicted[k], axis=1)
-        below.plot(run.time, error, color=COLOURS[name], lw=0.9, label=f"{name}: rms {np.sqrt(np.mean(error**2)):.3g} {unit}")
+        label = f"{name}: rms {np.sqrt(np.mean(error**2)):.3g} {unit}"
+        below.plot(run.time, error, color=COLOURS[name], lw=0.9, label=label)
     above.set_ylabel(f"{'bend angle' if angle else 'tip ' + 'xyz'[main]}, {unit}")
     above.set_title(f"held-out run {run.name}")
     below.set_ylabel(f"error, {unit}")
@@ -61,9 +62,8 @@ def draw_map(heldout: Problem, judged: dict[str, Traces]) -> Figure:
     factor, unit = (180.0 / np.pi, "deg") if heldout.robot.output == "bend_angle" else (1e3, "mm")
     maps = {}
     for name in ("retuned", "corrected"):
-        error = np.concatenate(
-            [np.linalg.norm(seen(heldout, r) - p, axis=1) for r, p in zip(heldout.runs, judged[name].predicted, strict=True)]
-        )
+        pairs = zip(heldout.runs, judged[name].predicted, strict=True)
+        error = np.concatenate([np.linalg.norm(seen(heldout, run) - p, axis=1) for run, p in pairs])
         count, x, y = np.histogram2d(time, pressure, bins=(24, 12))
         total = np.histogram2d(time, pressure, bins=(x, y), weights=factor * error)[0]
         maps[name] = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
@@ -107,7 +107,7 @@ def draw_rivals(diagnosis: Diagnosis) -> Figure:
         ax.set_yticks(range(len(labels)), labels, fontsize=8)
         ax.set_ylim(len(labels) - 0.5, -0.5)
         ax.axvline(0.0, color="black", lw=0.8)
-        ax.set_xlabel(f"held-out error above that of the named effects, {unit} (orange: cannot be told apart)")
+        ax.set_xlabel(f"held-out error beyond the named effects', {unit} (orange: alike)")
     return figure
 
 
@@ -134,11 +134,11 @@ def draw_located(diagnosis: Diagnosis) -> Figure:
         ax.barh(k, row["effect_size"], color="tab:red" if row["p_value"] < 0.01 else "tab:gray")
         chamber = f"chamber {row['chamber']}" if row["chamber"] else None
         labels.append(", ".join(part for part in (row["site"], row["channel"], chamber, row["region"]) if part))
-        ax.annotate(f"p {row['p_value']:.1g}", (row["effect_size"], k), fontsize=7, va="center")
+        ax.annotate(f" p {row['p_value']:.1g}" if row["p_value"] > 1e-16 else " p < 1e-16", (row["effect_size"], k), fontsize=7, va="center")
     ax.set_yticks(range(len(labels)), labels, fontsize=8)
     ax.invert_yaxis()
     ax.set_xlim(0.0, 1.15)
-    ax.set_xlabel("effect size (share of power or correlation) in the retuned residual")
+    ax.set_xlabel("effect size (share of power or correlation) before effects")
     return figure
 
 
@@ -154,6 +154,7 @@ def draw_screening(findings: Sequence[Finding]) -> Figure:
         ax.set_yticks(range(len(leads)), [lead.choice.label() for lead in leads], fontsize=8)
         ax.invert_yaxis()
         factor, unit = shown_in(finding)
-        ax.set_title(f"{finding.part.title}\n(retuned rms {factor * finding.judge.rms(finding.base.squares):.3g} {unit})", fontsize=9)
+        before = factor * finding.judge.rms(finding.base.squares)
+        ax.set_title(f"{finding.part.title}\n(retuned rms {before:.3g} {unit})", fontsize=9)
         ax.set_xlabel("share of squared residual explained, linearised")
     return figure

@@ -162,7 +162,7 @@ def starts(choice: Choice) -> list[np.ndarray]:
     found = [typical]
     for k, (axis, field) in enumerate(zip(axes, fields_, strict=True)):
         wide = axis.unit == "rad" and axis.high - axis.low > FULL_TURN_RAD
-        shifts = (-1.4, 1.4) if axis.log else (-2.1 / axis.scale, 2.1 / axis.scale) if wide else ()
+        shifts: tuple[float, ...] = (-1.4, 1.4) if axis.log else (-2.1 / axis.scale, 2.1 / axis.scale) if wide else ()
         if axis.log and field.metadata["neutral"] in (axis.low, axis.high):
             shifts = (-1.0,)
         for shift in shifts:

@@ -202,7 +202,8 @@ def screen(fitting: Problem, current: Trial, choices: Sequence[Choice], workers:
     Each effect is simulated at a few sizes beside ``current``; the differences, together with the free parameters'
     Jacobian, are fitted to the residual within the effect's bounds.
     """
-    basis = np.linalg.qr(current.fit.jacobian)[0] if current.fit.jacobian.size else np.zeros((len(current.fit.residual), 0))
+    jacobian = current.fit.jacobian
+    basis = np.linalg.qr(jacobian)[0] if jacobian.size else np.zeros((len(jacobian), 0))
     for_all = [choice for choice in choices if choice.chamber < 0]
     leads = parallel(_screen_one, [(fitting, current, basis, choice) for choice in for_all], workers)
     leads.sort(key=lambda lead: -lead.gain)
@@ -264,8 +265,8 @@ def _jointly(
     if not columns:
         return []
     ends = np.array([sorted((a.scaled(a.low), a.scaled(a.high))) for a in effect_axes(choice)])
-    low = np.array([min(((ends[k] - zero[k]) / by)) for k, by in places])
-    high = np.array([max(((ends[k] - zero[k]) / by)) for k, by in places])
+    low = np.array([min((ends[k] - zero[k]) / by) for k, by in places])
+    high = np.array([max((ends[k] - zero[k]) / by) for k, by in places])
     solved = lsq_linear(np.stack(columns, axis=1), -residual, (low - 1e-9, high + 1e-9))
     begin = np.where(log_axis, typical, zero)
     for (k, by), share in zip(places, solved.x, strict=True):

@@ -3,6 +3,7 @@
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import stats
 
 from softrl.diagnosis.problem import Problem, Residual
 from softrl.diagnosis.statistics import block_sums, blocks_of, holm, slope_test, whiteness
@@ -60,10 +61,10 @@ def locate(problem: Problem, residual: Residual, floor: float, site: str, block_
 
 def corrected(findings: list[Finding]) -> list[dict[str, Any]]:
     """Return the findings as plain values, p-values corrected for their number after Holm, strongest first."""
-    p_values = holm([finding.p_value for finding in findings]) if findings else []
+    adjusted = holm([finding.p_value for finding in findings]) if findings else []
     rows = [
         finding._replace(p_value=float(p), effect_size=float(finding.effect_size))._asdict()
-        for finding, p in zip(findings, p_values, strict=True)
+        for finding, p in zip(findings, adjusted, strict=True)
     ]
     return sorted(rows, key=lambda row: (row["p_value"] > 0.01, -row["effect_size"]))
 
@@ -85,8 +86,6 @@ def _sized(target: np.ndarray, regressor: np.ndarray, blocks: np.ndarray) -> tup
 
 def _above_floor(values: np.ndarray, floor: float, blocks: np.ndarray) -> tuple[float, float]:
     """Return (share of power above the floor, p-value), from the spread of the power over blocks."""
-    from scipy import stats
-
     power = np.sum(values**2, axis=1)
     share = 1.0 - floor**2 / max(float(power.mean()), 1e-300)
     means = block_sums(power, blocks) / np.bincount(blocks)
@@ -101,7 +100,7 @@ def _channels(problem: Problem, values: np.ndarray, site: str) -> list[Finding]:
     total = max(float(np.mean(np.sum(values**2, axis=1))), 1e-300)
     found = []
     for name, column in zip(channel_names(problem), values.T, strict=True):
-        p_values = [
+        p_values: list[float] = [
             whiteness(column[problem.run_of_bin == run], WHITENESS_LAGS)[1] for run in range(len(problem.runs))
         ]
         p_value = min(1.0, len(p_values) * min(p_values))
@@ -111,8 +110,6 @@ def _channels(problem: Problem, values: np.ndarray, site: str) -> list[Finding]:
 
 def _bands(problem: Problem, residual: Residual, site: str) -> list[Finding]:
     """Return the share of the residual's power in each band; p-value against the share of white noise."""
-    from scipy import stats
-
     found = []
     period = problem.numerics.bin_s
     for low, high in BANDS_HZ:

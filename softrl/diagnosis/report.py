@@ -13,7 +13,8 @@ from softrl.artifacts.diagnosis import Diagnosis
 STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; color: #222 }
 h1 { font-size: 1.4rem } h2 { font-size: 1.1rem; margin-top: 2rem } .verdict { font-size: 1.2rem; font-weight: 600 }
-table { border-collapse: collapse; font-size: .85rem } td, th { border: 1px solid #ccc; padding: .2rem .6rem; text-align: left }
+table { border-collapse: collapse; font-size: .85rem }
+td, th { border: 1px solid #ccc; padding: .2rem .6rem; text-align: left }
 img { max-width: 100% } .quiet { color: #666; font-size: .85rem }
 """
 CAPTIONS = {

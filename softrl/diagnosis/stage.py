@@ -110,7 +110,7 @@ def _whole(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Pr
     apart = other_frames(bare.replayed(Hypothesis((), ()), np.zeros(0)), data.training)
     if apart < OTHER_FRAME_RAD:
         return bare
-    log.info("sessions were recorded in frames that turn apart by %.0f deg: each is placed by itself", np.degrees(apart))
+    log.info("sessions use frames that turn apart by %.0f deg: each is placed by itself", np.degrees(apart))
     return replace(bare, register=True, orientation=False)
 
 

@@ -61,7 +61,11 @@ def test_processes_do_not_change_the_result(box: Mesh, snapshots: Snapshots) -> 
     again = run(replace(CONFIG, processes=2), box_robot(2), box, tracker=NullTracker())
     for field in fields(Snapshots):
         one, two = getattr(snapshots, field.name), getattr(again, field.name)
-        assert np.array_equal(one, two), field.name
+        if not isinstance(one, np.ndarray):
+            assert one == two, field.name
+            continue
+        # the linear solver sums in another order with another number of threads
+        np.testing.assert_allclose(one, two, rtol=1e-6, atol=1e-8 * np.abs(one).max(initial=0.0), err_msg=field.name)
 
 
 def test_metrics_are_reported(tracker: NullTracker, snapshots: Snapshots) -> None:
