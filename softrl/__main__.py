@@ -69,7 +69,9 @@ def _spell_out(word: str) -> list[str]:
 def _one_line(error: Exception) -> str:
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     if isinstance(error, ConfigCompositionException) and lines[0].startswith("Could not override"):
-        return f"{lines[0].rstrip('.')}: there is no such key; `--cfg job` prints every key of the chosen stage"
+        whole = not any(word.startswith("stage=") and word != "stage=all" for word in sys.argv)
+        hint = "a key of one stage needs that stage alone: stage=<name>" if whole else "`--cfg job` prints every key"
+        return f"{lines[0].rstrip('.')}: there is no such key; {hint}"
     shown = [line for line in lines if not line.startswith(NOISE)]
     return " ".join(shown)
 

@@ -52,6 +52,11 @@ class Data:
         """Runs that are not held out."""
         return self.fitting + self.validation
 
+    def shortened(self, fit_s: float) -> "Data":
+        """Return the data with fits limited to ``fit_s`` of recordings, and validation to 70 % of that."""
+        fitting, validation = within(self.fitting, fit_s), within(self.validation, 0.7 * fit_s)
+        return replace(self, fitting=fitting, validation=validation)
+
 
 class Refusal(NamedTuple):
     """Why nothing can be told."""
@@ -60,7 +65,7 @@ class Refusal(NamedTuple):
     reason: str
 
 
-def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, fit_s: float, seed: int) -> Data | Refusal:
+def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: int) -> Data | Refusal:
     """Return the recordings sorted by use, or the reason why they cannot tell anything."""
     found = check(recordings, robot)
     channel = "bend_angle" if robot.output == "bend_angle" else "position"
@@ -70,7 +75,7 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, fit_s:
         return Refusal(found, reason)
     kept = replace(recordings, recordings=tuple(usable))
     training, heldout = hold_out(kept, heldout_share, seed)
-    fitting, validation = _inner(training, heldout_share, fit_s, seed)
+    fitting, validation = _inner(training, heldout_share, seed)
     noise, pressure_noise = _noise(found, usable, robot, channel)
     travel = rms_about_mean([_seen(r, robot) for r in training.recordings])
     if travel < MIN_SIGNAL * noise:
@@ -110,7 +115,7 @@ def hold_out(recordings: RecordingSet, share: float, seed: int) -> tuple[Recordi
 
 
 def _inner(
-    training: RecordingSet, share: float, fit_s: float, seed: int
+    training: RecordingSet, share: float, seed: int
 ) -> tuple[tuple[Recording, ...], tuple[Recording, ...]]:
     """Return (fitting, validation): whole runs, or the two halves of a run that is the only one."""
     if len(training.recordings) == 1:
@@ -118,10 +123,10 @@ def _inner(
         middle = run.time[0] + 0.6 * np.ptp(run.time)
         return (cut(run, middle),), (run,)
     fitting, validation = hold_out(training, share, seed + 1)
-    return _within(fitting.recordings, fit_s), _within(validation.recordings, 0.7 * fit_s)
+    return fitting.recordings, validation.recordings
 
 
-def _within(runs: Sequence[Recording], seconds: float) -> tuple[Recording, ...]:
+def within(runs: Sequence[Recording], seconds: float) -> tuple[Recording, ...]:
     """Return runs cut at one common length such that together they last at most ``seconds``; all start as recorded."""
     lengths = np.array([np.ptp(r.time) for r in runs])
     if lengths.sum() <= seconds:

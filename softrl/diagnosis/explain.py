@@ -154,7 +154,8 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
     lines = [_verdict_sentence(diagnosis)]
     lines.append(
         f"Held-out error from command to motion: nominal {held['nominal']:.3g} mm, "
-        f"retuned only {held['retuned']:.3g} mm, corrected {held['corrected']:.3g} mm, noise {held['noise_floor']:.2g} mm."
+        f"retuned only {held['retuned']:.3g} mm, corrected {held['corrected']:.3g} mm, "
+        f"noise {held['noise_floor']:.2g} mm."
     )
     lines += [_effect_sentence(effect) for effect in diagnosis.effects]
     for rival in diagnosis.rivals[:4]:

@@ -134,7 +134,8 @@ def draw_located(diagnosis: Diagnosis) -> Figure:
         ax.barh(k, row["effect_size"], color="tab:red" if row["p_value"] < 0.01 else "tab:gray")
         chamber = f"chamber {row['chamber']}" if row["chamber"] else None
         labels.append(", ".join(part for part in (row["site"], row["channel"], chamber, row["region"]) if part))
-        ax.annotate(f" p {row['p_value']:.1g}" if row["p_value"] > 1e-16 else " p < 1e-16", (row["effect_size"], k), fontsize=7, va="center")
+        chance = f" p {row['p_value']:.1g}" if row["p_value"] > 1e-16 else " p < 1e-16"
+        ax.annotate(chance, (row["effect_size"], k), fontsize=7, va="center")
     ax.set_yticks(range(len(labels)), labels, fontsize=8)
     ax.invert_yaxis()
     ax.set_xlim(0.0, 1.15)

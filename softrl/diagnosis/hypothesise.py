@@ -34,7 +34,8 @@ class Search:
     starts : starting points of each fit
     iterations : Jacobians of each fit at most
     rivals : alternatives to each named effect that are judged on the held-out runs
-    fit_s : seconds of recordings that fits see at most; the rest of the training runs validate
+    fit_s : seconds of motion that fits see at most, and validation 70 % of it; runs are cut at a common length
+    fit_lumped_s : the same for the lumped body, which is simulated much faster
     workers : processes
     """
 
@@ -44,10 +45,11 @@ class Search:
     iterations: int
     rivals: int
     fit_s: float
+    fit_lumped_s: float
     workers: int
 
     def __post_init__(self) -> None:
-        for name in ("keep", "starts", "iterations", "fit_s", "workers"):
+        for name in ("keep", "starts", "iterations", "fit_s", "fit_lumped_s", "workers"):
             if getattr(self, name) <= 0:
                 raise ConfigError(f"stage.search.{name}={getattr(self, name):g} must be positive")
         if not 0 <= self.max_effects <= 3:

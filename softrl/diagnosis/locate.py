@@ -61,7 +61,7 @@ def locate(problem: Problem, residual: Residual, floor: float, site: str, block_
 
 def corrected(findings: list[Finding]) -> list[dict[str, Any]]:
     """Return the findings as plain values, p-values corrected for their number after Holm, strongest first."""
-    adjusted = holm([finding.p_value for finding in findings]) if findings else []
+    adjusted: Any = holm([finding.p_value for finding in findings]) if findings else []
     rows = [
         finding._replace(p_value=float(p), effect_size=float(finding.effect_size))._asdict()
         for finding, p in zip(findings, adjusted, strict=True)

@@ -31,6 +31,7 @@ from softrl.diagnosis.problem import Numerics, Problem
 from softrl.diagnosis.report import page
 from softrl.effects.effect import SITES
 from softrl.effects.library import names
+from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.recording import RecordingSet
 from softrl.robots.robot import Robot
 
@@ -86,11 +87,13 @@ def run(
 ) -> Diagnosis:
     """Return what the simulator leaves out, with evidence, rivals, and what rebuilds the corrected simulator."""
     require_robot(recordings, robot)
-    data = prepare(recordings, robot, config.heldout_share, config.search.fit_s, config.seed)
-    if isinstance(data, Refusal):
-        return _cannot_tell(data, robot, simulator, tracker)
+    found = prepare(recordings, robot, config.heldout_share, config.seed)
+    if isinstance(found, Refusal):
+        return _cannot_tell(found, robot, simulator, tracker)
+    lumped = isinstance(simulator, PccSimulator)
+    data = found.shortened(config.search.fit_lumped_s if lumped else config.search.fit_s)
     whole = _whole(config, robot, simulator, data)
-    findings = _examine(config, whole, data)
+    findings = _examine(config, whole, data, found)
     models = _competitors(config, whole.on(data.training), findings)
     judged = {split: {name: traces(whole.on(runs), model) for name, model in models.items()}
               for split, runs in (("train", data.training), ("heldout", data.heldout))}  # fmt: skip
@@ -114,11 +117,14 @@ def _whole(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Pr
     return replace(bare, register=True, orientation=False)
 
 
-def _examine(config: Config, whole: Problem, data: Data) -> list[Finding]:
-    """Return the findings of valve and body apart where pressure is measured, else of the whole pipeline."""
+def _examine(config: Config, whole: Problem, data: Data, full: Data) -> list[Finding]:
+    """Return the findings of valve and body apart where pressure is measured, else of the whole pipeline.
+
+    The valve alone is simulated in no time, so that its fits see the ``full`` length of the runs.
+    """
     if not (data.pressure and config.measured_pressure):
         return [_examine_motion(config, whole, data, "command to motion", SITES)]
-    valve = _examine_valve(config, whole, data)
+    valve = _examine_valve(config, whole, full)
     behind = replace(whole, drive="measured", runs=_without_bias(whole.runs, valve, whole))
     shifted = {run.name: run for run in behind.runs}
     body = replace(
@@ -137,7 +143,6 @@ def _examine_valve(config: Config, whole: Problem, data: Data) -> Finding:
     floor = _floor_in_bin(data.pressure_noise, data, config)
     part = Part("command to measured pressure", problem, data.validation, data.heldout, floor, data.pressure_travel,
                 (), tuple(choices))  # fmt: skip
-    # the valve alone is simulated in no time: more of its effects are fitted
     search = replace(config.search, keep=max(config.search.keep, len(choices)), rivals=max(config.search.rivals, 3))
     return examine(part, search, config.thresholds, config.seed)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.config import build
 from softrl.core.errors import ConfigError, RecordingError
@@ -125,7 +126,6 @@ def test_unknown_candidate_is_refused() -> None:
         (CREEP, "relaxation_1_s", 1.5),
         (physics("hysteresis", height=0.06, yield_strain=0.02), "height", 0.06),
         (physics("leak", leak_per_s=0.3, refill_s=3.0), "leak_per_s", 0.3),
-        (physics("payload", mass=0.2), "mass", 0.2),
     ],
     ids=lambda v: v.name() if isinstance(v, Effect) else None,
 )
@@ -137,6 +137,17 @@ def test_single_effect_is_named_out_of_the_whole_library(
     assert [effect["name"] for effect in found.effects] == [truth.name()]
     entry = found.effects[0]["parameters"][parameter]
     assert entry["low"] <= value <= entry["high"], entry
+
+
+@pytest.mark.slow
+def test_payload_is_in_the_set_that_cannot_be_told_apart(body: PccSimulator) -> None:
+    """A mass on an upright arm and a pressure offset do much the same; the verdict has to say so."""
+    found, _ = diagnose(body, made(other(body), (physics("payload", mass=0.6),), seed=3))
+    alike = {effect["name"] for effect in found.effects}
+    alike |= {rival["name"] for rival in found.rivals if rival["equivalent"]}
+    assert "payload" in alike, found.sentences
+    assert found.verdict == "named" if len(alike) == 1 else found.verdict == "indistinguishable"
+    assert (found.next_experiment is None) == (found.verdict == "named")
 
 
 @pytest.mark.slow
