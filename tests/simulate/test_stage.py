@@ -32,7 +32,7 @@ def simulator(name: str) -> PccSimulator:
 
 
 def config(**changed: object) -> Config:
-    return Config(**(yaml.safe_load((CONF / "stage" / "simulate.yaml").read_text()) | {"seed": 0} | changed))
+    return Config(**(yaml.safe_load((CONF / "stage" / "simulate.yaml").read_text()) | {"seed": 0, "out": None} | changed))
 
 
 def commands(robot: Robot, seed: int = 1) -> RecordingSet:

@@ -1,0 +1,43 @@
+"""Response times read from steps are those of the system that made them."""
+
+import numpy as np
+import pytest
+
+from softrl.diagnosis.response import rise_time, step_responses
+from softrl.recordings.recording import Recording
+
+
+def stepped(fill_s: float, vent_s: float) -> Recording:
+    """A chamber that fills and vents with its own time constants, sampled unevenly; the motion follows it at once."""
+    rng = np.random.default_rng(4)
+    time = np.cumsum(rng.uniform(0.01, 0.03, 3000))
+    command = np.where((time // 10.0) % 2 == 1, 50e3, 0.0)
+    pressure = np.zeros_like(time)
+    for k in range(1, len(time)):
+        tau = fill_s if command[k] > pressure[k - 1] else vent_s
+        pressure[k] = command[k] + (pressure[k - 1] - command[k]) * np.exp(-(time[k] - time[k - 1]) / tau)
+    noisy = pressure + rng.normal(0.0, 100.0, len(time))
+    position = np.outer(pressure, [1e-6, 0.0, -2e-7])
+    return Recording("run", "day", time, command[:, None], noisy[:, None], position)
+
+
+@pytest.mark.parametrize(("fill_s", "vent_s"), [(0.4, 0.4), (0.84, 1.46)])
+def test_a_first_order_response_has_done_63_percent_after_its_time_constant(fill_s: float, vent_s: float) -> None:
+    found = step_responses([stepped(fill_s, vent_s)])
+    assert found.steps >= 5
+    assert found.pressure_fill_s == pytest.approx(fill_s, rel=0.06)
+    assert found.pressure_vent_s == pytest.approx(vent_s, rel=0.06)
+    assert found.motion_fill_s == pytest.approx(fill_s, rel=0.06)
+    assert "0.4" in found.sentence() or "0.8" in found.sentence()
+
+
+def test_a_channel_that_does_not_move_gives_no_time() -> None:
+    noise = np.random.default_rng(1).normal(size=(200, 1))
+    assert rise_time(np.arange(200.0), noise) is None
+
+
+def test_no_steps_no_sentence() -> None:
+    time = np.arange(0.0, 5.0, 0.01)
+    wave = 1e3 * np.sin(time)[:, None]
+    found = step_responses([Recording("run", "day", time, wave, wave)])
+    assert found.steps == 0 and found.sentence() is None
