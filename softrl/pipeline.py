@@ -55,34 +55,16 @@ def run_stage(stage: str, cfg: Mapping[str, Any], folder: Path, made: Mapping[st
     assembly = Assembly(store, cfg, dict(made or {}))
     config = configuration.build(cfg["stage"], module.Config, "stage")
     arguments = assembly.arguments(module.run)
-    mark = fingerprint.of_values(
-        [
-            stage,
-            assembly.used,
-            assembly.inputs,
-            fingerprint.of_code(*assembly.modules),
-            fingerprint.of_named_files(assembly.used),
-            _assets_mark(assembly.robot.name),
-        ]
-    )
+    mark = _fingerprint(stage, assembly)
     if not cfg["force"] and (before := store.find({"stage": stage, "fingerprint": mark})):
-        log.info(
-            "%s: run %s did the same already and is reused (force=true runs it again)", stage, before.info.run_id[:8]
-        )
+        run_id = before.info.run_id[:8]
+        log.info("%s: run %s did the same already and is reused (force=true runs it again)", stage, run_id)
         return _reused(store, stage, before, folder)
-    tags = {
-        "stage": stage,
-        "fingerprint": mark,
-        "robot": assembly.robot_mark,
-        "profile": cfg["profile"]["name"],
-        "git": _git_revision(),
-        "inputs": json.dumps(assembly.inputs),
-        "seed": str(cfg["seed"]),
-    }
     log.info("%s: started", stage)
     start = time.monotonic()
-    with store.start(stage, tags, os.environ.get(PARENT_VARIABLE), folder) as run:
+    with store.start(stage, _tags(stage, mark, assembly), os.environ.get(PARENT_VARIABLE), folder) as run:
         run.params(_flat(cfg))
+        run.link(assembly.inputs)
         try:
             output = module.run(config, **arguments, tracker=run)
         except BaseException as error:
@@ -100,6 +82,26 @@ def run_stage(stage: str, cfg: Mapping[str, Any], folder: Path, made: Mapping[st
 def outputs(stage: str) -> list[str]:
     """Return the names of the artifacts that a stage makes."""
     return [kind.key() for kind in output_kinds(importlib.import_module(f"softrl.{stage}.stage").run)]
+
+
+def _fingerprint(stage: str, assembly: Assembly) -> str:
+    """Return the hash of all that can change a stage's result: configuration, inputs, code, files."""
+    code, files = fingerprint.of_code(*assembly.modules), fingerprint.of_named_files(assembly.used)
+    return fingerprint.of_values(
+        [stage, assembly.used, assembly.inputs, code, files, _assets_mark(assembly.robot.name)]
+    )
+
+
+def _tags(stage: str, mark: str, assembly: Assembly) -> dict[str, str]:
+    return {
+        "stage": stage,
+        "fingerprint": mark,
+        "robot": assembly.robot_mark,
+        "profile": assembly.cfg["profile"]["name"],
+        "git": _git_revision(),
+        "inputs": json.dumps(assembly.inputs),
+        "seed": str(assembly.cfg["seed"]),
+    }
 
 
 def _parts(output: Any) -> list[Artifact]:

@@ -20,7 +20,7 @@ os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
 os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")
 os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
 
-from mlflow.entities import Metric, Param, Run, RunTag
+from mlflow.entities import Metric, Param, Run
 from mlflow.tracking import MlflowClient
 
 if TYPE_CHECKING:
@@ -179,9 +179,12 @@ class OpenRun:
             self.store.client.log_batch(self.id, params=flat[start : start + 100])
         self.text("config.json", json.dumps(values, indent=1, default=str))
 
-    def tag(self, **tags: str) -> None:
-        """Set tags."""
-        self.store.client.log_batch(self.id, tags=[RunTag(f"softrl.{key}", value) for key, value in tags.items()])
+    def link(self, inputs: dict[str, str]) -> None:
+        """Show on the run's page which runs its inputs came from."""
+        page = f"#/experiments/{self.store.experiment}/runs"
+        lines = [f"- {name}: [{run_id}]({page}/{run_id})" for name, run_id in inputs.items()]
+        if lines:
+            self.store.client.set_tag(self.id, "mlflow.note.content", "\n".join(["Inputs", "", *lines]))
 
     def artifact(self, name: str, artifact: Any) -> None:
         """Store an artifact under ``name``; it appears whole or not at all."""

@@ -143,7 +143,7 @@ def _examine_valve(config: Config, whole: Problem, data: Data) -> Finding:
     floor = _floor_in_bin(data.pressure_noise, data, config)
     part = Part("command to measured pressure", problem, data.validation, data.heldout, floor, data.pressure_travel,
                 (), tuple(choices))  # fmt: skip
-    search = replace(config.search, keep=max(config.search.keep, len(choices)), rivals=max(config.search.rivals, 3))
+    search = replace(config.search, keep=max(config.search.keep, 6), rivals=max(config.search.rivals, 3))
     return examine(part, search, config.thresholds, config.seed)
 
 
