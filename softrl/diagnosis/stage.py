@@ -1,7 +1,7 @@
 """Find where recordings and simulator part, name the physics that is missing, and correct the simulator."""
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,7 @@ from softrl.diagnosis.judge import Thresholds
 from softrl.diagnosis.locate import corrected, locate
 from softrl.diagnosis.problem import Numerics, Problem
 from softrl.diagnosis.report import page
+from softrl.diagnosis.response import step_responses
 from softrl.effects.effect import SITES
 from softrl.effects.library import names
 from softrl.pcc.simulator import PccSimulator
@@ -210,7 +211,7 @@ def _conclude(
     robot, angle = whole.robot, whole.robot.output == "bend_angle"
     noise = data.noise / (robot.length_m if angle else 1.0)
     plain = {split: errors(found, noise) for split, found in judged.items()}
-    verdict = verdict_of(findings)
+    verdict, responses = verdict_of(findings), step_responses(data.training)
     space = whole.space(models["corrected"].hypothesis)
     made = Diagnosis(
         robot_name=robot.name,
@@ -233,9 +234,11 @@ def _conclude(
             "sessions_placed_separately": whole.register,
             "orientation_used": whole.orientation,
             "measured_pressure_used": len(findings) > 1,
+            "step_responses": asdict(responses),
         },
     )
-    return replace(made, sentences=sentences(made, findings))
+    read = responses.sentence()
+    return replace(made, sentences=sentences(made, findings) + ([read] if read else []))
 
 
 def _report(

@@ -49,8 +49,8 @@ class Ppo(Agent):
         env = practice.make(self.envs, seed)
         model = PPO(
             "MlpPolicy", env, learning_rate=decaying(self.learning_rate), n_steps=self.rollout, batch_size=self.batch_size,
-            n_epochs=self.epochs, gamma=self.gamma, policy_kwargs=policy_layers(self.hidden) | {"log_std_init": self.log_std_start},
-            seed=seed, device="cpu",
+            n_epochs=self.epochs, gamma=self.gamma, seed=seed,
+            policy_kwargs=policy_layers(self.hidden) | {"log_std_init": self.log_std_start}, device="cpu",
         )  # fmt: skip
         best = Best(practice.judge)
         judge = Judge(best, self.judge_every)
