@@ -21,6 +21,8 @@ NOISE = ("full_key:", "object_type=", "reference_type=", "Config search path", "
 _mistakes: list[SoftrlError] = []
 CONF = next(folder for folder in (HERE / "conf", HERE.parent / "conf") if folder.is_dir())
 
+os.environ.setdefault("SOFTRL_HOME", str(CONF.parent))  # experiments/ is searched beside conf/
+
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")
 def run(cfg: DictConfig) -> None:

@@ -15,6 +15,10 @@ from softrl.pipeline import STAGES, Outcome, outputs, run_stage
 from softrl.report.table import table
 
 log = logging.getLogger(__name__)
+ROOT_KEYS = (
+    "robot", "simulator", "task", "agent", "driver", "effect", "tracking", "profile", "stage", "alpha", "lambda", "seed",
+    "recordings", "out", "force", "debug", "inputs", "hydra",
+)  # fmt: skip
 
 
 def run_configured(cfg: DictConfig) -> None:
@@ -52,6 +56,9 @@ def _compose(overrides: list[str]) -> dict[str, Any]:
 
 def _plain(cfg: DictConfig) -> dict[str, Any]:
     container: Any = OmegaConf.to_container(cfg, resolve=True)
+    for key in container:
+        if key not in ROOT_KEYS:
+            raise ConfigError(f"{key}={container[key]} is an unknown key; expected one of {', '.join(ROOT_KEYS)}")
     return {key: value for key, value in container.items() if key != "hydra"}
 
 

@@ -31,6 +31,8 @@ def results(folder: Path) -> list[dict]:
         (["stage=mesh", "+stage.unitm=3"], "did you mean unit_m?"),
         (["stage=mesh", "stage.unit_m=abc"], "expected float"),
         (["stage=mesh", "robot.mass_kg=-1"], "robot.mass_kg=-1"),
+        (["stage=mesh", "+experiments=nothing"], "experiments/nothing"),
+        (["stage=mesh", "+sed=3"], "sed=3 is an unknown key"),
         (["stage=nothing"], "stage/nothing"),
         (["stage=all", "stage.unit_m=1"], "needs that stage alone"),
         (["stage=pod"], "run stage=fem first"),
