@@ -168,13 +168,17 @@ class FemModel:
             raise SolverError("the equilibrium is not stable: its stiffness has a negative pivot")
         forces = self.load_directions(pose)
         change = self._solver.solve(forces)
-        blocks = self._viscous(pose)
+        blocks = self.viscous(pose)
         shapes = np.stack([self.coupling.expand(column, pose) for column in change.T])
         stiff = np.stack([multiply_blocks(blocks, self.pairs.first, self.pairs.second, t) for t in shapes])
         return Tangent(
             change, forces.T @ change, np.einsum("ani,bni->ab", shapes, stiff),
             np.einsum("ani,n,bni->ab", shapes, self.nodal_mass, shapes),
         )
+
+    def solve(self, forces: np.ndarray) -> np.ndarray:
+        """Return the answer (unknowns, k) to ``forces`` (unknowns, k) by the factors that the last solve left."""
+        return self._solver.solve(forces)
 
     def predict(self, pose: Pose, load_change: np.ndarray) -> Pose:
         """Return where ``pose`` moves under a small ``load_change``, by the factors that the last solve left."""
@@ -213,7 +217,7 @@ class FemModel:
         before, extrapolated = state.pose.position, self.coupling.move(state.pose, state.change)
         damping = None
         if self.rayleigh_stiffness_s > 0:
-            damping = self._viscous(state.pose)
+            damping = self.viscous(state.pose)
         free_flight = before + dt * state.velocity
         static = self._potential(load, gravity_m_s2)
         inertia = self.nodal_mass[:, None] / dt**2
@@ -241,6 +245,15 @@ class FemModel:
         velocity = (solve.pose.position - before) / dt
         return Step(State(solve.pose, velocity, self.coupling.difference(state.pose, solve.pose)), solve)
 
+    def viscous(self, pose: Pose) -> np.ndarray:
+        """Return the node-pair blocks of what stiffness-proportional damping multiplies, N/m."""
+        blocks = np.zeros((len(self.pairs.first), 3, 3))
+        assemble_elastic(
+            viscous, self._viscous_moduli, pose.position, self._elements, self._gradients, self._weights, TANGENT,
+            self.pairs.element_slots, np.zeros_like(pose.position), blocks,
+        )
+        return blocks
+
     # energies
 
     def _couple(self) -> Coupling:
@@ -259,15 +272,6 @@ class FemModel:
             self._weights, order, self.pairs.element_slots, gradient, blocks,
         )
         return Value(energy, gradient, blocks if order >= TANGENT else None)
-
-    def _viscous(self, pose: Pose) -> np.ndarray:
-        """Return the node-pair blocks of what stiffness-proportional damping multiplies, N/m."""
-        blocks = np.zeros((len(self.pairs.first), 3, 3))
-        assemble_elastic(
-            viscous, self._viscous_moduli, pose.position, self._elements, self._gradients, self._weights, TANGENT,
-            self.pairs.element_slots, np.zeros_like(pose.position), blocks,
-        )
-        return blocks
 
     def _potential(self, load: np.ndarray, gravity_m_s2: np.ndarray | None = None) -> Objective:
         """Return W(x) - p.V(x) - F.tip - m g.x as a function of the pose."""
