@@ -6,9 +6,8 @@ from typing import Any
 import numba as nb
 import numpy as np
 
-from softrl.effects.effect import BODY_PORT_ROWS, LOAD_PORT_ROWS
 from softrl.pod.linear import newton_direction
-from softrl.pod.ports import add_effects, fill_ports
+from softrl.pod.ports import add_effects, commit_effects, fill_ports, make_ports
 from softrl.pod.potential import fill_monomials, fill_potential, fill_square, polynomial, to_ball
 
 TOLERANCE = 1e-9  # change of y: below a nanometre at the tip
@@ -140,8 +139,7 @@ def run_kernel(
     inertia, right, start = np.empty((r, r)), np.empty(r), np.empty(r)
     gradient, hessian, jacobian, scratch = np.empty(r), np.empty((r, r)), np.empty((r, r)), np.empty((r, r))
     direction, trial, pressure = np.empty(r), np.empty(r), np.empty(n)
-    ports = (np.zeros((BODY_PORT_ROWS, n)), np.zeros((LOAD_PORT_ROWS, 3)))
-    strains, tips = np.zeros((2, n)), np.zeros((2, 3))
+    ports, bare = make_ports(n), np.empty(r)
     with_effects = len(hooks[0]) + len(hooks[3]) > 0
     mass_scale, mass_damping, stiffness_damping = tables.scales[0], tables.scales[1], tables.scales[2]
     with_lag = stiffness_damping > 0.0 and tables.lag_root.shape[1] > 0
@@ -149,8 +147,8 @@ def run_kernel(
     failed, farthest = 0, 0.0
     if with_effects:
         fill_potential(y, tables, values, point, gradient, hessian)
-        fill_ports(y, rest, gradient, hessian, dt, load[0, :n], tables, ports, strains, tips)
-        strains[0], tips[0] = strains[1], tips[1]
+        fill_ports(y, rest, gradient, hessian, dt, load[0, :n], tables, ports)
+        ports.strains[0], ports.tips[0] = ports.strains[1], ports.tips[1]
     farthest = max(farthest, _fill_operators(y, tables, values, point, root, mass, stiff, loose))
     for step in range(len(load)):
         for i in range(n):
@@ -178,21 +176,9 @@ def run_kernel(
                 for j in range(r):
                     jacobian[i, j] = hessian[i, j] + inertia[i, j]
             if with_effects:
+                bare[:] = gradient
                 add_effects(
-                    y,
-                    rest,
-                    gradient,
-                    hessian,
-                    dt,
-                    pressure,
-                    tables,
-                    hooks,
-                    ports,
-                    strains,
-                    tips,
-                    values,
-                    jacobian,
-                    False,
+                    y, rest, gradient, hessian, dt, pressure, tables, hooks, ports, values, jacobian, iteration == 0
                 )
             along = 0.0
             for i in range(r):
@@ -221,12 +207,8 @@ def run_kernel(
                 break
         if not done:
             failed += 1
-        if with_effects:
-            fill_potential(y, tables, values, point, gradient, hessian)
-            add_effects(
-                y, rest, gradient, hessian, dt, pressure, tables, hooks, ports, strains, tips, values, jacobian, True
-            )
-            strains[0], tips[0] = strains[1], tips[1]
+        if with_effects:  # the potential's derivatives are those a last, negligible step ago
+            commit_effects(y, rest, bare, hessian, dt, pressure, tables, hooks, ports)
         for i in range(r):
             velocity[i] = (y[i] - start[i]) / dt
             lag[i] = hold * lag[i] + (1.0 - hold) * velocity[i] if with_lag else 0.0

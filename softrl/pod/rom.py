@@ -1,5 +1,6 @@
 """The energy ROM from Python: equilibria, inverse statics, trajectories, energies."""
 
+import logging
 from typing import Any, NamedTuple
 
 import numba as nb
@@ -13,6 +14,8 @@ from softrl.pod.inverse import solve_pressures
 from softrl.pod.kernel import run_kernel, tip_pose
 from softrl.pod.polynomial import basis, degree_of
 from softrl.pod.potential import Tables
+
+log = logging.getLogger(__name__)
 
 QUASI_STATIC_S = 1e6  # one implicit step of this length is an equilibrium
 LOAD_STEPS = 4  # an equilibrium is approached in this many equal steps of the load
@@ -201,6 +204,17 @@ def pressure_for_tip(
     return pressure, distance
 
 
+def warn_beyond(model: ReducedModel, farthest: float) -> None:
+    """Warn if ``farthest``, the largest ``|y|`` of a motion, lies where the model has no samples."""
+    if farthest > 1.0:
+        log.warning(
+            "reduced model of %s: the body went to %.2f times the reach of its snapshots; beyond 1 its energy is "
+            "extrapolated and rises like a wall, so trust the motion less",
+            model.robot_name,
+            farthest,
+        )
+
+
 class Rolled(NamedTuple):
     """Trajectories: coordinates z (B, T, n + 3) m^3 and m, and the tip's quaternion (B, T, 4) w x y z."""
 
@@ -229,13 +243,14 @@ def roll_poses(
     first = np.zeros((batch, r)) if start is None else start @ tables.inverse.T
     rate = np.zeros((batch, r)) if velocity is None else velocity @ tables.inverse.T
     held = np.ascontiguousarray(loads, dtype=float)
-    failed = 0
+    failed, farthest = 0, 0.0
     for b in range(batch):
         moving = first[b].copy(), rate[b].copy(), rate[b].copy(), np.zeros(r)
-        missed, _ = run_kernel(*moving, dt_s, held[b], tables, no_hooks(), path[b], position, quaternion[b])
-        failed += missed
+        missed, far = run_kernel(*moving, dt_s, held[b], tables, no_hooks(), path[b], position, quaternion[b])
+        failed, farthest = failed + missed, max(farthest, far)
     if failed > 0.01 * batch * steps or not np.isfinite(path).all():
         raise SolverError(f"reduced model: {failed} of {batch * steps} steps of {dt_s:g} s did not converge")
+    warn_beyond(model, farthest)
     return Rolled(path @ model.frame.T, quaternion)
 
 

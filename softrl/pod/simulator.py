@@ -13,7 +13,7 @@ from softrl.core.errors import ArtifactError, ConfigError, SolverError
 from softrl.core.simulator import Hook, Motion
 from softrl.pod.kernel import run_kernel, tip_pose
 from softrl.pod.potential import Tables
-from softrl.pod.rom import LOAD_STEPS, QUASI_STATIC_S, no_hooks, tables_of, typed_hooks
+from softrl.pod.rom import LOAD_STEPS, QUASI_STATIC_S, no_hooks, tables_of, typed_hooks, warn_beyond
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
@@ -132,20 +132,18 @@ class RomSimulator:
                 f"simulator rom: {failed} of {len(load)} steps of {dt_s:g} s did not converge; "
                 "try a smaller dt_s, pressures within the snapshots' range, or weaker effects"
             )
-        self._report(farthest)
+        if poses:
+            warn_beyond(self.reduced_model, farthest)
+        else:
+            self._report(farthest)
         return position, quaternion
 
     def _report(self, farthest: float) -> None:
-        """Warn when the body goes where the model has no samples, and again only when it goes much farther."""
+        """Warn when a single step leaves the samples, and again only when one goes much farther."""
         name = self.reduced_model.robot_name
         if farthest > max(1.0, FARTHER * _reported.get(name, 0.0)):
             _reported[name] = farthest
-            log.warning(
-                "reduced model of %s: the body went to %.2f times the reach of its snapshots; beyond 1 its energy is "
-                "extrapolated and rises like a wall, so trust the motion less",
-                name,
-                farthest,
-            )
+            warn_beyond(self.reduced_model, farthest)
 
     def _loads(self, pressure: np.ndarray, tip_force: np.ndarray | None) -> np.ndarray:
         """Return the loads (steps, n + 3) Pa and N."""
