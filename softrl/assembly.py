@@ -12,6 +12,7 @@ from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core import fingerprint
 from softrl.core.config import TARGET, UNFILLED, build, build_target, constructor_hints, target_class
 from softrl.core.errors import ArtifactError, ConfigError
+from softrl.core.parallel import Parallel
 from softrl.core.store import Store
 from softrl.effects.chain import EffectChain
 from softrl.effects.library import effect_class
@@ -65,6 +66,8 @@ class Assembly:
             return self.robot
         if hint is EffectChain:
             return self._chain()
+        if hint is Parallel:  # not in ``used``: no result depends on where it was computed
+            return build(self.cfg["parallel"], Parallel, "parallel")
         if isinstance(hint, type) and issubclass(hint, Artifact):
             return self._artifact(hint)
         return UNFILLED
