@@ -21,7 +21,7 @@ from softrl.recordings.recording import RecordingSet
 from softrl.robots.robot import Robot
 
 # parameters of a stage that are built from the configuration group of the same name
-OBJECTS = ("simulator", "task", "agent", "driver")
+OBJECTS = ("simulator", "task", "agent", "driver", "bench")
 
 
 class Assembly:
@@ -76,6 +76,8 @@ class Assembly:
         node = self.cfg[name]
         self.used[name] = node
         self.modules += _targets(node, name)
+        if TARGET not in node:  # several, by name
+            return {key: build_target(value, f"{name}.{key}", self._fill) for key, value in node.items()}
         made = build_target(node, name, self._fill)
         parameters = self._identified_parameters() if name == "simulator" else {}
         return made.with_parameters(**parameters) if parameters else made
