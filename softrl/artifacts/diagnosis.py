@@ -20,8 +20,8 @@ class Diagnosis(Artifact):
     simulator_name : class of the body that was diagnosed
     verdict : one of ``VERDICTS``
     sentences : the finding in plain words, the verdict first
-    effects : one entry a named effect: name, site, where, chamber (-1 all), parameters ({value, low, high, unit}),
-        evidence (one sentence with numbers)
+    effects : one entry a named effect: name, site, where, chamber (-1 all), parameters ({value, low, high, unit,
+        at_bound}), pinned (parameters held at the value at which they do nothing), evidence (one sentence with numbers)
     simulator_parameters : tunable parameter -> identified value, in the unit of its name
     retuned : tunable parameter -> {nominal, value, plausible}: the competitor that changes parameters only
     rivals : {name, score_gap, low, high, equivalent}, score gaps in mm of held-out error, best first
@@ -73,7 +73,8 @@ class Diagnosis(Artifact):
             {
                 "name": effect["name"],
                 "chamber": effect["chamber"],
-                "parameters": {name: entry["value"] for name, entry in effect["parameters"].items()},
+                "parameters": effect.get("pinned", {})
+                | {name: entry["value"] for name, entry in effect["parameters"].items()},
             }
             for effect in self.effects
         ]

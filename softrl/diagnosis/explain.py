@@ -6,7 +6,7 @@ from typing import Any
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.diagnosis.correct import Model
 from softrl.diagnosis.examine import Finding, Named
-from softrl.diagnosis.hypothesis import Choice, has_chamber
+from softrl.diagnosis.hypothesis import Choice, has_chamber, pinned_values
 from softrl.diagnosis.problem import Problem
 from softrl.effects.library import effect_class
 from softrl.robots.robot import Robot
@@ -59,8 +59,10 @@ def _entry(finding: Finding, named: Named) -> dict[str, Any]:
         "where": where(choice),
         "chamber": choice.chamber,
         "parameters": {
-            p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit} for p in named.intervals
+            p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit, "at_bound": p.at_bound}
+            for p in named.intervals
         },
+        "pinned": pinned_values(choice),
         "evidence": (
             f"{finding.part.title}: without it the held-out error above the noise is {without:.3g} {unit}, with it "
             f"{without - factor * named.gap.value:.3g} {unit} (gain {factor * named.gap.low:.3g} to "
@@ -190,6 +192,7 @@ def _verdict_sentence(diagnosis: Diagnosis) -> str:
 def _effect_sentence(effect: dict[str, Any]) -> str:
     values = ", ".join(
         f"{name} {p['value']:.3g} ({p['low']:.3g} to {p['high']:.3g}){'' if p['unit'] == '1' else ' ' + p['unit']}"
+        f"{', at the end of its range' if p['at_bound'] else ''}"
         for name, p in effect["parameters"].items()
     )
     return f"{effect['name']} {WORDS[effect['site']]}, {effect['where']}: {values}. {effect['evidence']}."

@@ -130,8 +130,7 @@ def _examine(config: Config, whole: Problem, data: Data, full: Data) -> list[Fin
     shifted = {run.name: run for run in behind.runs}
     body = replace(
         data,
-        fitting=tuple(shifted[r.name] for r in data.fitting),
-        validation=tuple(shifted[r.name] for r in data.validation),
+        training=tuple(shifted[r.name] for r in data.training),
         heldout=_without_bias(data.heldout, valve, whole),
     )
     sites = tuple(site for site in SITES if site != "valve")
@@ -139,20 +138,19 @@ def _examine(config: Config, whole: Problem, data: Data, full: Data) -> list[Fin
 
 
 def _examine_valve(config: Config, whole: Problem, data: Data) -> Finding:
-    problem = replace(whole, target="pressure", register=False, orientation=False, runs=data.fitting)
+    problem = replace(whole, target="pressure", register=False, orientation=False, runs=data.training)
     choices = candidates(config.effects, ("valve",), whole.robot, data.check.excited)
     floor = _floor_in_bin(data.pressure_noise, data, config)
-    part = Part("command to measured pressure", problem, data.validation, data.heldout, floor, data.pressure_travel,
+    part = Part("command to measured pressure", problem, data.heldout, floor, data.pressure_travel,
                 (), tuple(choices))  # fmt: skip
-    search = replace(config.search, keep=max(config.search.keep, 6), rivals=max(config.search.rivals, 3))
-    return examine(part, search, config.thresholds, config.seed)
+    return examine(part, config.search, config.thresholds, config.seed)
 
 
 def _examine_motion(config: Config, problem: Problem, data: Data, title: str, sites: tuple[str, ...]) -> Finding:
     wanted = [name for name in config.effects if not (problem.register and name == "frame")]
     choices = candidates(wanted, sites, problem.robot, data.check.excited)
     floor = _floor_in_bin(data.noise, data, config) * (np.sqrt(2.0) if problem.orientation else 1.0)
-    part = Part(title, problem.on(data.fitting), data.validation, data.heldout, floor, data.travel,
+    part = Part(title, problem.on(data.training), data.heldout, floor, data.travel,
                 tuple(problem.simulator.parameters), tuple(choices))  # fmt: skip
     return examine(part, config.search, config.thresholds, config.seed)
 
@@ -180,7 +178,7 @@ def _competitors(config: Config, training: Problem, findings: list[Finding]) -> 
     tuned = tuple(training.simulator.parameters)
     motion = findings[-1]
     start = motion.base.fit.point
-    retuned = fit_trials(training, training, [(Hypothesis((), tuned), [start])], config.search)[0]
+    retuned = fit_trials(training, None, [(Hypothesis((), tuned), [start])], config.search)[0]
     parts = [finding.final for finding in findings]
     effects = tuple(choice for trial in parts for choice in trial.hypothesis.effects)
     point = np.concatenate([trial.fit.point for trial in parts])
@@ -194,7 +192,7 @@ def _competitors(config: Config, training: Problem, findings: list[Finding]) -> 
 
 
 def _locate(finding: Finding, config: Config) -> list[Any]:
-    problem = finding.part.training
+    problem = finding.part.problem
     residual = problem.residual(finding.base.hypothesis, finding.base.fit.point, finding.base.placed)
     return locate(problem, residual, finding.part.floor, finding.part.title, config.thresholds.block_s)
 

@@ -126,3 +126,36 @@ def sandwich(jacobian: np.ndarray, residual: np.ndarray, blocks: np.ndarray) -> 
     # directions that the data hardly see get the variance of independent errors as well, which is huge there
     covariance += np.diag(np.where(seen < UNSEEN, float(np.mean(residual**2)) / seen, 0.0))
     return np.asarray(basis @ covariance @ basis.T / np.outer(size, size))
+
+
+def left_out(
+    jacobian: np.ndarray, residual: np.ndarray, folds: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> np.ndarray:
+    """Return the residual (rows,) of every fold as a fit to the other folds would leave it, to first order.
+
+    Parameters
+    ----------
+    jacobian, residual : (rows, p), (rows,) at the fit to all folds
+    folds : (rows,) number of the fold of every row
+    low, high : (p,) how far the parameters may move
+
+    Notes
+    -----
+    One Gauss-Newton step on the other folds: with ``H_k = J_k' J_k`` and ``g_k = J_k' r_k`` the parameters move by
+    ``-(H - H_k)^-1 (g - g_k)``. Directions that the other folds do not see stay where they are.
+    """
+    if not jacobian.size:
+        return residual
+    size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+    scaled = jacobian / size
+    count = int(folds.max()) + 1
+    normal = [scaled[folds == k].T @ scaled[folds == k] for k in range(count)]
+    slope = [scaled[folds == k].T @ residual[folds == k] for k in range(count)]
+    found = residual.copy()
+    for k in range(count):
+        mine = folds == k
+        rest, push = sum(normal) - normal[k], sum(slope) - slope[k]
+        moved = -np.linalg.pinv(rest, rcond=UNSEEN, hermitian=True) @ push
+        moved = np.clip(moved, low * size, high * size)
+        found[mine] = residual[mine] + scaled[mine] @ moved
+    return found

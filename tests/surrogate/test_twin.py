@@ -6,7 +6,7 @@ import pytest
 from softrl.artifacts.surrogate import Surrogate
 from softrl.core.tracking import NullTracker
 from softrl.surrogate.kinematics import chain_of
-from softrl.surrogate.maps import PressureToJoints, network, network_jacobian
+from softrl.surrogate.maps import PressureToJoints, evaluate, network, network_of
 from softrl.surrogate.parity import contact_parity, parity
 from softrl.surrogate.stiffness import chain_compliance, fit_joint_stiffness
 from softrl.surrogate.twin import Plane, Twin
@@ -112,10 +112,26 @@ def test_the_map_beats_its_baselines_and_goes_round(surrogate: Surrogate, tracke
     np.testing.assert_allclose(maps.joints(maps.pressure(surrogate.sample_joints)), surrogate.sample_joints, atol=5e-4)
 
 
-def test_the_networks_slope_is_its_derivative(surrogate: Surrogate) -> None:
+def test_the_compiled_network_is_the_network_and_its_slope_the_derivative(surrogate: Surrogate) -> None:
     x = np.random.default_rng(0).normal(size=(5, surrogate.chambers))
-    slope = network_jacobian(surrogate.forward, x)
-    for j in range(surrogate.chambers):
-        nudge = 1e-6 * np.eye(surrogate.chambers)[j]
-        numeric = (network(surrogate.forward, x + nudge) - network(surrogate.forward, x - nudge)) / 2e-6
-        np.testing.assert_allclose(slope[:, :, j], numeric, atol=1e-8)
+    compiled = network_of(surrogate.forward)
+    for row in x:
+        value, slope = evaluate(compiled, row, True)
+        np.testing.assert_allclose(value, network(surrogate.forward, row[None])[0], atol=1e-12)
+        for j in range(surrogate.chambers):
+            nudge = 1e-6 * np.eye(surrogate.chambers)[j]
+            ends = [network(surrogate.forward, (row + sign * nudge)[None])[0] for sign in (1.0, -1.0)]
+            np.testing.assert_allclose(slope[j], (ends[0] - ends[1]) / 2e-6, atol=1e-8)
+
+
+def test_joints_out_of_reach_get_the_nearest_and_say_so(surrogate: Surrogate) -> None:
+    maps = PressureToJoints(surrogate)
+    inside = maps.joints(np.random.default_rng(1).uniform(surrogate.pressure_low, surrogate.pressure_high, (20, 3)))
+    span = surrogate.joint_high - surrogate.joint_low
+    assert np.abs(maps.invert(inside).miss / span).max() < 1e-6
+    beyond = inside + 2.0 * span
+    found = maps.invert(beyond)
+    assert (np.abs(found.miss / span).max(axis=1) > 0.5).all()
+    assert (found.pressure >= surrogate.pressure_low - 1e-6).all()
+    assert (found.pressure <= surrogate.pressure_high + 1e-6).all()
+    np.testing.assert_allclose(maps.joints(found.pressure) - beyond, found.miss, atol=1e-9)
