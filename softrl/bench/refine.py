@@ -50,7 +50,7 @@ def _sweep(mesh: Mesh, wanted_growth: float) -> Mesh:
         for edge in own:
             around[edge].append(element)
     halved, elements = [], np.full(len(mesh.tetrahedra), -1)
-    limit = max(1, int(min(SHARE * len(edges), wanted_growth * len(mesh.points))))
+    limit = max(1, int(min(SHARE * len(edges), 0.6 * wanted_growth * len(mesh.points))))
     for edge in np.argsort(-length)[: int(SHARE * len(edges)) + 1]:
         if len(halved) == limit:
             break
