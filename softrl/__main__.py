@@ -62,9 +62,11 @@ def main() -> None:
 
 
 def _spell_out(word: str) -> list[str]:
-    """Turn ``effect=run:<id>`` into the two overrides that it is short for."""
+    """Turn ``effect=run:<id>`` and ``proof.<key>=..`` into the overrides that they are short for."""
     if word.startswith("effect=run:"):
         return ["effect=identified", f"inputs.diagnosis={word.removeprefix('effect=')}"]
+    if word.startswith("proof."):
+        return [f"stage.{word.removeprefix('proof.')}"]
     return [word]
 
 

@@ -25,6 +25,7 @@ LEVEL = {
     "sim2real": 17,
     "diagnosis": 13,
     "simulate": 17,
+    "proof": 18,
     "assembly": 20,
     "pipeline": 21,
     "loop": 22,
