@@ -65,7 +65,7 @@ def _spell_out(word: str) -> list[str]:
     """Turn what is short for an override of Hydra's own grammar into it.
 
     ``effect=run:<id>`` stands for two overrides, ``launcher=slurm`` for a key of Hydra's, and ``bench=fem,rom`` for a
-    list: with commas alone Hydra takes it for a sweep, which it is with ``-m``.
+    list: with commas alone Hydra takes it for a sweep, which it is with ``-m``. ``proof.<key>`` is a key of that stage.
     """
     if word.startswith("effect=run:"):
         return ["effect=identified", f"inputs.diagnosis={word.removeprefix('effect=')}"]
@@ -74,6 +74,8 @@ def _spell_out(word: str) -> list[str]:
     sweep = {"-m", "--multirun"} & set(sys.argv)
     if word.startswith("bench=") and "," in word and "[" not in word and not sweep:
         return [f"bench=[{word.removeprefix('bench=')}]"]
+    if word.startswith("proof."):
+        return [f"stage.{word.removeprefix('proof.')}"]
     return [word]
 
 

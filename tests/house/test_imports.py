@@ -27,6 +27,7 @@ LEVEL = {
     "diagnosis": 13,
     "simulate": 17,
     "bench": 18,
+    "proof": 18,
     "assembly": 20,
     "pipeline": 21,
     "loop": 22,
