@@ -18,6 +18,7 @@ LEVEL = {
     "fem": 11,
     "pod": 12,
     "pcc": 12,
+    "excite": 12,
     "calibration": 13,
     "dynamics": 14,
     "surrogate": 15,
