@@ -66,7 +66,8 @@ def _spell_out(word: str, sweep: bool = False) -> list[str]:
     """Turn what is short for an override of Hydra's own grammar into it.
 
     ``effect=run:<id>`` stands for two overrides, ``launcher=slurm`` for a key of Hydra's, and ``bench=fem,rom`` for a
-    list: with commas alone Hydra takes it for a sweep, which it is in a ``sweep``.
+    list: with commas alone Hydra takes it for a sweep, which it is in a ``sweep``. ``proof.<key>`` is a key of that
+    stage.
     """
     if word.startswith("effect=run:"):
         return ["effect=identified", f"inputs.diagnosis={word.removeprefix('effect=')}"]
@@ -74,6 +75,8 @@ def _spell_out(word: str, sweep: bool = False) -> list[str]:
         return [f"hydra/{word}"]
     if word.startswith("bench=") and "," in word and "[" not in word and not sweep:
         return [f"bench=[{word.removeprefix('bench=')}]"]
+    if word.startswith("proof."):
+        return [f"stage.{word.removeprefix('proof.')}"]
     return [word]
 
 

@@ -56,7 +56,7 @@ class Assembly:
             return self._recordings(optional)
         if name in OBJECTS:
             return self._object(name)
-        filled = self._fill(kind)
+        filled = None if optional and self._absent(kind) else self._fill(kind)
         if filled is UNFILLED:
             raise ConfigError(f"the stage asks for '{name}', which no configuration provides")
         return filled
@@ -118,6 +118,12 @@ class Assembly:
                 raise ArtifactError(f"inputs.{name}={source} belongs to robot {owner}, but robot={self.robot.name}")
             self.inputs[name], self._loaded[name] = source, found
         return self._loaded[name]
+
+    def _absent(self, kind: type[Artifact]) -> bool:
+        """Return whether the newest run that makes ``kind`` was wanted, and there is none."""
+        wanted = self.made.get(kind.key()) or self.cfg["inputs"].get(kind.key(), "latest")
+        tags = {"stage": kind.stage, "robot": self.robot_mark, "profile": self.cfg["profile"]["name"]}
+        return wanted == "latest" and self.store.find(tags) is None
 
     def _locate(self, kind: type[Artifact], name: str) -> tuple[Path, str]:
         wanted = self.made.get(name) or self.cfg["inputs"].get(name, "latest")

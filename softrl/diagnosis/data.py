@@ -29,6 +29,8 @@ class Data:
     check : findings
     training : runs that fits see; left out in turn, they choose between hypotheses
     heldout : whole runs that judge once
+    outside : runs that the dataset marks as out of distribution (``out_of_distribution`` in its notes: names of runs or
+        sessions); they are neither fitted nor do they decide anything
     pressure : whether every run has measured pressure
     orientation : whether orientations are recorded and can be trusted
     noise : rms of the noise of one sample of the motion, m over all its components
@@ -39,12 +41,19 @@ class Data:
     check: DataCheck
     training: tuple[Recording, ...]
     heldout: tuple[Recording, ...]
+    outside: tuple[Recording, ...]
     pressure: bool
     orientation: bool
     noise: float
     pressure_noise: float
     travel: float
     pressure_travel: float
+
+    @property
+    def splits(self) -> dict[str, tuple[Recording, ...]]:
+        """Runs by the name of their split."""
+        parts = {"train": self.training, "heldout": self.heldout, "ood": self.outside}
+        return {name: runs for name, runs in parts.items() if runs}
 
     def shortened(self, fit_s: float) -> "Data":
         """Return the data with fits limited to ``fit_s`` of recordings."""
@@ -63,6 +72,9 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: 
     found = check(recordings, robot)
     channel = "bend_angle" if robot.output == "bend_angle" else "position"
     usable = [r for r in recordings.recordings if np.ptp(r.time) >= MIN_RUN_S and getattr(r, channel) is not None]
+    marked = set(recordings.notes.get("out_of_distribution", ()))
+    outside = tuple(r for r in usable if marked & {r.name, r.session})
+    usable = [r for r in usable if not marked & {r.name, r.session}]
     reason = _refuse(usable, found, robot, channel)
     if reason:
         return Refusal(found, reason)
@@ -80,6 +92,7 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: 
         found,
         training.recordings,
         heldout.recordings,
+        outside,
         pressure,
         _orientation_trusted(usable, found, robot),
         noise,

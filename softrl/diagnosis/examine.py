@@ -9,17 +9,19 @@ import numpy as np
 from scipy import stats
 
 from softrl.core.errors import SolverError
+from softrl.diagnosis.flexible import MEMORY_DEGREES, fit_ridge, memory_features
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes
 from softrl.diagnosis.hypothesise import Path, Search, Trial, drop, fit_trials, forward, join
 from softrl.diagnosis.judge import Gap, Judge, Thresholds
 from softrl.diagnosis.problem import Problem, Residual
-from softrl.diagnosis.statistics import MIN_BLOCKS, blocks_of, correlation_time, sandwich, whiteness
+from softrl.diagnosis.statistics import MIN_BLOCKS, blocks_of, correlation_time, sandwich, spectral_line, whiteness
 from softrl.recordings.recording import Recording
 
 log = logging.getLogger(__name__)
 WHITENESS_LAGS = 20
 AT_BOUND = 1e-3  # share of a range at whose ends a parameter is said to be at a bound
-UNKNOWN_FACTOR = 2.0  # times the smallest difference that counts: what is left must be larger to be called unknown
+LINE_LEVEL = 1e-4  # chance of a line in the spectrum of noise
+LARGE_SHARE = 0.05  # of the travel: noise with a memory is not as large
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,14 @@ class Named(NamedTuple):
     gap: Gap
 
 
+class Offer(NamedTuple):
+    """A map without physics from pressures and their past to what is left: its held-out gain, and whether it pays."""
+
+    gap: Gap
+    pays: bool
+    squares: np.ndarray
+
+
 class Rival(NamedTuple):
     """An alternative to a named effect: how much worse it is held out, and whether the data can tell."""
 
@@ -92,6 +102,8 @@ class Finding:
     left : held-out error above the floor that remains, m (Pa)
     unknown : whether something is missing that no effect explains; nothing is named then
     closest : the effects that came closest to it, without explaining it
+    reasons : why it is unknown, one clause each
+    offer : what a map without physics could still remove
     residual_before, residual_after : held-out
     judge : on the held-out runs
     """
@@ -106,6 +118,8 @@ class Finding:
     left: float
     unknown: bool
     closest: str
+    reasons: list[str]
+    offer: Offer
     residual_before: Residual
     residual_after: Residual
     judge: Judge
@@ -118,24 +132,61 @@ def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Fi
     judge = part.judge(part.heldout, thresholds, seed)
     base, final = (_on_heldout(judge, trial) for trial in (path.retuned, path.best))
     final, named, without = _confirm(part, judge, base, final, search)
-    explained, left = _explained(judge, base, final)
-    smallest = UNKNOWN_FACTOR * max(judge.material, 0.5 * judge.floor)
-    unknown = left > smallest and explained < thresholds.explained_share and not _white(_heldout(judge, final))
-    closest = final.hypothesis.label() if unknown and named else ""
-    if unknown:
+    offer = _offer(part, judge, final)
+    explained, left = _explained(judge, base, final, offer)
+    reasons = _unexplained(judge, final, offer, explained, left)
+    closest = final.hypothesis.label() if reasons and named else ""
+    if reasons:
         final, named, without = base, [], {}
-        explained, left = _explained(judge, base, final)
+        offer = _offer(part, judge, final)
+        explained, left = _explained(judge, base, final, offer)
     rivals = []
     for choice, trial in without.items():
         rivals += _rivals(part, judge, path, final, trial, choice, search)
     before, after = (_heldout(judge, trial) for trial in (base, final))
-    return Finding(part, path, base, final, named, rivals, explained, left, unknown, closest, before, after, judge)
+    unknown = bool(reasons)
+    return Finding(
+        part, path, base, final, named, rivals, explained, left, unknown, closest, reasons, offer, before, after, judge
+    )
 
 
-def _explained(judge: Judge, base: Trial, final: Trial) -> tuple[float, float]:
-    """Return (share of the squared error above the floor that effects remove, error above the floor that is left)."""
+def _explained(judge: Judge, base: Trial, final: Trial, offer: Offer) -> tuple[float, float]:
+    """Return (share of the squared error that can be explained which effects explain, error above the floor left).
+
+    What can be explained is what the effects remove, and what a map without physics could remove beyond them.
+    """
     whole, left = float(judge.excess(base.mean_square)), float(judge.excess(final.mean_square))
-    return (1.0 - (left / whole) ** 2 if whole > 0.0 else 1.0), left
+    rest = float(judge.excess(offer.squares.mean())) if offer.pays else left
+    can = whole**2 - min(rest, left) ** 2
+    return ((whole**2 - left**2) / can if can > 0.0 else 1.0), left
+
+
+def _offer(part: Part, judge: Judge, trial: Trial) -> Offer:
+    """Return what a map from pressures and their past to the residual, fitted on training runs, removes held out."""
+    training = part.problem.residual(trial.hypothesis, trial.fit.point, trial.placed)
+    ridge = fit_ridge(memory_features(part.problem), training.runs, part.problem.folds, MEMORY_DEGREES)
+    heldout = _heldout(judge, trial)
+    runs = [
+        values - ridge.predict(x) for values, x in zip(heldout.runs, memory_features(judge.problem).runs, strict=True)
+    ]
+    squares = Residual(runs, {}).squares
+    return Offer(judge.gap(trial.squares, squares), judge.pays(trial.squares, squares), squares)
+
+
+def _unexplained(judge: Judge, final: Trial, offer: Offer, explained: float, left: float) -> list[str]:
+    """Return why the effects do not explain what is measured, one clause each; empty if they do.
+
+    Noise with a memory is no reason: what is left has to follow the pressures, to be a line in the spectrum, or to be
+    a large share of the motion.
+    """
+    heldout, reasons = _heldout(judge, final), []
+    if offer.pays and explained < judge.thresholds.explained_share:
+        reasons.append("what is left follows the pressures and their past")
+    if left > judge.material and left > judge.floor and spectral_line(heldout.runs) < LINE_LEVEL:
+        reasons.append("what is left swings at one frequency")
+    if left > LARGE_SHARE * judge.travel and explained < judge.thresholds.explained_share and not _white(heldout):
+        reasons.append("what is left is a large share of the motion")
+    return reasons
 
 
 def intervals(problem: Problem, trial: Trial, thresholds: Thresholds) -> list[Interval]:
@@ -163,7 +214,9 @@ def intervals(problem: Problem, trial: Trial, thresholds: Thresholds) -> list[In
 def _independent(problem: Problem, residual: np.ndarray, free: int, thresholds: Thresholds) -> np.ndarray:
     """Return blocks (bins,) as long as errors (bins, channels) stay alike, but enough of them for ``free`` parameters."""
     runs = problem.run_of_bin
-    longest = max(correlation_time(residual[runs == run, k]) for run in np.unique(runs) for k in range(residual.shape[1]))
+    longest = max(
+        correlation_time(residual[runs == run, k]) for run in np.unique(runs) for k in range(residual.shape[1])
+    )
     length = max(thresholds.block_s / problem.numerics.bin_s, 2.0 * longest)
     return blocks_of(runs, max(int(min(length, len(runs) / (MIN_BLOCKS + 2 * free))), 1))
 
@@ -206,9 +259,7 @@ def _confirm(
     return base, [], {}
 
 
-def _leave_one_out(
-    part: Part, judge: Judge, base: Trial, final: Trial, search: Search
-) -> dict[Choice, Trial]:
+def _leave_one_out(part: Part, judge: Judge, base: Trial, final: Trial, search: Search) -> dict[Choice, Trial]:
     if len(final.hypothesis.effects) == 1:
         return {final.hypothesis.effects[0]: base}
     tasks = [(final.hypothesis.without(c), [drop(final, c)]) for c in final.hypothesis.effects]

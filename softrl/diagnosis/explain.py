@@ -19,6 +19,11 @@ WORDS = {
     "load": "in the load on the tip",
     "sensor": "in the sensor",
 }
+BESIDE = {
+    "one_lag": "one lag alone",
+    "static": "a static map",
+    "blackbox": "a black box of equal data",
+}
 EXPERIMENTS = {
     "valve": "steps and a multisine of one chamber with the chamber's pressure measured",
     "chamber": "each chamber alone to three levels, held 20 s, with the inlet closed for the last 10 s",
@@ -124,6 +129,14 @@ def unexplained(findings: Sequence[Finding]) -> dict[str, Any]:
             f"rms_above_noise_{unit.lower()}": factor * finding.left,
             "explained_share": finding.explained,
             "unknown": finding.unknown,
+            "because": "; ".join(finding.reasons),
+            "offered": {
+                "kind": "ridge regression of the residual on pressures and their past: no physics, valid where trained",
+                f"removes_{unit.lower()}": factor * finding.offer.gap.value,
+                "low": factor * finding.offer.gap.low,
+                "high": factor * finding.offer.gap.high,
+                "pays": finding.offer.pays,
+            },
             "closest": finding.closest,
             "retuned_rms_mixed": factor * finding.judge.rms(finding.base.squares),
             "corrected_rms_mixed": factor * finding.judge.rms(finding.final.squares),
@@ -157,7 +170,9 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
     lines.append(
         f"Held-out error from command to motion: nominal {held['nominal']:.3g} mm, "
         f"retuned only {held['retuned']:.3g} mm, corrected {held['corrected']:.3g} mm, "
-        f"noise {held['noise_floor']:.2g} mm."
+        f"noise {held['noise_floor']:.2g} mm; beside them "
+        + ", ".join(f"{words} {held[name]:.3g} mm" for name, words in BESIDE.items() if name in held)
+        + "."
     )
     lines += [_effect_sentence(effect) for effect in diagnosis.effects]
     for rival in diagnosis.rivals[:4]:
@@ -201,4 +216,12 @@ def _effect_sentence(effect: dict[str, Any]) -> str:
 def _left_sentence(finding: Finding) -> str:
     factor, unit = shown_in(finding)
     closest = f"; {finding.closest} came closest without explaining it" if finding.closest else ""
-    return f"{finding.part.title}: {factor * finding.left:.3g} {unit} above the noise stay unexplained{closest}."
+    offer = finding.offer
+    more = (
+        f" A map without physics, fitted to what is left, would remove {factor * offer.gap.value:.2g} {unit} of it on "
+        "held-out runs; it is offered as a correction only, for the range that was recorded."
+        if offer.pays
+        else ""
+    )
+    why = f" ({'; '.join(finding.reasons)})" if finding.reasons else ""
+    return f"{finding.part.title}: {factor * finding.left:.3g} {unit} above the noise stay unexplained{why}{closest}.{more}"

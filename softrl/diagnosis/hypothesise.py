@@ -162,9 +162,7 @@ def _addition(
     return best
 
 
-def _swap(
-    fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice], search: Search, path: Path
-) -> Trial:
+def _swap(fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice], search: Search, path: Path) -> Trial:
     """Return ``trial`` after each of its older effects was put to the test against all others in its place."""
     for old in trial.hypothesis.effects[:-1]:
         less = fit_trials(fitting, None, [(trial.hypothesis.without(old), [drop(trial, old)])], search)

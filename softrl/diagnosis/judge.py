@@ -20,7 +20,7 @@ class Thresholds:
     ----------
     material_share : of the travel (rms about its mean) of what is measured: less would not be noticed
     material_gain : an addition must lower the error above the noise floor by this share
-    explained_share : share of the squared error above the floor that named effects must explain together
+    explained_share : share of the squared error that can be explained which named effects must explain together
     confidence : of one-sided decisions and of two-sided parameter intervals, 0.5..1
     draws : of the block bootstrap
     block_s : shortest block

@@ -188,9 +188,7 @@ class Problem:
         """Return measured less predicted; ``registrations`` found elsewhere are kept, else they are fitted here."""
         return self.compare(self.replayed(hypothesis, point), registrations)
 
-    def compare(
-        self, simulated: Sequence[Recording], registrations: dict[str, Registration] | None = None
-    ) -> Residual:
+    def compare(self, simulated: Sequence[Recording], registrations: dict[str, Registration] | None = None) -> Residual:
         """Return measured less ``simulated``."""
         if self.target == "pressure":
             return Residual([self._pressure(k, simulated[k]) for k in range(len(self.runs))], {})

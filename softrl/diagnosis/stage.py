@@ -10,6 +10,7 @@ from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.errors import ConfigError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
+from softrl.diagnosis.baselines import one_lag, without_physics
 from softrl.diagnosis.correct import Model, Traces, errors, in_mm, model_of, share_closed, traces
 from softrl.diagnosis.data import OTHER_FRAME_RAD, Data, Refusal, other_frames, prepare, require_robot
 from softrl.diagnosis.examine import Finding, Part, examine
@@ -83,9 +84,7 @@ class Config:
         return names() if "all" in self.candidates else list(self.candidates)
 
 
-def run(
-    config: Config, robot: Robot, recordings: RecordingSet, simulator: Simulator, *, tracker: Tracker
-) -> Diagnosis:
+def run(config: Config, robot: Robot, recordings: RecordingSet, simulator: Simulator, *, tracker: Tracker) -> Diagnosis:
     """Return what the simulator leaves out, with evidence, rivals, and what rebuilds the corrected simulator."""
     require_robot(recordings, robot)
     found = prepare(recordings, robot, config.heldout_share, config.seed)
@@ -96,8 +95,7 @@ def run(
     whole = _whole(config, robot, simulator, data)
     findings = _examine(config, whole, data, found)
     models = _competitors(config, whole.on(data.training), findings)
-    judged = {split: {name: traces(whole.on(runs), model) for name, model in models.items()}
-              for split, runs in (("train", data.training), ("heldout", data.heldout))}  # fmt: skip
+    judged = _judge(whole, data, models)
     located = [f for part in findings for f in _locate(part, config)]
     diagnosis = _conclude(config, data, whole, findings, models, judged, corrected(located))
     _report(diagnosis, config, data, whole, findings, judged, tracker)
@@ -106,9 +104,7 @@ def run(
 
 def _whole(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Problem:
     """Return the problem from command to motion, with registration if sessions use different frames."""
-    bare = Problem(
-        robot, simulator, data.training, config.numerics, "motion", "command", False, data.orientation
-    )
+    bare = Problem(robot, simulator, data.training, config.numerics, "motion", "command", False, data.orientation)
     if robot.output == "bend_angle":
         return bare
     apart = other_frames(bare.replayed(Hypothesis((), ()), np.zeros(0)), data.training)
@@ -184,10 +180,21 @@ def _competitors(config: Config, training: Problem, findings: list[Finding]) -> 
     point = np.concatenate([trial.fit.point for trial in parts])
     if not effects:
         point = retuned.fit.point
+    lag = one_lag(training, retuned.fit.point, config.search)
     return {
         "nominal": model_of(training, empty, np.zeros(0)),
         "retuned": model_of(training, retuned.hypothesis, retuned.fit.point),
         "corrected": model_of(training, Hypothesis(effects, tuned), point),
+    } | ({"one_lag": lag} if lag else {})
+
+
+def _judge(whole: Problem, data: Data, models: dict[str, Model]) -> dict[str, dict[str, Traces]]:
+    """Return what every competitor predicts, with physics and without: split -> name -> traces."""
+    splits = {split: whole.on(runs) for split, runs in data.splits.items()}
+    plain = without_physics(whole.on(data.training), splits, models["corrected"].placed)
+    return {
+        split: {name: traces(problem, model) for name, model in models.items()} | plain[split]
+        for split, problem in splits.items()
     }
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from scipy import stats
 
 UNSEEN = 1e-6  # eigenvalue of the normalised normal matrix below which a direction counts as unseen
+LINE_WIDTH = 8  # frequencies either side that a line is compared with
 MIN_BLOCKS = 6  # fewer independent blocks say nothing about a spread
 
 
@@ -159,3 +160,26 @@ def left_out(
         moved = np.clip(moved, low * size, high * size)
         found[mine] = residual[mine] + scaled[mine] @ moved
     return found
+
+
+def spectral_line(runs: Sequence[np.ndarray]) -> float:
+    """Return the chance that noise with a smooth spectrum shows a peak as high as the highest in ``runs`` (steps, n).
+
+    Notes
+    -----
+    Each periodogram, summed over channels along the direction of largest power, is divided by its running median over
+    ``LINE_WIDTH`` frequencies; about a smooth spectrum the ratio is exponential, and the chance is corrected for the
+    number of frequencies looked at and runs (textbook form, no equation number checked).
+    """
+    chances, count = [1.0], 0
+    for run in runs:
+        centred = run - run.mean(axis=0)
+        main = centred @ np.linalg.svd(centred.T @ centred)[0][:, 0]
+        power = np.abs(np.fft.rfft(main * np.hanning(len(main)))) ** 2
+        if len(power) < 2 * LINE_WIDTH:
+            continue
+        around = np.array([np.median(power[max(k - LINE_WIDTH, 1) : k + LINE_WIDTH]) for k in range(len(power))])
+        ratio = power[2:] / np.maximum(around[2:] / np.log(2.0), 1e-300)
+        chances.append(float(np.exp(-min(ratio.max(), 700.0))))
+        count += len(ratio)
+    return min(1.0, min(chances) * max(count, 1))

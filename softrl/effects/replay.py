@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import groupby
 
 import numba as nb
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from softrl.core.errors import RecordingError
 from softrl.core.simulator import Motion
 from softrl.effects.chain import EffectChain, Plant, simulate_batch
+from softrl.effects.effect import Effect
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
@@ -53,8 +55,14 @@ def replay_batch(
 ) -> list[Recording]:
     """Return what ``replay`` returns for each of ``plants``, whose robot is the same; see ``simulate_batch``."""
     time, pressure, force = _drive_on_grid(recording, dt_s, drive, settle_s)
-    behind = [_behind_valve(plant, drive) for plant in plants]
-    motions = simulate_batch(behind, time, pressure, force, workers)
+    if drive == "command":
+        motions = simulate_batch(plants, time, pressure, force, workers)
+    else:
+        behind = [_behind_valve(plant) for plant in plants]
+        motions = []
+        for gauges, group in groupby(range(len(plants)), lambda k: plants[k].chain.gauges):
+            seen = _seen_by(gauges, plants[0].chain.robot, pressure)
+            motions += simulate_batch([behind[k] for k in group], time, seen, force, workers)
     return [_reported(recording, plants[0].chain.robot, time, motion) for motion in motions]
 
 
@@ -123,10 +131,15 @@ def _driving(recording: Recording, drive: str) -> np.ndarray:
     return recording.pressure_meas
 
 
-def _behind_valve(plant: Plant, drive: str) -> Plant:
-    if drive == "command":
-        return plant
+def _behind_valve(plant: Plant) -> Plant:
     return Plant(plant.simulator, EffectChain(plant.chain.robot, plant.chain.at("chamber", "body", "load", "sensor")))
+
+
+def _seen_by(gauges: Sequence[Effect], robot: Robot, reported: np.ndarray) -> np.ndarray:
+    """Return the pressures that acted where the gauges ``reported`` these (steps, chambers) Pa."""
+    for gauge in reversed(gauges):
+        reported = gauge.undo(robot, reported)
+    return reported
 
 
 def _sampled(wanted: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -146,8 +146,13 @@ def actor_tables(policy: Policy) -> ActorTables:
 
 @nb.njit(cache=True)
 def _joints_and_pressure(
-    tip: np.ndarray, theta: np.ndarray, contact_force: float, position: np.ndarray, force: np.ndarray,
-    actor: ActorTables, tables: MapTables,
+    tip: np.ndarray,
+    theta: np.ndarray,
+    contact_force: float,
+    position: np.ndarray,
+    force: np.ndarray,
+    actor: ActorTables,
+    tables: MapTables,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the grouped command (3,) that the policy answers, and P_S (n,) Pa that reaches it."""
     command = _command(_observation(tip, theta, contact_force, position, force, actor), actor)
@@ -156,7 +161,11 @@ def _joints_and_pressure(
 
 @nb.njit(cache=True)
 def _observation(
-    tip: np.ndarray, theta: np.ndarray, contact_force: float, position: np.ndarray, force: np.ndarray,
+    tip: np.ndarray,
+    theta: np.ndarray,
+    contact_force: float,
+    position: np.ndarray,
+    force: np.ndarray,
     actor: ActorTables,
 ) -> np.ndarray:
     """Return the scaled observation (k,): see ``Policy`` and ``batch.observe``."""
@@ -185,4 +194,3 @@ def _command(seen: np.ndarray, actor: ActorTables) -> np.ndarray:
     action = np.tanh(hidden) if actor.tanh_last else hidden
     share = 0.5 + 0.5 * np.minimum(np.maximum(action, -1.0), 1.0)
     return actor.low + share * (actor.high - actor.low)
-
