@@ -94,7 +94,7 @@ class RomBench:
             paths.append(self._follow(self.galerkin, load))
             taken.append(watch.now() - began)
         return paths, timing(taken).rate("galerkin_steps", len(loads[0])) | {
-            "galerkin_modes": body.slope.shape[2], "galerkin_elements": body.elements,
+            "galerkin_modes": body.slope.shape[3], "galerkin_elements": body.elements,
             "galerkin_sampling_error_pct": 100.0 * body.sampling_error, "galerkin_build_s": built,
         }  # fmt: skip
 

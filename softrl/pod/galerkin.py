@@ -19,7 +19,7 @@ from softrl.pod.hyperreduction import sample_elements
 
 log = logging.getLogger(__name__)
 _law = nb.types.FunctionType(LAW)
-_f1, _f2, _f3 = (nb.types.Array(nb.float64, d, "C") for d in (1, 2, 3))
+_f1, _f2, _f4 = (nb.types.Array(nb.float64, d, "C") for d in (1, 2, 4))
 
 
 class GalerkinBody(NamedTuple):
@@ -27,8 +27,9 @@ class GalerkinBody(NamedTuple):
 
     Attributes
     ----------
-    slope : (points, 9, r) change of the deformation gradient at the sampled Gauss points per amplitude
-    weight : (points,) m^3, Gauss weights times those of ECSW
+    law_parameters, bulk_pa : of the law's kernel; the second weighs the mean change of volume of an element
+    slope : (elements, gauss, 9, r) change of the deformation gradient at the sampled elements' points per amplitude
+    weight : (elements, gauss) m^3, Gauss weights times those of ECSW
     volume_slope : (n, r);  volume_bend : (n, r, r);  volume_twist : (n, r, r, r), V = V0 + a.q + q.B q / 2 + C q q q / 6
     tip : (3, r) m, tip per amplitude
     centre_of_mass : (3, r), displacement of the centre of mass per amplitude
@@ -38,6 +39,8 @@ class GalerkinBody(NamedTuple):
     elements : number of sampled elements;  sampling_error : what ECSW leaves, relative
     """
 
+    law_parameters: np.ndarray
+    bulk_pa: float
     slope: np.ndarray
     weight: np.ndarray
     volume_slope: np.ndarray
@@ -101,14 +104,14 @@ def build_body(
     work = np.concatenate([element_work(model, material, slope, q) for q in amplitude[chosen]])
     sampling = sample_elements(work, tolerance, most)
     log.info("ECSW keeps %d of %d elements", len(sampling.elements), work.shape[1])
-    points = slope[sampling.elements]
     weight = model._weights[sampling.elements] * sampling.weights[:, None]
     volume = [_volume_tensors(model, basis, k) for k in range(model.chambers)]
     plate = model.coupling.members[0]
     moment = _plate_moments(model, basis, plate)
     spread = model.coupling.spread(0)
     return GalerkinBody(
-        slope=np.ascontiguousarray(points.reshape(-1, 9, len(basis))), weight=weight.ravel(),
+        law_parameters=model._parameters, bulk_pa=_bulk(model),
+        slope=np.ascontiguousarray(slope[sampling.elements]), weight=np.ascontiguousarray(weight),
         volume_slope=np.array([v[0] for v in volume]), volume_bend=np.array([v[1] for v in volume]),
         volume_twist=np.array([v[2] for v in volume]), tip=np.einsum("n,rni->ir", spread, basis),
         centre_of_mass=np.einsum("n,rni->ir", model.nodal_mass, basis) / model.nodal_mass.sum(), plate=moment,
@@ -119,11 +122,14 @@ def build_body(
 
 def element_work(model: FemModel, material: Material, slope: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
     """Return the elastic force (r, elements) of every element on every mode at ``amplitude`` (r,)."""
-    count, gauss = slope.shape[:2]
-    flat = slope.reshape(-1, 9, slope.shape[3])
-    stress = stresses(type(material).kernel, material.pack(), np.eye(3).ravel() + flat @ amplitude)
-    work = np.einsum("pi,pir->pr", stress * model._weights.reshape(-1, 1), flat)
-    return work.reshape(count, gauss, -1).sum(axis=1).T
+    strain = np.eye(3).ravel() + slope @ amplitude
+    stress = stresses(type(material).kernel, model._parameters, _bulk(model), strain, model._weights)
+    return np.einsum("eqi,eqir->re", stress * model._weights[..., None], slope, optimize=True)
+
+
+def _bulk(model: FemModel) -> float:
+    """Return the modulus that weighs an element's mean change of volume; zero where the model takes each point's."""
+    return float(getattr(model, "_bulk_pa", 0.0))
 
 
 def _slopes(model: FemModel, basis: np.ndarray) -> np.ndarray:
@@ -193,65 +199,121 @@ def _pose_of(model: FemModel, corners: np.ndarray) -> Pose:
 
 
 @nb.njit(cache=True)
-def stresses(law: Any, parameters: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """Return the first Piola-Kirchhoff stresses (points, 9) Pa at deformation gradients (points, 9)."""
+def _cofactor(f: np.ndarray, c: np.ndarray) -> float:
+    """Fill ``c`` with the cofactor of ``f`` and return the determinant."""
+    for i in range(3):
+        i1, i2 = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            j1, j2 = (j + 1) % 3, (j + 2) % 3
+            c[i, j] = f[i1, j1] * f[i2, j2] - f[i1, j2] * f[i2, j1]
+    return f[0, 0] * c[0, 0] + f[0, 1] * c[0, 1] + f[0, 2] * c[0, 2]
+
+
+@nb.njit(cache=True)
+def _add_second_derivative(factor: float, f: np.ndarray, a: np.ndarray) -> None:
+    """Add ``factor`` times the second derivative of det F to ``a`` (9, 9)."""
+    for i in range(3):
+        i1, i2 = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            j1, j2, row = (j + 1) % 3, (j + 2) % 3, 3 * i + j
+            a[row, 3 * i1 + j1] += factor * f[i2, j2]
+            a[row, 3 * i2 + j2] += factor * f[i1, j1]
+            a[row, 3 * i1 + j2] -= factor * f[i2, j1]
+            a[row, 3 * i2 + j1] -= factor * f[i1, j2]
+
+
+@nb.njit(cache=True)
+def stresses(law: Any, parameters: np.ndarray, bulk: float, gradient: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Return the first Piola-Kirchhoff stresses (elements, gauss, 9) Pa at deformation gradients of that shape.
+
+    ``bulk`` Pa weighs the mean change of volume of an element, as in the full model; ``weight`` (elements, gauss) m^3.
+    """
+    elements, gauss, _ = gradient.shape
     found, tangent = np.zeros_like(gradient), np.zeros((9, 9))
-    f, p = np.empty((3, 3)), np.zeros((3, 3))
-    for k in range(len(gradient)):
-        f[:] = gradient[k].reshape(3, 3)
-        law(parameters, f, p, tangent, STRESS)
-        found[k] = p.ravel()
+    f, p, c = np.empty((3, 3)), np.zeros((3, 3)), np.zeros((gauss, 3, 3))
+    for e in range(elements):
+        swept = volume = 0.0
+        for k in range(gauss):
+            f[:] = gradient[e, k].reshape(3, 3)
+            swept += weight[e, k] * _cofactor(f, c[k])
+            volume += weight[e, k]
+        push = bulk * (swept / volume - 1.0)
+        for k in range(gauss):
+            f[:] = gradient[e, k].reshape(3, 3)
+            law(parameters, f, p, tangent, STRESS)
+            for i in range(9):
+                found[e, k, i] = p[i // 3, i % 3] + push * c[k, i // 3, i % 3]
     return found
 
 
-@nb.njit(nb.float64(_law, _f1, _f3, _f1, _f1, nb.int64, _f1, _f2), cache=True, fastmath={"contract", "reassoc", "nsz"})
+@nb.njit(
+    nb.float64(_law, _f1, nb.float64, _f4, _f2, _f1, nb.int64, _f1, _f2),
+    cache=True, fastmath={"contract", "reassoc", "nsz"},
+)  # fmt: skip
 def elastic(
-    law: Any, parameters: np.ndarray, slope: np.ndarray, weight: np.ndarray, q: np.ndarray, order: int,
+    law: Any, parameters: np.ndarray, bulk: float, slope: np.ndarray, weight: np.ndarray, q: np.ndarray, order: int,
     gradient: np.ndarray, hessian: np.ndarray,
 ) -> float:
     """Return the elastic energy in J at amplitudes ``q`` and fill its gradient (r,) and Hessian (r, r) as asked."""
-    points, r = len(slope), len(q)
-    f, p, tangent = np.empty((3, 3)), np.zeros((3, 3)), np.zeros((9, 9))
-    half = np.empty((9, r))
-    energy = 0.0
+    elements, gauss, _, r = slope.shape
+    f, p, tangent = np.empty((gauss, 3, 3)), np.zeros((3, 3)), np.zeros((9, 9))
+    c, half, normal = np.zeros((gauss, 3, 3)), np.empty((9, r)), np.empty(r)
+    energy = push = volume = 0.0
     if order >= STRESS:
         gradient[:] = 0.0
     if order >= TANGENT:
         hessian[:] = 0.0
-    for k in range(points):
-        for i in range(9):
-            total = 1.0 if i % 4 == 0 else 0.0
+    for e in range(elements):
+        swept = volume = 0.0
+        for k in range(gauss):
+            for i in range(9):
+                total = 1.0 if i % 4 == 0 else 0.0
+                for a in range(r):
+                    total += slope[e, k, i, a] * q[a]
+                f[k, i // 3, i % 3] = total
+            if bulk > 0.0:
+                swept += weight[e, k] * _cofactor(f[k], c[k])
+                volume += weight[e, k]
+        if bulk > 0.0:
+            push = bulk * (swept / volume - 1.0)
+            energy += 0.5 * push * (swept - volume)
+            normal[:] = 0.0
+        for k in range(gauss):
+            density = law(parameters, f[k], p, tangent, order)
+            if density == np.inf:
+                return np.inf
+            energy += weight[e, k] * density
+            if order < STRESS:
+                continue
+            for i in range(9):
+                own = weight[e, k] * (p[i // 3, i % 3] + push * c[k, i // 3, i % 3])
+                swell = weight[e, k] * c[k, i // 3, i % 3]
+                for a in range(r):
+                    gradient[a] += own * slope[e, k, i, a]
+                    normal[a] += swell * slope[e, k, i, a]
+            if order < TANGENT:
+                continue
+            if bulk > 0.0:
+                _add_second_derivative(push, f[k], tangent)
+            for i in range(9):
+                for a in range(r):
+                    half[i, a] = 0.0
+                for j in range(9):
+                    t = weight[e, k] * tangent[i, j]
+                    if t != 0.0:
+                        for a in range(r):
+                            half[i, a] += t * slope[e, k, j, a]
+            for i in range(9):
+                for a in range(r):
+                    s = slope[e, k, i, a]
+                    for b in range(a + 1):
+                        hessian[a, b] += s * half[i, b]
+        if order >= TANGENT and bulk > 0.0:
             for a in range(r):
-                total += slope[k, i, a] * q[a]
-            f[i // 3, i % 3] = total
-        density = law(parameters, f, p, tangent, order)
-        if density == np.inf:
-            return np.inf
-        energy += weight[k] * density
-        if order < STRESS:
-            continue
-        for i in range(9):
-            push = weight[k] * p[i // 3, i % 3]
-            for a in range(r):
-                gradient[a] += push * slope[k, i, a]
-        if order < TANGENT:
-            continue
-        for i in range(9):
-            for a in range(r):
-                half[i, a] = 0.0
-            for j in range(9):
-                t = weight[k] * tangent[i, j]
-                if t != 0.0:
-                    for a in range(r):
-                        half[i, a] += t * slope[k, j, a]
-        for i in range(9):
-            for a in range(r):
-                s = slope[k, i, a]
                 for b in range(a + 1):
-                    hessian[a, b] += s * half[i, b]
+                    hessian[a, b] += bulk / volume * normal[a] * normal[b]
     if order >= TANGENT:
         for a in range(r):
             for b in range(a):
                 hessian[b, a] = hessian[a, b]
     return energy
-

@@ -152,7 +152,7 @@ class GalerkinSimulator:
 
     def _settle(self, load: np.ndarray) -> np.ndarray:
         """Return the amplitudes at rest under ``load`` (n + 3,) and weight."""
-        q = np.zeros(self.body.slope.shape[2])
+        q = np.zeros(self.body.slope.shape[3])
         for share in np.arange(1, LOAD_STEPS + 1) / LOAD_STEPS:
             q = self._solve(q, np.zeros_like(q), share * load, QUASI_STATIC_S, share)
         return q
@@ -161,8 +161,9 @@ class GalerkinSimulator:
         body, r = self.body, len(q)
         gradient, hessian = np.zeros(r), np.zeros((r, r))
         energy = elastic(
-            type(self._material).kernel, self._material.pack(), body.slope, body.weight, q, order, gradient, hessian
-        )
+            type(self._material).kernel, body.law_parameters, body.bulk_pa, body.slope, body.weight, q, order, gradient,
+            hessian,
+        )  # fmt: skip
         if not np.isfinite(energy):
             raise SolverError("simulator galerkin: the material's law ends at this state; use smaller loads or steps")
         return self.youngs_modulus_scale * gradient, self.youngs_modulus_scale * hessian
