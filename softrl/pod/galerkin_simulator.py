@@ -187,21 +187,23 @@ class GalerkinSimulator:
         """
         body, n, unit = self.body, self.robot.chambers, np.eye(len(before))
         mass, damp = self.mass_scale / dt_s**2, self.damping_scale / dt_s
-        _, stiffness = self._elastic(before, TANGENT)
+        gradient, own = self._elastic(before, TANGENT)
         drag = damp * (
-            self.snapshots.rayleigh_mass_per_s * self.mass_scale * unit + self.snapshots.rayleigh_stiffness_s * stiffness
+            self.snapshots.rayleigh_mass_per_s * self.mass_scale * unit + self.snapshots.rayleigh_stiffness_s * own
         )
         flight, q, factors, age = before + dt_s * velocity, before.copy(), None, 0
         for _ in range(ITERATIONS):
-            gradient, own = self._elastic(q, STRESS if factors is not None and age < PATIENCE else TANGENT)
-            residual = gradient + mass * (q - flight) + drag @ (q - before) - self._outer(q, load, weight)
             if factors is None or age >= PATIENCE:
+                if factors is not None:
+                    gradient, own = self._elastic(q, TANGENT)
                 swelling = np.einsum("c,cij->ij", load[:n], body.volume_bend + body.volume_twist @ q)
                 factors, age = _factorise(own + mass * unit + drag - swelling), 0
+            residual = gradient + mass * (q - flight) + drag @ (q - before) - self._outer(q, load, weight)
             change = cho_solve(factors, residual)
             q, age = q - change, age + 1
             if body.reach * float(np.abs(change).max()) < TOLERANCE_M:
                 return q
+            gradient, _ = self._elastic(q, STRESS)
         raise SolverError(
             f"simulator galerkin: a step of {dt_s:g} s did not converge in {ITERATIONS} iterations; try a smaller step"
         )
