@@ -18,6 +18,7 @@ from softrl.core.resume import Kept, pack, unpack
 from softrl.core.tracking import Tracker
 from softrl.fem.continuation import Cost, Equilibrium, follow
 from softrl.fem.figures import draw_newton, draw_shapes, draw_tips, draw_trajectories
+from softrl.fem.lag import lag_at
 from softrl.fem.material import Material, material_of
 from softrl.fem.model import FemModel
 from softrl.fem.newton import NewtonSettings
@@ -130,6 +131,9 @@ class Row(NamedTuple):
     compliance: np.ndarray
     tangent_stiffness: np.ndarray
     tangent_mass: np.ndarray
+    lag_stiffness: np.ndarray
+    lag_viscosity: np.ndarray
+    lag_spin: np.ndarray
     centre_of_mass: np.ndarray
     tip_quaternion: np.ndarray
     displacement: np.ndarray
@@ -201,13 +205,16 @@ def _trace(body: Body, loads: np.ndarray, chain: np.ndarray) -> list[Found]:
 
 def _row(model: FemModel, equilibrium: Equilibrium) -> Row:
     pose, tangent = equilibrium.pose, equilibrium.tangent
-    corners = model.quadratic.corners
+    corners, lag = model.quadratic.corners, lag_at(model, pose, tangent)
     return Row(
         coordinate=model.coordinate(pose),
         energy=model.elastic_energy(pose),
         compliance=0.5 * (tangent.compliance + tangent.compliance.T),
         tangent_stiffness=tangent.stiffness,
         tangent_mass=tangent.mass,
+        lag_stiffness=lag.stiffness,
+        lag_viscosity=lag.viscosity,
+        lag_spin=lag.spin,
         centre_of_mass=model.centre_of_mass(pose),
         tip_quaternion=model.tip_quaternion(pose),
         displacement=(pose.position - model.quadratic.points)[:corners].astype(np.float32),
