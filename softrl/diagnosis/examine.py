@@ -20,7 +20,7 @@ from softrl.recordings.recording import Recording
 log = logging.getLogger(__name__)
 WHITENESS_LAGS = 20
 AT_BOUND = 1e-3  # share of a range at whose ends a parameter is said to be at a bound
-LINE_LEVEL = 1e-4  # chance of a line in the spectrum of noise
+LINE_LEVEL = 1e-8  # chance of a line in the spectrum of noise
 LARGE_SHARE = 0.05  # of the travel: noise with a memory is not as large
 
 

@@ -262,6 +262,7 @@ def rank(fitting: Problem, current: Trial, choices: Sequence[Choice], search: Se
 
     Every effect is fitted nonlinearly, first for all chambers, then in each chamber alone from the shapes found so.
     """
+    fitting, current = fitting.rough, _settled(fitting.rough, current, search.rough_steps)
     jacobian = current.fit.jacobian
     basis = np.linalg.qr(jacobian)[0] if jacobian.size else np.zeros((len(jacobian), 0))
     for_all = [choice for choice in choices if choice.chamber < 0]
@@ -274,6 +275,22 @@ def rank(fitting: Problem, current: Trial, choices: Sequence[Choice], search: Se
     ]
     leads += parallel(_rough_fit, jobs, search.workers)
     return sorted(leads, key=lambda lead: -lead.gain)
+
+
+def _settled(fitting: Problem, trial: Trial, steps: int) -> Trial:
+    """Return ``trial`` refitted roughly on a problem of other steps."""
+    low, high = fitting.space(trial.hypothesis).bounds
+    none = np.zeros(0, dtype=int)
+    fit = refine(
+        lambda u: fitting.residual(trial.hypothesis, u).flat,
+        trial.fit.point,
+        trial.fit.jacobian,
+        none,
+        low,
+        high,
+        steps,
+    )
+    return trial._replace(fit=fit, squares=_squares_left_out(fitting, fit, low, high))
 
 
 def _plain(choice: Choice, shape: np.ndarray | None) -> np.ndarray:

@@ -64,7 +64,7 @@ class Config:
     seed: int
 
     def __post_init__(self) -> None:
-        for name in ("dt_s", "bin_s"):
+        for name in ("dt_s", "rough_dt_s", "bin_s"):
             if getattr(self.numerics, name) <= 0.0:
                 raise ConfigError(f"stage.numerics.{name}={getattr(self.numerics, name):g} s must be positive")
         if self.numerics.settle_s < 0.0 or self.numerics.tuned_factor <= 1.0:
@@ -96,7 +96,7 @@ def run(config: Config, robot: Robot, recordings: RecordingSet, simulator: Simul
     findings = _examine(config, whole, data, found)
     models = _competitors(config, whole.on(data.training), findings)
     judged = _judge(whole, data, models)
-    located = [f for part in findings for f in _locate(part, config)]
+    located = [f for part in findings for f in _locate(part)]
     diagnosis = _conclude(config, data, whole, findings, models, judged, corrected(located))
     _report(diagnosis, config, data, whole, findings, judged, tracker)
     return diagnosis
@@ -198,10 +198,10 @@ def _judge(whole: Problem, data: Data, models: dict[str, Model]) -> dict[str, di
     }
 
 
-def _locate(finding: Finding, config: Config) -> list[Any]:
+def _locate(finding: Finding) -> list[Any]:
     problem = finding.part.problem
     residual = problem.residual(finding.base.hypothesis, finding.base.fit.point, finding.base.placed)
-    return locate(problem, residual, finding.part.floor, finding.part.title, config.thresholds.block_s)
+    return locate(problem, residual, finding.part.floor, finding.part.title)
 
 
 def _conclude(
