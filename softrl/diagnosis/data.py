@@ -34,6 +34,7 @@ class Data:
     pressure : whether every run has measured pressure
     orientation : whether orientations are recorded and can be trusted
     noise : rms of the noise of one sample of the motion, m over all its components
+    turn_noise : the same of the orientation, rad
     pressure_noise : the same of the measured pressure, Pa
     travel, pressure_travel : rms about the mean of what the training runs measured, m and Pa
     """
@@ -45,6 +46,7 @@ class Data:
     pressure: bool
     orientation: bool
     noise: float
+    turn_noise: float
     pressure_noise: float
     travel: float
     pressure_travel: float
@@ -96,6 +98,7 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: 
         pressure,
         _orientation_trusted(usable, found, robot),
         noise,
+        2.0 * np.sqrt(3.0) * found.noise_floor.get("quaternion", 0.0),  # a turn is twice the quaternion's vector
         pressure_noise,
         travel,
         rms_about_mean([r.pressure_meas for r in training.recordings if r.pressure_meas is not None]),

@@ -279,11 +279,11 @@ def _rivals(
         if other.name not in taken
     ]
     trials = fit_trials(part.problem, judge.problem, tasks[: search.rivals], search)
-    found = []
+    found, both = [], judge.on((*part.problem.runs, *part.heldout))
     for trial in trials:
         gap = judge.gap(trial.squares, final.squares)
-        freer = len(trial.fit.point) > len(final.fit.point) and trial.mean_square > final.mean_square
-        alike = not judge.tells(trial.squares, final.squares)
+        freer = len(trial.fit.point) > len(final.fit.point) and trial.everywhere.mean() > final.everywhere.mean()
+        alike = not both.tells(trial.everywhere, final.everywhere)
         found.append(Rival(choice, trial.hypothesis.effects[-1], gap, alike and not freer))
     return sorted(found, key=lambda rival: rival.gap.value)
 

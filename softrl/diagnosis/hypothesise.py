@@ -59,17 +59,27 @@ class Search:
 
 
 class Trial(NamedTuple):
-    """A fitted hypothesis: its search, the placements found with it, and squared errors (bins,) on runs left out."""
+    """A fitted hypothesis: its search, the placements found with it, and squared errors (bins,).
+
+    ``inside`` holds those on the fitted runs, each left out in turn; ``squares`` those that judge it: the same, or the
+    errors on runs that no fit saw.
+    """
 
     hypothesis: Hypothesis
     fit: Fit
     placed: dict[str, Registration]
     squares: np.ndarray
+    inside: np.ndarray
 
     @property
     def mean_square(self) -> float:
         """Mean squared error on runs left out."""
         return float(self.squares.mean())
+
+    @property
+    def everywhere(self) -> np.ndarray:
+        """Squared errors on all runs, none of which its fit saw."""
+        return np.concatenate([self.inside, self.squares])
 
 
 class Lead(NamedTuple):
@@ -240,13 +250,13 @@ def _fit_trial(
         fit = least_squares(lambda u: fitting.residual(hypothesis, u).flat, fit.point, low, high, rest)
     try:
         placed = fitting.residual(hypothesis, fit.point).registrations
-        squares = _squares_left_out(fitting, fit, low, high)
+        squares = inside = _squares_left_out(fitting, fit, low, high)
         if unseen is not None:
             squares = unseen.residual(hypothesis, fit.point, placed).squares
     except SolverError as error:
         log.info("%s diverges on runs left out and is dropped: %s", hypothesis.label(), error)
         return None
-    return Trial(hypothesis, fit, placed, squares)
+    return Trial(hypothesis, fit, placed, squares, inside)
 
 
 def _squares_left_out(fitting: Problem, fit: Fit, low: np.ndarray, high: np.ndarray) -> np.ndarray:

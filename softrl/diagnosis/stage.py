@@ -28,7 +28,7 @@ from softrl.diagnosis.hypothesis import Hypothesis, candidates
 from softrl.diagnosis.hypothesise import Search, fit_trials
 from softrl.diagnosis.judge import Thresholds
 from softrl.diagnosis.locate import corrected, locate
-from softrl.diagnosis.problem import Numerics, Problem
+from softrl.diagnosis.problem import ORIENTATION_LEVER, Numerics, Problem
 from softrl.diagnosis.report import page
 from softrl.diagnosis.response import step_responses
 from softrl.effects.effect import SITES
@@ -145,7 +145,8 @@ def _examine_valve(config: Config, whole: Problem, data: Data) -> Finding:
 def _examine_motion(config: Config, problem: Problem, data: Data, title: str, sites: tuple[str, ...]) -> Finding:
     wanted = [name for name in config.effects if not (problem.register and name == "frame")]
     choices = candidates(wanted, sites, problem.robot, data.check.excited)
-    floor = _floor_in_bin(data.noise, data, config) * (np.sqrt(2.0) if problem.orientation else 1.0)
+    turned = ORIENTATION_LEVER * problem.robot.length_m * data.turn_noise if problem.orientation else 0.0
+    floor = _floor_in_bin(float(np.hypot(data.noise, turned)), data, config)
     part = Part(title, problem.on(data.training), data.heldout, floor, data.travel,
                 tuple(problem.simulator.parameters), tuple(choices))  # fmt: skip
     return examine(part, config.search, config.thresholds, config.seed)
