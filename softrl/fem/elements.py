@@ -89,8 +89,15 @@ def quadratic_mesh(mesh: Mesh) -> QuadraticMesh:
     middle = corners + np.searchsorted(key, side_key)
     gradients, weights = shape_gradients(mesh.points, tetrahedra)
     return QuadraticMesh(
-        points, corners, edge, elements, region, np.hstack([triangles, middle.reshape(-1, 3)]),
-        mesh.cavity_of_triangle.astype(np.int64), gradients, weights,
+        points,
+        corners,
+        edge,
+        elements,
+        region,
+        np.hstack([triangles, middle.reshape(-1, 3)]),
+        mesh.cavity_of_triangle.astype(np.int64),
+        gradients,
+        weights,
     )
 
 

@@ -82,9 +82,16 @@ class FemModel:
     """
 
     def __init__(
-        self, mesh: Mesh, material: Material, density_kg_m3: float, rayleigh_mass_per_s: float,
-        rayleigh_stiffness_s: float, newton: NewtonSettings, gravity_m_s2: tuple[float, ...] = (0.0, 0.0, 0.0),
-        stiffness_scale: float = 1.0, solver: LinearSolver | None = None,
+        self,
+        mesh: Mesh,
+        material: Material,
+        density_kg_m3: float,
+        rayleigh_mass_per_s: float,
+        rayleigh_stiffness_s: float,
+        newton: NewtonSettings,
+        gravity_m_s2: tuple[float, ...] = (0.0, 0.0, 0.0),
+        stiffness_scale: float = 1.0,
+        solver: LinearSolver | None = None,
     ) -> None:
         if density_kg_m3 <= 0:
             raise ConfigError(f"density {density_kg_m3:g} kg/m^3 must be positive")
@@ -170,7 +177,9 @@ class FemModel:
         shapes = np.stack([self.coupling.expand(column, pose) for column in change.T])
         stiff = np.stack([multiply_blocks(elastic.blocks, self.pairs.first, self.pairs.second, t) for t in shapes])
         return Tangent(
-            change, forces.T @ change, np.einsum("ani,bni->ab", shapes, stiff),
+            change,
+            forces.T @ change,
+            np.einsum("ani,bni->ab", shapes, stiff),
             np.einsum("ani,n,bni->ab", shapes, self.nodal_mass, shapes),
         )
 
@@ -253,8 +262,16 @@ class FemModel:
         gradient = np.zeros_like(pose.position)
         blocks = np.zeros((len(self.pairs.first) if order >= TANGENT else 1, 3, 3))
         energy = assemble_elastic(
-            type(self._material).kernel, self._parameters, pose.position, self._elements, self._gradients,
-            self._weights, order, self.pairs.element_slots, gradient, blocks,
+            type(self._material).kernel,
+            self._parameters,
+            pose.position,
+            self._elements,
+            self._gradients,
+            self._weights,
+            order,
+            self.pairs.element_slots,
+            gradient,
+            blocks,
         )
         return Value(energy, gradient, blocks if order >= TANGENT else None)
 

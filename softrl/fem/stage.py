@@ -108,8 +108,12 @@ def build_model(body: Body) -> FemModel:
     config = body.config
     newton = NewtonSettings(config.tolerance_m, config.max_iterations, config.reuse_below)
     return FemModel(
-        body.mesh, body.material, body.robot.mass_kg / body.mesh.volume(), config.rayleigh_mass_per_s,
-        config.rayleigh_stiffness_s, newton,
+        body.mesh,
+        body.material,
+        body.robot.mass_kg / body.mesh.volume(),
+        config.rayleigh_mass_per_s,
+        config.rayleigh_stiffness_s,
+        newton,
     )
 
 
@@ -229,9 +233,7 @@ def corner_mass(model: FemModel) -> np.ndarray:
     return mass
 
 
-def _report(
-    snapshots: Snapshots, samples: list[Found], trajectories: int, tracker: Tracker
-) -> None:
+def _report(snapshots: Snapshots, samples: list[Found], trajectories: int, tracker: Tracker) -> None:
     tip = snapshots.coordinate[:, -3:]
     tracker.metric("equilibria", len(samples))
     tracker.metric("failed", snapshots.failed)

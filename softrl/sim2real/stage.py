@@ -111,8 +111,14 @@ def _targets(config: Config, space: Workspace) -> dict[str, np.ndarray]:
 
 
 def _follow_shape(
-    config: Config, robot: Robot, policy: Policy, surrogate: Surrogate, calibration: Calibration, driver: Driver,
-    shape: str, target: np.ndarray,
+    config: Config,
+    robot: Robot,
+    policy: Policy,
+    surrogate: Surrogate,
+    calibration: Calibration,
+    driver: Driver,
+    shape: str,
+    target: np.ndarray,
 ) -> dict[str, Rollout]:
     """Return the rollouts of one shape by controller; each starts from rest, both belong to one session."""
     controllers: dict[str, Controller] = {

@@ -138,9 +138,7 @@ class Rig:
             self._step(np.zeros_like(self._setpoint), dt_s)
 
     def _step(self, acting: np.ndarray, dt_s: float) -> None:
-        self._state = self._body.step(
-            self._state, acting, dt_s, None, body=self._body_hooks, load=self._load_hooks
-        )
+        self._state = self._body.step(self._state, acting, dt_s, None, body=self._body_hooks, load=self._load_hooks)
 
     def advance(self, ticks: int, setpoints: np.ndarray) -> tuple[np.ndarray, str | None]:
         """Return the samples of ``ticks`` periods as rows (see ``sample_of``), and what the watchdog says.
