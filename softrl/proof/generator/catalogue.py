@@ -70,9 +70,9 @@ RIGHT: dict[str, tuple[int, tuple[str, ...], float]] = {
     "soften": (laws.SOFTEN, ("strain_softening", "area_growth"), 8.0),
     "wall": (laws.WALL, ("stiffness_scale",), 1.5),
     "relax": (laws.RELAX, ("drift",), 0.4),
-    "mass": (laws.MASS, ("payload",), 0.5),
+    "mass": (laws.MASS, ("payload",), 1.5),
     "tilt": (laws.TILT, ("mount_tilt",), 0.5),
-    "rebound": (laws.REBOUND, ("contact",), 400.0),
+    "rebound": (laws.REBOUND, ("contact",), 2000.0),
     "string": (laws.STRING, ("tether",), 120.0),
     "frame": (laws.FRAME, ("frame",), 0.25),
     "marker": (laws.MARKER, ("marker_offset",), 0.15),
@@ -182,7 +182,7 @@ def draw(name: str, place: str, session_s: float, chambers: int, rng: np.random.
     elif name == "tilt":
         drawn = {0: direction[0] / np.hypot(*direction[:2]), 1: direction[1] / np.hypot(*direction[:2])}
     elif name == "rebound":
-        drawn = {1: u(0.08, 0.2), 2: u(-np.pi, np.pi)}
+        drawn = {1: u(0.02, 0.08), 2: u(-np.pi, np.pi)}
     elif name == "string":
         angle, far = u(-np.pi, np.pi), u(0.1, 0.4)
         drawn = {1: far * np.cos(angle), 2: far * np.sin(angle), 3: u(0.02, 0.08)}
@@ -200,7 +200,7 @@ def draw(name: str, place: str, session_s: float, chambers: int, rng: np.random.
     if place == "above":
         drawn[laws.ABOVE] = u(0.3, 0.45)
         if name == "rebound":
-            drawn[1], drawn[laws.ABOVE] = u(0.2, 0.25), UP
+            drawn[1], drawn[laws.ABOVE] = u(0.09, 0.12), UP
     if place == "late":
         drawn[laws.LATE] = u(0.4, 0.6) * session_s
         right = right + LATE_TOO.get(name, ())
