@@ -20,7 +20,8 @@ from softrl.recordings.recording import Recording
 log = logging.getLogger(__name__)
 WHITENESS_LAGS = 20
 AT_BOUND = 1e-3  # share of a range at whose ends a parameter is said to be at a bound
-LINE_LEVEL = 1e-4  # chance of a line in the spectrum of noise
+LINE_LEVEL = 1e-8  # chance of a line in the spectrum of noise
+UNDRIVEN_SHARE = 0.5  # of the squared error: effects that remove less explain nothing
 LARGE_SHARE = 0.05  # of the travel: noise with a memory is not as large
 
 
@@ -153,12 +154,15 @@ def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Fi
 def _explained(judge: Judge, base: Trial, final: Trial, offer: Offer) -> tuple[float, float]:
     """Return (share of the squared error that can be explained which effects explain, error above the floor left).
 
-    What can be explained is what the effects remove, and what a map without physics could remove beyond them.
+    What can be explained is what the effects remove, and what a map without physics could remove beyond them. Effects
+    that remove less than ``UNDRIVEN_SHARE`` of the whole have to answer for the whole.
     """
     whole, left = float(judge.excess(base.mean_square)), float(judge.excess(final.mean_square))
+    removed = whole**2 - left**2
+    if removed <= UNDRIVEN_SHARE * whole**2:
+        return (removed / whole**2 if whole > 0.0 else 0.0), left
     rest = float(judge.excess(offer.squares.mean())) if offer.pays else left
-    can = whole**2 - min(rest, left) ** 2
-    return ((whole**2 - left**2) / can if can > 0.0 else 1.0), left
+    return removed / (whole**2 - min(rest, left) ** 2), left
 
 
 def _offer(part: Part, judge: Judge, trial: Trial) -> Offer:
@@ -180,11 +184,13 @@ def _unexplained(judge: Judge, final: Trial, offer: Offer, explained: float, lef
     a large share of the motion.
     """
     heldout, reasons = _heldout(judge, final), []
-    if offer.pays and explained < judge.thresholds.explained_share:
+    if explained >= judge.thresholds.explained_share or left <= judge.material:
+        return []
+    if offer.pays:
         reasons.append("what is left follows the pressures and their past")
-    if left > judge.material and left > judge.floor and spectral_line(heldout.runs) < LINE_LEVEL:
+    elif left > judge.floor and spectral_line(heldout.runs) < LINE_LEVEL:
         reasons.append("what is left swings at one frequency")
-    if left > LARGE_SHARE * judge.travel and explained < judge.thresholds.explained_share and not _white(heldout):
+    elif left > LARGE_SHARE * judge.travel and not _white(heldout):
         reasons.append("what is left is a large share of the motion")
     return reasons
 
@@ -279,11 +285,11 @@ def _rivals(
         if other.name not in taken
     ]
     trials = fit_trials(part.problem, judge.problem, tasks[: search.rivals], search)
-    found = []
+    found, both = [], judge.on((*part.problem.runs, *part.heldout))
     for trial in trials:
         gap = judge.gap(trial.squares, final.squares)
-        freer = len(trial.fit.point) > len(final.fit.point) and trial.mean_square > final.mean_square
-        alike = not judge.tells(trial.squares, final.squares)
+        freer = len(trial.fit.point) > len(final.fit.point) and trial.everywhere.mean() > final.everywhere.mean()
+        alike = not both.tells(trial.everywhere, final.everywhere)
         found.append(Rival(choice, trial.hypothesis.effects[-1], gap, alike and not freer))
     return sorted(found, key=lambda rival: rival.gap.value)
 

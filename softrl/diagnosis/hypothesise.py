@@ -59,17 +59,27 @@ class Search:
 
 
 class Trial(NamedTuple):
-    """A fitted hypothesis: its search, the placements found with it, and squared errors (bins,) on runs left out."""
+    """A fitted hypothesis: its search, the placements found with it, and squared errors (bins,).
+
+    ``inside`` holds those on the fitted runs, each left out in turn; ``squares`` those that judge it: the same, or the
+    errors on runs that no fit saw.
+    """
 
     hypothesis: Hypothesis
     fit: Fit
     placed: dict[str, Registration]
     squares: np.ndarray
+    inside: np.ndarray
 
     @property
     def mean_square(self) -> float:
         """Mean squared error on runs left out."""
         return float(self.squares.mean())
+
+    @property
+    def everywhere(self) -> np.ndarray:
+        """Squared errors on all runs, none of which its fit saw."""
+        return np.concatenate([self.inside, self.squares])
 
 
 class Lead(NamedTuple):
@@ -240,13 +250,13 @@ def _fit_trial(
         fit = least_squares(lambda u: fitting.residual(hypothesis, u).flat, fit.point, low, high, rest)
     try:
         placed = fitting.residual(hypothesis, fit.point).registrations
-        squares = _squares_left_out(fitting, fit, low, high)
+        squares = inside = _squares_left_out(fitting, fit, low, high)
         if unseen is not None:
             squares = unseen.residual(hypothesis, fit.point, placed).squares
     except SolverError as error:
         log.info("%s diverges on runs left out and is dropped: %s", hypothesis.label(), error)
         return None
-    return Trial(hypothesis, fit, placed, squares)
+    return Trial(hypothesis, fit, placed, squares, inside)
 
 
 def _squares_left_out(fitting: Problem, fit: Fit, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -262,6 +272,7 @@ def rank(fitting: Problem, current: Trial, choices: Sequence[Choice], search: Se
 
     Every effect is fitted nonlinearly, first for all chambers, then in each chamber alone from the shapes found so.
     """
+    fitting, current = fitting.rough, _settled(fitting.rough, current, search.rough_steps)
     jacobian = current.fit.jacobian
     basis = np.linalg.qr(jacobian)[0] if jacobian.size else np.zeros((len(jacobian), 0))
     for_all = [choice for choice in choices if choice.chamber < 0]
@@ -274,6 +285,22 @@ def rank(fitting: Problem, current: Trial, choices: Sequence[Choice], search: Se
     ]
     leads += parallel(_rough_fit, jobs, search.workers)
     return sorted(leads, key=lambda lead: -lead.gain)
+
+
+def _settled(fitting: Problem, trial: Trial, steps: int) -> Trial:
+    """Return ``trial`` refitted roughly on a problem of other steps."""
+    low, high = fitting.space(trial.hypothesis).bounds
+    none = np.zeros(0, dtype=int)
+    fit = refine(
+        lambda u: fitting.residual(trial.hypothesis, u).flat,
+        trial.fit.point,
+        trial.fit.jacobian,
+        none,
+        low,
+        high,
+        steps,
+    )
+    return trial._replace(fit=fit, squares=_squares_left_out(fitting, fit, low, high))
 
 
 def _plain(choice: Choice, shape: np.ndarray | None) -> np.ndarray:
