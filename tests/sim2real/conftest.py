@@ -13,6 +13,7 @@ from softrl.artifacts.policy import Policy
 from softrl.artifacts.surrogate import Surrogate
 from softrl.core.config import build, build_target
 from softrl.core.driver import Sample
+from softrl.core.errors import DriverError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import NullTracker
 from softrl.effects.chain import chain_of
@@ -61,12 +62,14 @@ class BenchDriver:
         self.seed = seed
         self.entries = 0
         self.connected = False
+        self.samples: list[Sample] = []
 
     def __enter__(self) -> Self:
         self.rig = Rig(self.hardware, (self.seed, self.entries))
         self.setpoint, self.due = Setpoint(self.robot, 0.01), 0.0
         self.entries += 1
         self.connected = True
+        self.samples = []
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -82,7 +85,15 @@ class BenchDriver:
         self.due -= ticks
         rows, fault = self.rig.advance(ticks, self.setpoint.advance(ticks))
         assert fault is None
-        return [sample_of(row) for row in rows]
+        arrived = [sample_of(row) for row in rows]
+        self.samples += arrived
+        return arrived
+
+    def stop(self) -> None:
+        raise DriverError("emergency stop")
+
+    def release(self) -> None:
+        pass
 
 
 @pytest.fixture(scope="session")

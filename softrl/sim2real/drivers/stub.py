@@ -111,7 +111,7 @@ class StubDriver:
         self._hardware = Hardware(body, chain, noise, rate_hz, physics_rate_hz, watchdog_s)
         self._link: RigLink | None = None
         self._entries = 0
-        self._entered = False
+        self._entered = self._stopped = False
         self._setpoint = Setpoint(robot, 1.0 / rate_hz)
         self._due = 0.0
         self.samples: list[Sample] = []
@@ -120,6 +120,7 @@ class StubDriver:
         """Switch the rig on and connect; it is vented and at rest."""
         if self._entered:
             raise DriverError(f"the driver of {self._robot.name} is connected already; leave the first 'with' block")
+        self._refuse_if_stopped()
         self._setpoint.vent()
         self._due, self.samples = 0.0, []
         if self._link is None:
@@ -147,6 +148,7 @@ class StubDriver:
         ``Sample.commanded`` tells what was sent when.
         """
         self._require_entry()
+        self._refuse_if_stopped()
         return self._setpoint.request(pressure)
 
     def advance(self, dt_s: float) -> list[Sample]:
@@ -165,9 +167,25 @@ class StubDriver:
         self._due -= ticks
         most = max(round(MESSAGE_S * self._rate_hz), 1)
         for start in range(0, ticks, most):
+            self._refuse_if_stopped()
             share = min(most, ticks - start)
             self._ask(self._answer_timeout_s, "advance", share, self._setpoint.advance(share))
         return self.samples[before:]
+
+    def stop(self) -> None:
+        """Stop in an emergency: the caller's next call raises, which vents; nothing is commanded until ``release``."""
+        self._stopped = True
+        self._setpoint.vent()
+
+    def release(self) -> None:
+        """End an emergency stop."""
+        if self._entered:
+            raise DriverError(f"the driver of {self._robot.name} is connected; leave the 'with' block to release it")
+        self._stopped = False
+
+    def _refuse_if_stopped(self) -> None:
+        if self._stopped:
+            raise DriverError(f"emergency stop of {self._robot.name}; driver.release() ends it")
 
     @property
     def rig_pid(self) -> int | None:
