@@ -39,7 +39,7 @@ def body_of(robot: Robot) -> PccSimulator:
 
 NOISE = Noise(
     position_white_mm=0.05, position_coloured_mm=0.05, colour_s=1.0, orientation_white_deg=0.02,
-    pressure_white_kpa=0.02, dropped_share=0.02,
+    pressure_white_kpa=0.02, force_white_n=0.0, dropped_share=0.02,
 )  # fmt: skip
 HIDDEN = {"lag": Lag(fill_s=0.1, vent_s=0.2)}
 

@@ -22,7 +22,9 @@ from softrl.rl.workspace import Workspace
 from softrl.robots.robot import Robot
 from softrl.sim2real.drivers.limits import Setpoint
 from softrl.sim2real.drivers.rig import Hardware, Noise, Rig, sample_of
+from softrl.sim2real.drivers.stub import Ground
 from softrl.sim2real.stage import Config
+from softrl.sim2real.surface import Surface
 from softrl.surrogate.stage import Config as SurrogateConfig
 from softrl.surrogate.stage import build_surrogate
 
@@ -47,7 +49,7 @@ def silence() -> Noise:
     """Return sensors that report the truth."""
     return Noise(
         position_white_mm=0.0, position_coloured_mm=0.0, colour_s=1.0, orientation_white_deg=0.0,
-        pressure_white_kpa=0.0, dropped_share=0.0,
+        pressure_white_kpa=0.0, force_white_n=0.0, dropped_share=0.0,
     )  # fmt: skip
 
 
@@ -63,9 +65,16 @@ class BenchDriver:
         self.entries = 0
         self.connected = False
         self.samples: list[Sample] = []
+        self.surface: Surface | None = None
+
+    def mount(self, normal: np.ndarray, point: np.ndarray) -> None:
+        self.surface = Ground(3000.0, 0.2, 0.2).mounted(normal, point)
+
+    def cut(self, chamber: int | None) -> None:
+        self.rig.cut(chamber)
 
     def __enter__(self) -> Self:
-        self.rig = Rig(self.hardware, (self.seed, self.entries))
+        self.rig = Rig(self.hardware, (self.seed, self.entries), self.surface)
         self.setpoint, self.due = Setpoint(self.robot, 0.01), 0.0
         self.entries += 1
         self.connected = True
@@ -124,8 +133,14 @@ def policy(surrogate: Surrogate) -> Policy:
     return Policy(
         weights={"weight_0": weight, "bias_0": gain[3]}, activation="tanh", squash="clip", horizon=2,
         position_centre=space.centre, position_scale=space.scale, force_scale=1.0, joint_low=low, joint_high=high,
-        task_name="track", task={}, agent_name="linear", step_s=0.5, metrics={}, robot_name=surrogate.robot_name,
+        task_name="track", task=_task("track"), agent_name="linear", step_s=0.5, metrics={}, robot_name=surrogate.robot_name,
     )  # fmt: skip
+
+
+def _task(name: str) -> dict[str, Any]:
+    """Return the numbers of a task as its configuration has them."""
+    node = yaml.safe_load((CONF / "task" / f"{name}.yaml").read_text()) | {"alpha": 0.5}
+    return {key: value for key, value in node.items() if key != "_target_"}
 
 
 @pytest.fixture(scope="session")
