@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softrl.core.errors import ConfigError
-from softrl.rl.tasks.task import Task
+from softrl.rl.tasks.task import TARGET_SEEN, Seen, Task
 from softrl.rl.workspace import Workspace
 from softrl.surrogate.twin import Plane
 
@@ -60,7 +60,11 @@ class ContactTask(Task, ABC):
         """Return the slope through the workspace's centre."""
         return self.frame()[:, 2], space.centre
 
-    def expert(self, position: np.ndarray, force: np.ndarray, space: Workspace) -> np.ndarray:
+    def seen_by_expert(self) -> np.ndarray:
+        """Return the columns of an observation that the expert's answer depends on."""
+        return np.array(TARGET_SEEN)
+
+    def expert(self, seen: Seen, space: Workspace) -> np.ndarray:
         """Return commands (B, 3) whose loaded equilibrium has the wanted contact point and normal force.
 
         Notes
@@ -69,7 +73,7 @@ class ContactTask(Task, ABC):
         by the position's error, across it by the force's error over the stiffness of tip and contact in series. Sliding
         counts from the wanted point, so that the expert does not plan for friction.
         """
-        plane = self.plane(space)
+        plane, position, force = self.plane(space), seen.position, seen.force
         normal, twin = plane[0], space.twin
         soft = 1.0 / twin.contact_stiffness + twin.softness(space.rest[None], normal)[0]
         aim = position - (force * soft)[:, None] * normal
