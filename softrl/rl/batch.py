@@ -118,7 +118,7 @@ class Batch:
     def expert_action(self) -> np.ndarray:
         """Return the model-based controller's actions (B, 3) in -1 .. 1."""
         position, force = self.targets()
-        theta = self.task.expert(Seen(position[:, 0], force[:, 0], self.tip, self.theta), self.space)
+        theta = self.task.answer(Seen(position[:, 0], force[:, 0], self.tip, self.theta), self.space)
         low, high = self.scales.joint_low, self.scales.joint_high
         return np.clip(2.0 * (theta - low) / (high - low) - 1.0, -1.0, 1.0)
 
@@ -134,4 +134,6 @@ class Batch:
         return Step(self.observation(), self.task.reward(position_error, force_error), position_error, force_error)
 
     def _equilibrium(self, theta: np.ndarray, push: np.ndarray, before: np.ndarray | None) -> TwinState:
-        return self.space.twin.solve(theta, push if push.any() else None, self.plane, self.task.friction, before)
+        return self.space.twin.solve(
+            theta, push if push.any() else None, self.plane, self.task.friction, before, refuse=False
+        )

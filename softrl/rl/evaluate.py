@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrl.rl.batch import Batch
-from softrl.rl.tasks.task import Goals, Seen, Task
+from softrl.rl.tasks.task import Goals, Task
 from softrl.rl.workspace import Workspace
 
 Controller = Callable[[Batch], np.ndarray]
@@ -63,9 +63,9 @@ def expert(batch: Batch) -> np.ndarray:
 def open_loop(batch: Batch) -> np.ndarray:
     """Act as the model's inverse, blind to where the tip is."""
     position, force = batch.targets()
-    unmoved = Seen(position[:, 0], force[:, 0], batch.space.twin.tip(batch.theta), batch.theta)
     low, high = batch.scales.joint_low, batch.scales.joint_high
-    return np.clip(2.0 * (batch.task.expert(unmoved, batch.space) - low) / (high - low) - 1.0, -1.0, 1.0)
+    theta = batch.task.expert(position[:, 0], force[:, 0], batch.space)
+    return np.clip(2.0 * (theta - low) / (high - low) - 1.0, -1.0, 1.0)
 
 
 def corner_pushes(size: float, episodes: int) -> np.ndarray:

@@ -64,7 +64,11 @@ class ContactTask(Task, ABC):
         """Return the columns of an observation that the expert's answer depends on."""
         return np.array(TARGET_SEEN)
 
-    def expert(self, seen: Seen, space: Workspace) -> np.ndarray:
+    def answer(self, seen: Seen, space: Workspace) -> np.ndarray:
+        """Return what the expert commands (B, 3); on a surface it does not look at the tip."""
+        return self.expert(seen.position, seen.force, space)
+
+    def expert(self, position: np.ndarray, force: np.ndarray, space: Workspace) -> np.ndarray:
         """Return commands (B, 3) whose loaded equilibrium has the wanted contact point and normal force.
 
         Notes
@@ -73,7 +77,7 @@ class ContactTask(Task, ABC):
         by the position's error, across it by the force's error over the stiffness of tip and contact in series. Sliding
         counts from the wanted point, so that the expert does not plan for friction.
         """
-        plane, position, force = self.plane(space), seen.position, seen.force
+        plane = self.plane(space)
         normal, twin = plane[0], space.twin
         soft = 1.0 / twin.contact_stiffness + twin.softness(space.rest[None], normal)[0]
         aim = position - (force * soft)[:, None] * normal

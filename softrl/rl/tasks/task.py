@@ -124,8 +124,12 @@ class Task(ABC):
         """Return R (B,) in 0 .. 1 of errors (B,) m and N; targets come in sequence, each step has its own."""
         return weigh(self.alpha, position_error, force_error, self.position_scale_m, self.force_scale_n)
 
-    def expert(self, seen: "Seen", space: Workspace) -> np.ndarray:
-        """Return the commands (B, 3) that a model-based controller gives for the next targets.
+    def expert(self, position: np.ndarray, force: np.ndarray, space: Workspace) -> np.ndarray:
+        """Return the commands (B, 3) that a model-based controller gives for targets (B, 3) m and forces (B,) N."""
+        return space.twin.joints_for_tip(position)
+
+    def answer(self, seen: Seen, space: Workspace) -> np.ndarray:
+        """Return what the expert commands (B, 3) when it sees where the tip is.
 
         Notes
         -----
@@ -133,7 +137,7 @@ class Task(ABC):
         against by ``feedback_gain``. In a world that is the model this is the plain inverse.
         """
         deviation = seen.tip - space.twin.tip(seen.theta)
-        return space.twin.joints_for_tip(seen.position - self.feedback_gain * deviation)
+        return self.expert(seen.position - self.feedback_gain * deviation, seen.force, space)
 
     def seen_by_expert(self) -> np.ndarray:
         """Return the columns of an observation that the expert's answer depends on."""
