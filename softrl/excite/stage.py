@@ -14,7 +14,7 @@ from softrl.core.tracking import Tracker
 from softrl.core.units import si_factor
 from softrl.excite.block import Block, blocks, joined
 from softrl.excite.figures import draw_program, draw_separations
-from softrl.excite.plan import Effort, Pair, pairs_of, plan, refitted_separation
+from softrl.excite.plan import Effort, Pair, Way, pairs_of, plan, refitted_separation, score
 from softrl.excite.rival import rivals_of
 from softrl.excite.separation import Sensing
 from softrl.recordings.program import random_steps
@@ -59,6 +59,7 @@ class Config:
     minutes : length of the program
     rest_s : at zero pressure after each block
     runs : recordings of the program that the dataset in ``out`` asks for; a diagnosis needs two or more
+    size : of the listed effects relative to their typical strength; parameters of shape stay
     tuned_factor : a rival may change the simulator's parameters by this factor either way
     sensing : noise and sampling
     effort : how hard to search
@@ -71,6 +72,7 @@ class Config:
     minutes: float
     rest_s: float
     runs: int
+    size: float
     tuned_factor: float
     sensing: SensorNoise
     effort: Effort
@@ -79,7 +81,7 @@ class Config:
     seed: int
 
     def __post_init__(self) -> None:
-        for name in ("minutes", "rest_s", "runs"):
+        for name in ("minutes", "rest_s", "runs", "size"):
             if getattr(self, name) <= 0:
                 raise ConfigError(f"stage.{name}={getattr(self, name):g} must be positive")
         if self.tuned_factor <= 1.0:
@@ -102,20 +104,20 @@ def run(
     noise = config.sensing
     pressure_pa = None if noise.pressure_kpa is None else 1e3 * noise.pressure_kpa
     sensing = Sensing(noise.dt_s, noise.sample_s, 1e-3 * noise.position_mm, pressure_pa)
-    rivals = rivals_of(config.hypotheses, diagnosis, robot, simulator, config.tuned_factor)
-    count = round(60.0 * config.minutes / noise.dt_s)
+    rivals = rivals_of(config.hypotheses, diagnosis, robot, simulator, config.tuned_factor, config.size)
+    candidates, count = blocks(robot, noise.dt_s, config.rest_s, config.seed), round(60.0 * config.minutes / noise.dt_s)
+    shortest = min(len(block.pressure) for block in candidates)
+    if count < shortest:
+        raise ConfigError(
+            f"stage.minutes={config.minutes:g} is too short: the shortest block lasts {noise.dt_s * shortest:.0f} s"
+        )
     usual = usual_program(robot, config.usual, noise.dt_s, count, config.seed)
     pairs = pairs_of(rivals, usual, sensing, config.effort)
-    candidates = blocks(robot, noise.dt_s, config.rest_s, config.seed)
     chosen = plan(pairs, candidates, sensing, 60.0 * config.minutes, config.effort)
-    if not chosen:
-        shortest = noise.dt_s * min(len(block.pressure) for block in candidates)
-        raise ConfigError(f"stage.minutes={config.minutes:g} is too short: the shortest block lasts {shortest:.0f} s")
-    random = random_steps(
-        robot, count // round(2.0 / noise.dt_s) + 1, 2.0, noise.dt_s, np.random.default_rng(config.seed)
-    )
-    programs = {"planned": joined(chosen), "default": usual, "random": random[1][:count]}
-    excitation = _conclude(robot, chosen, pairs, programs, sensing, config.effort)
+    hold = max(round(2.0 / noise.dt_s), 1)
+    random = random_steps(robot, count // hold + 1, 2.0, noise.dt_s, np.random.default_rng(config.seed))[1][:count]
+    baselines = {"default": usual, "random": random}
+    excitation = _conclude(robot, chosen, pairs, baselines, sensing, config.effort)
     _report(excitation, tracker)
     if config.out is not None:
         write_commands(Path(config.out), robot, excitation, config.runs)
@@ -154,35 +156,52 @@ def _conclude(
     robot: Robot,
     chosen: list[Block],
     pairs: list[Pair],
-    programs: dict[str, np.ndarray],
+    baselines: dict[str, np.ndarray],
     sensing: Sensing,
     effort: Effort,
 ) -> Excitation:
+    """Return the best program by full refits: the blocks that were chosen, unless a baseline is better."""
+    programs = {"planned": joined(chosen), **baselines}
+    apart = {
+        name: [refitted_separation(pair, rows, sensing, effort) for pair in pairs] for name, rows in programs.items()
+    }
+    best = max(apart, key=lambda name: score(apart[name]))
+    if best != "planned":
+        log.warning(
+            "the %s program tells these hypotheses apart better than any blocks that were tried: it is taken", best
+        )
+        chosen = [Block(f"the {best} program", programs[best])]
+    apart["planned"] = apart[best]
     lengths = [sensing.dt_s * len(block.pressure) for block in chosen]
     starts = np.concatenate([[0.0], np.cumsum(lengths)])
-    found = []
-    for pair in pairs:
-        apart = {name: refitted_separation(pair, rows, sensing, effort) for name, rows in programs.items()}
-        points = {
-            pair.first.label: dict(zip([a.name for a in pair.first.axes], map(float, pair.point_first), strict=True)),
-            pair.second.label: dict(
-                zip([a.name for a in pair.second.axes], map(float, pair.point_second), strict=True)
-            ),
-        }
-        found.append(
-            {"first": pair.first.label, "second": pair.second.label, "name": pair.name, "points": points,
-             "separation_sigma": apart}
-        )  # fmt: skip
     return Excitation(
         robot_name=robot.name,
-        time=sensing.dt_s * np.arange(1, len(programs["planned"]) + 1),
-        pressure=programs["planned"],
+        time=sensing.dt_s * np.arange(1, len(programs[best]) + 1),
+        pressure=programs[best],
         blocks=[
             {"label": block.label, "start_s": float(start), "duration_s": float(length)}
             for block, start, length in zip(chosen, starts, lengths, strict=False)
         ],
-        pairs=found,
+        pairs=[
+            {
+                "first": pair.labels[0],
+                "second": pair.labels[1],
+                "name": pair.name,
+                "parameters": {way.truth.label: _values(way) for way in pair.ways},
+                "separation_sigma": {name: values[k] for name, values in apart.items()},
+            }
+            for k, pair in enumerate(pairs)
+        ],
     )
+
+
+def _values(way: Way) -> dict[str, float]:
+    """Return the parameters of the truth, with the effect before the name."""
+    found = {}
+    for axis, u in zip(way.truth.axes, way.at_truth, strict=True):
+        owner = "simulator" if axis.effect < 0 else way.truth.effects[axis.effect].name()
+        found[f"{owner}.{axis.name}"] = axis.physical(float(u))
+    return found
 
 
 def _report(excitation: Excitation, tracker: Tracker) -> None:
