@@ -27,8 +27,10 @@ class Data:
     Attributes
     ----------
     check : findings
-    fitting, validation : training runs that fits see, and that choose between hypotheses
-    heldout : runs that judge once
+    training : runs that fits see; left out in turn, they choose between hypotheses
+    heldout : whole runs that judge once
+    outside : runs that the dataset marks as out of distribution (``out_of_distribution`` in its notes: names of runs or
+        sessions); they are neither fitted nor do they decide anything
     pressure : whether every run has measured pressure
     orientation : whether orientations are recorded and can be trusted
     noise : rms of the noise of one sample of the motion, m over all its components
@@ -37,9 +39,9 @@ class Data:
     """
 
     check: DataCheck
-    fitting: tuple[Recording, ...]
-    validation: tuple[Recording, ...]
+    training: tuple[Recording, ...]
     heldout: tuple[Recording, ...]
+    outside: tuple[Recording, ...]
     pressure: bool
     orientation: bool
     noise: float
@@ -48,14 +50,14 @@ class Data:
     pressure_travel: float
 
     @property
-    def training(self) -> tuple[Recording, ...]:
-        """Runs that are not held out."""
-        return self.fitting + self.validation
+    def splits(self) -> dict[str, tuple[Recording, ...]]:
+        """Runs by the name of their split."""
+        parts = {"train": self.training, "heldout": self.heldout, "ood": self.outside}
+        return {name: runs for name, runs in parts.items() if runs}
 
     def shortened(self, fit_s: float) -> "Data":
-        """Return the data with fits limited to ``fit_s`` of recordings, and validation to 70 % of that."""
-        fitting, validation = within(self.fitting, fit_s), within(self.validation, 0.7 * fit_s)
-        return replace(self, fitting=fitting, validation=validation)
+        """Return the data with fits limited to ``fit_s`` of recordings."""
+        return replace(self, training=within(self.training, fit_s))
 
 
 class Refusal(NamedTuple):
@@ -70,12 +72,14 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: 
     found = check(recordings, robot)
     channel = "bend_angle" if robot.output == "bend_angle" else "position"
     usable = [r for r in recordings.recordings if np.ptp(r.time) >= MIN_RUN_S and getattr(r, channel) is not None]
+    marked = set(recordings.notes.get("out_of_distribution", ()))
+    outside = tuple(r for r in usable if marked & {r.name, r.session})
+    usable = [r for r in usable if not marked & {r.name, r.session}]
     reason = _refuse(usable, found, robot, channel)
     if reason:
         return Refusal(found, reason)
     kept = replace(recordings, recordings=tuple(usable))
     training, heldout = hold_out(kept, heldout_share, seed)
-    fitting, validation = _inner(training, heldout_share, seed)
     noise, pressure_noise = _noise(found, usable, robot, channel)
     travel = rms_about_mean([_seen(r, robot) for r in training.recordings])
     if travel < MIN_SIGNAL * noise:
@@ -86,9 +90,9 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: 
     pressure = all(r.pressure_meas is not None for r in usable)
     return Data(
         found,
-        fitting,
-        validation,
+        training.recordings,
         heldout.recordings,
+        outside,
         pressure,
         _orientation_trusted(usable, found, robot),
         noise,
@@ -112,18 +116,6 @@ def hold_out(recordings: RecordingSet, share: float, seed: int) -> tuple[Recordi
     halves = [split(part, share, seed, by="run") for part in parts]
     training, heldout = (tuple(r for half in halves for r in half[side].recordings) for side in (0, 1))
     return replace(recordings, recordings=training), replace(recordings, recordings=heldout)
-
-
-def _inner(
-    training: RecordingSet, share: float, seed: int
-) -> tuple[tuple[Recording, ...], tuple[Recording, ...]]:
-    """Return (fitting, validation): whole runs, or the two halves of a run that is the only one."""
-    if len(training.recordings) == 1:
-        run = training.recordings[0]
-        middle = run.time[0] + 0.6 * np.ptp(run.time)
-        return (cut(run, middle),), (run,)
-    fitting, validation = hold_out(training, share, seed + 1)
-    return fitting.recordings, validation.recordings
 
 
 def within(runs: Sequence[Recording], seconds: float) -> tuple[Recording, ...]:

@@ -20,7 +20,7 @@ class Thresholds:
     ----------
     material_share : of the travel (rms about its mean) of what is measured: less would not be noticed
     material_gain : an addition must lower the error above the noise floor by this share
-    explained_share : share of the squared error above the floor that named effects must explain together
+    explained_share : share of the squared error that can be explained which named effects must explain together
     confidence : of one-sided decisions and of two-sided parameter intervals, 0.5..1
     draws : of the block bootstrap
     block_s : shortest block
@@ -100,10 +100,19 @@ class Judge:
         needed = max(self.material, self.thresholds.material_gain * float(self.excess(worse.mean())))
         return gap.low > 0.0 and gap.value >= needed
 
+    def tells(self, worse: np.ndarray, better: np.ndarray) -> bool:
+        """Return whether the data tell that ``better`` is better, by more than what both leave could bring about.
+
+        Where both leave structure behind, neither is the truth, and a difference that is small beside what is left
+        says nothing about which of them is nearer to it.
+        """
+        gap = self.gap(worse, better)
+        return gap.low > 0.0 and gap.value >= self.thresholds.material_gain * float(self.excess(better.mean()))
+
     def simplest(self, trials: Sequence[Any]) -> Any:
-        """Return the best trial, or one with fewer free parameters that is as good within what counts."""
+        """Return the best trial, or one with fewer free parameters from which the data cannot tell it."""
         best = min(trials, key=lambda trial: trial.mean_square)
-        alike = [t for t in trials if self.gap(t.squares, best.squares).value < 0.5 * self.material]
+        alike = [t for t in trials if not self.tells(t.squares, best.squares)]
         return min(alike or [best], key=lambda t: (len(t.fit.point), _alone(t), t.mean_square))
 
     def _blocks(self, series: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.errors import ConfigError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
+from softrl.diagnosis.baselines import one_lag, without_physics
 from softrl.diagnosis.correct import Model, Traces, errors, in_mm, model_of, share_closed, traces
 from softrl.diagnosis.data import OTHER_FRAME_RAD, Data, Refusal, other_frames, prepare, require_robot
 from softrl.diagnosis.examine import Finding, Part, examine
@@ -83,9 +84,7 @@ class Config:
         return names() if "all" in self.candidates else list(self.candidates)
 
 
-def run(
-    config: Config, robot: Robot, recordings: RecordingSet, simulator: Simulator, *, tracker: Tracker
-) -> Diagnosis:
+def run(config: Config, robot: Robot, recordings: RecordingSet, simulator: Simulator, *, tracker: Tracker) -> Diagnosis:
     """Return what the simulator leaves out, with evidence, rivals, and what rebuilds the corrected simulator."""
     require_robot(recordings, robot)
     found = prepare(recordings, robot, config.heldout_share, config.seed)
@@ -96,8 +95,7 @@ def run(
     whole = _whole(config, robot, simulator, data)
     findings = _examine(config, whole, data, found)
     models = _competitors(config, whole.on(data.training), findings)
-    judged = {split: {name: traces(whole.on(runs), model) for name, model in models.items()}
-              for split, runs in (("train", data.training), ("heldout", data.heldout))}  # fmt: skip
+    judged = _judge(whole, data, models)
     located = [f for part in findings for f in _locate(part, config)]
     diagnosis = _conclude(config, data, whole, findings, models, judged, corrected(located))
     _report(diagnosis, config, data, whole, findings, judged, tracker)
@@ -106,9 +104,7 @@ def run(
 
 def _whole(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Problem:
     """Return the problem from command to motion, with registration if sessions use different frames."""
-    bare = Problem(
-        robot, simulator, data.training, config.numerics, "motion", "command", False, data.orientation
-    )
+    bare = Problem(robot, simulator, data.training, config.numerics, "motion", "command", False, data.orientation)
     if robot.output == "bend_angle":
         return bare
     apart = other_frames(bare.replayed(Hypothesis((), ()), np.zeros(0)), data.training)
@@ -130,8 +126,7 @@ def _examine(config: Config, whole: Problem, data: Data, full: Data) -> list[Fin
     shifted = {run.name: run for run in behind.runs}
     body = replace(
         data,
-        fitting=tuple(shifted[r.name] for r in data.fitting),
-        validation=tuple(shifted[r.name] for r in data.validation),
+        training=tuple(shifted[r.name] for r in data.training),
         heldout=_without_bias(data.heldout, valve, whole),
     )
     sites = tuple(site for site in SITES if site != "valve")
@@ -139,20 +134,19 @@ def _examine(config: Config, whole: Problem, data: Data, full: Data) -> list[Fin
 
 
 def _examine_valve(config: Config, whole: Problem, data: Data) -> Finding:
-    problem = replace(whole, target="pressure", register=False, orientation=False, runs=data.fitting)
+    problem = replace(whole, target="pressure", register=False, orientation=False, runs=data.training)
     choices = candidates(config.effects, ("valve",), whole.robot, data.check.excited)
     floor = _floor_in_bin(data.pressure_noise, data, config)
-    part = Part("command to measured pressure", problem, data.validation, data.heldout, floor, data.pressure_travel,
+    part = Part("command to measured pressure", problem, data.heldout, floor, data.pressure_travel,
                 (), tuple(choices))  # fmt: skip
-    search = replace(config.search, keep=max(config.search.keep, 6), rivals=max(config.search.rivals, 3))
-    return examine(part, search, config.thresholds, config.seed)
+    return examine(part, config.search, config.thresholds, config.seed)
 
 
 def _examine_motion(config: Config, problem: Problem, data: Data, title: str, sites: tuple[str, ...]) -> Finding:
     wanted = [name for name in config.effects if not (problem.register and name == "frame")]
     choices = candidates(wanted, sites, problem.robot, data.check.excited)
     floor = _floor_in_bin(data.noise, data, config) * (np.sqrt(2.0) if problem.orientation else 1.0)
-    part = Part(title, problem.on(data.fitting), data.validation, data.heldout, floor, data.travel,
+    part = Part(title, problem.on(data.training), data.heldout, floor, data.travel,
                 tuple(problem.simulator.parameters), tuple(choices))  # fmt: skip
     return examine(part, config.search, config.thresholds, config.seed)
 
@@ -180,21 +174,32 @@ def _competitors(config: Config, training: Problem, findings: list[Finding]) -> 
     tuned = tuple(training.simulator.parameters)
     motion = findings[-1]
     start = motion.base.fit.point
-    retuned = fit_trials(training, training, [(Hypothesis((), tuned), [start])], config.search)[0]
+    retuned = fit_trials(training, None, [(Hypothesis((), tuned), [start])], config.search)[0]
     parts = [finding.final for finding in findings]
     effects = tuple(choice for trial in parts for choice in trial.hypothesis.effects)
     point = np.concatenate([trial.fit.point for trial in parts])
     if not effects:
         point = retuned.fit.point
+    lag = one_lag(training, retuned.fit.point, config.search)
     return {
         "nominal": model_of(training, empty, np.zeros(0)),
         "retuned": model_of(training, retuned.hypothesis, retuned.fit.point),
         "corrected": model_of(training, Hypothesis(effects, tuned), point),
+    } | ({"one_lag": lag} if lag else {})
+
+
+def _judge(whole: Problem, data: Data, models: dict[str, Model]) -> dict[str, dict[str, Traces]]:
+    """Return what every competitor predicts, with physics and without: split -> name -> traces."""
+    splits = {split: whole.on(runs) for split, runs in data.splits.items()}
+    plain = without_physics(whole.on(data.training), splits, models["corrected"].placed)
+    return {
+        split: {name: traces(problem, model) for name, model in models.items()} | plain[split]
+        for split, problem in splits.items()
     }
 
 
 def _locate(finding: Finding, config: Config) -> list[Any]:
-    problem = finding.part.training
+    problem = finding.part.problem
     residual = problem.residual(finding.base.hypothesis, finding.base.fit.point, finding.base.placed)
     return locate(problem, residual, finding.part.floor, finding.part.title, config.thresholds.block_s)
 

@@ -6,6 +6,7 @@ import numpy as np
 from scipy import stats
 
 UNSEEN = 1e-6  # eigenvalue of the normalised normal matrix below which a direction counts as unseen
+LINE_WIDTH = 8  # frequencies either side that a line is compared with
 MIN_BLOCKS = 6  # fewer independent blocks say nothing about a spread
 
 
@@ -126,3 +127,59 @@ def sandwich(jacobian: np.ndarray, residual: np.ndarray, blocks: np.ndarray) -> 
     # directions that the data hardly see get the variance of independent errors as well, which is huge there
     covariance += np.diag(np.where(seen < UNSEEN, float(np.mean(residual**2)) / seen, 0.0))
     return np.asarray(basis @ covariance @ basis.T / np.outer(size, size))
+
+
+def left_out(
+    jacobian: np.ndarray, residual: np.ndarray, folds: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> np.ndarray:
+    """Return the residual (rows,) of every fold as a fit to the other folds would leave it, to first order.
+
+    Parameters
+    ----------
+    jacobian, residual : (rows, p), (rows,) at the fit to all folds
+    folds : (rows,) number of the fold of every row
+    low, high : (p,) how far the parameters may move
+
+    Notes
+    -----
+    One Gauss-Newton step on the other folds: with ``H_k = J_k' J_k`` and ``g_k = J_k' r_k`` the parameters move by
+    ``-(H - H_k)^-1 (g - g_k)``. Directions that the other folds do not see stay where they are.
+    """
+    if not jacobian.size:
+        return residual
+    size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+    scaled = jacobian / size
+    count = int(folds.max()) + 1
+    normal = [scaled[folds == k].T @ scaled[folds == k] for k in range(count)]
+    slope = [scaled[folds == k].T @ residual[folds == k] for k in range(count)]
+    found = residual.copy()
+    for k in range(count):
+        mine = folds == k
+        rest, push = sum(normal) - normal[k], sum(slope) - slope[k]
+        moved = -np.linalg.pinv(rest, rcond=UNSEEN, hermitian=True) @ push
+        moved = np.clip(moved, low * size, high * size)
+        found[mine] = residual[mine] + scaled[mine] @ moved
+    return found
+
+
+def spectral_line(runs: Sequence[np.ndarray]) -> float:
+    """Return the chance that noise with a smooth spectrum shows a peak as high as the highest in ``runs`` (steps, n).
+
+    Notes
+    -----
+    Each periodogram, summed over channels along the direction of largest power, is divided by its running median over
+    ``LINE_WIDTH`` frequencies; about a smooth spectrum the ratio is exponential, and the chance is corrected for the
+    number of frequencies looked at and runs (textbook form, no equation number checked).
+    """
+    chances, count = [1.0], 0
+    for run in runs:
+        centred = run - run.mean(axis=0)
+        main = centred @ np.linalg.svd(centred.T @ centred)[0][:, 0]
+        power = np.abs(np.fft.rfft(main * np.hanning(len(main)))) ** 2
+        if len(power) < 2 * LINE_WIDTH:
+            continue
+        around = np.array([np.median(power[max(k - LINE_WIDTH, 1) : k + LINE_WIDTH]) for k in range(len(power))])
+        ratio = power[2:] / np.maximum(around[2:] / np.log(2.0), 1e-300)
+        chances.append(float(np.exp(-min(ratio.max(), 700.0))))
+        count += len(ratio)
+    return min(1.0, min(chances) * max(count, 1))

@@ -10,6 +10,7 @@ import numpy as np
 from softrl.core.errors import ConfigError
 
 ENERGY, STRESS, TANGENT = 0, 1, 2  # orders: what a kernel must fill
+POLAR_ITERATIONS, POLAR_TOLERANCE = 40, 1e-15
 
 _vector = nb.types.Array(nb.float64, 1, "C")
 _matrix = nb.types.Array(nb.float64, 2, "C")
@@ -226,6 +227,76 @@ def st_venant_kirchhoff(parameters: np.ndarray, f: np.ndarray, p: np.ndarray, a:
     return 0.125 * lam * (i1 - 3.0) ** 2 + 0.25 * mu * (i1 * i1 - 2.0 * i2 - 2.0 * i1 + 3.0)
 
 
+@nb.njit(cache=True)
+def _rotation_of(f: np.ndarray, j: float, r: np.ndarray) -> None:
+    """Fill ``r`` with the rotation of F = R S, by Newton's iteration on R = (R + R^-T) / 2; ``j`` = det F > 0."""
+    c = np.empty((3, 3))
+    r[:] = f
+    for _ in range(POLAR_ITERATIONS):
+        scale = j ** (-1.0 / 3.0)  # of unit determinant: far fewer iterations where F is far from a rotation
+        _cofactor(r, c)
+        change = 0.0
+        for a in range(3):
+            for b in range(3):
+                new = 0.5 * (scale * r[a, b] + c[a, b] / (j * scale))
+                change = max(change, abs(new - r[a, b]))
+                r[a, b] = new
+        if change < POLAR_TOLERANCE:
+            return
+        j = _cofactor(r, c)
+
+
+@nb.njit(LAW, cache=True)
+def corotational(parameters: np.ndarray, f: np.ndarray, p: np.ndarray, a: np.ndarray, order: int) -> float:
+    """W = mu |F - R|^2 + lambda/2 (tr S - 3)^2 with F = R S, infinite where J <= 0."""
+    lam, mu = parameters[0], parameters[1]
+    r, s, g = np.empty((3, 3)), np.zeros((3, 3)), np.empty((3, 3))
+    j = _cofactor(f, g)
+    if j <= 0.0:
+        return np.inf
+    _rotation_of(f, j, r)
+    for i in range(3):
+        for k in range(3):
+            for n in range(3):
+                s[i, k] += 0.5 * (r[n, i] * f[n, k] + r[n, k] * f[n, i])
+    trace = s[0, 0] + s[1, 1] + s[2, 2]
+    energy = 0.5 * lam * (trace - 3.0) ** 2
+    for i in range(3):
+        for k in range(3):
+            energy += mu * (f[i, k] - r[i, k]) ** 2
+    if order < STRESS:
+        return energy
+    pull = lam * (trace - 3.0) - 2.0 * mu  # W depends on R through tr S alone, and d tr S / dF = R
+    for i in range(3):
+        for k in range(3):
+            p[i, k] = 2.0 * mu * f[i, k] + pull * r[i, k]
+    if order < TANGENT:
+        return energy
+    # dR = R [w]x with (tr S I - S) w = axial vector of R'dF - dF'R
+    for i in range(3):
+        for k in range(3):
+            g[i, k] = -s[i, k]
+        g[i, i] += trace
+    inverse = np.empty((3, 3))
+    determinant = _cofactor(g, inverse)  # g is symmetric, so its inverse is its cofactor over its determinant
+    turn = np.empty((9, 3))  # column m: R [e_m]x
+    for i in range(3):
+        for m in range(3):
+            m1, m2 = (m + 1) % 3, (m + 2) % 3
+            turn[3 * i + m, m] = 0.0
+            turn[3 * i + m1, m] = r[i, m2]
+            turn[3 * i + m2, m] = -r[i, m1]
+    for row in range(9):
+        for column in range(9):
+            value = lam * r[row // 3, row % 3] * r[column // 3, column % 3]
+            for m in range(3):
+                for n in range(3):
+                    value += pull / determinant * turn[row, m] * inverse[m, n] * turn[column, n]
+            a[row, column] = value
+        a[row, row] += 2.0 * mu
+    return energy
+
+
 @dataclass(frozen=True)
 class StableNeoHookean:
     """Neo-Hookean law that stays finite for inverted elements (Smith, De Goes, Kim 2018; no number checked)."""
@@ -247,6 +318,22 @@ class StVenantKirchhoff:
     """Linear law between Green strain and second Piola-Kirchhoff stress; softens and fails in compression."""
 
     kernel: ClassVar = st_venant_kirchhoff
+    youngs_modulus_pa: float
+    poisson: float
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+    def pack(self) -> np.ndarray:
+        """Return (lambda, mu) in Pa."""
+        return np.array(lame(self.youngs_modulus_pa, self.poisson))
+
+
+@dataclass(frozen=True)
+class Corotational:
+    """Hooke's law in the frame of the polar decomposition of each F: large rotations, small strains."""
+
+    kernel: ClassVar = corotational
     youngs_modulus_pa: float
     poisson: float
 
@@ -311,6 +398,7 @@ def bulk_modulus(shear_modulus: float, poisson: float) -> float:
 LAWS: dict[str, type] = {
     "stable_neo_hookean": StableNeoHookean,
     "st_venant_kirchhoff": StVenantKirchhoff,
+    "corotational": Corotational,
     "yeoh": Yeoh,
     "mooney_rivlin": MooneyRivlin,
 }

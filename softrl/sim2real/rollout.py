@@ -17,8 +17,11 @@ from softrl.sim2real.filter import MovingAverage
 class Controller(Protocol):
     """Decides on pressures for a sequence of targets that it was made with."""
 
-    def pressure(self, position: np.ndarray, step: int) -> np.ndarray:
-        """Return (chambers,) Pa for the target of ``step``, the tip being at ``position`` (3,) m."""
+    def pressure(self, position: np.ndarray, step: int, tip_force: np.ndarray | None = None) -> np.ndarray:
+        """Return (chambers,) Pa for the target of ``step``, negative while the first target is approached.
+
+        The tip is at ``position`` (3,) m and feels ``tip_force`` (3,) N.
+        """
         ...
 
 
@@ -73,7 +76,7 @@ def follow(
         samples = _wait(driver, [], pace.period_s)
         for step in range(-pace.approach_steps, len(target)):
             started = time.perf_counter()
-            pressure = controller.pressure(samples[-1].position, max(step, 0))
+            pressure = controller.pressure(samples[-1].position, step, samples[-1].tip_force)
             decision_s.append(time.perf_counter() - started)
             driver.command(average.advance(pressure))
             samples = _wait(driver, samples, pace.period_s)

@@ -11,22 +11,27 @@ from softrl.artifacts.surrogate import Surrogate
 from softrl.core.driver import Driver
 from softrl.core.errors import ConfigError
 from softrl.core.progress import progress
+from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
+from softrl.effects.chain import EffectChain, Plant
 from softrl.recordings.recording import RecordingSet
 from softrl.rl.tasks.curves import CURVES
 from softrl.rl.workspace import Workspace
 from softrl.robots.robot import Robot
-from softrl.sim2real.controller import ModelController, PolicyController
+from softrl.sim2real.controllers import Models, controllers
 from softrl.sim2real.figures import draw_rollouts, draw_session
 from softrl.sim2real.filter import moving_average
 from softrl.sim2real.identification import Identification, record_sessions
-from softrl.sim2real.rollout import Controller, Pace, Rollout, follow
+from softrl.sim2real.planning import Planning
+from softrl.sim2real.rollout import Pace, Rollout, follow
 
 log = logging.getLogger(__name__)
 SHAPES = ("circle", "star", "figure_eight")
 RUN_NOTES = {
     "policy": "policy on the tip's position, through the surrogate's joints and the pressure calibration",
     "open_loop": "inverse of the surrogate without feedback and without the pressure calibration",
+    "feedforward": "commands planned for the whole sequence by inverting a simulator, without feedback",
+    "planned": "the same commands, corrected by the tip's position as it comes in",
     "identification": "program sent directly: steps, multisine, triangles at several rates, staircase; rests between",
 }
 
@@ -42,6 +47,7 @@ class Config:
     shape_steps : targets along one shape
     radius_share : size of the shapes in the largest that the tip can reach
     approach_steps : commands at the first target before a rollout counts
+    planning : of the controllers that invert the simulator
     identification : the programs sent directly
     seed : of the programs; the driver's noise has its own
     """
@@ -51,6 +57,7 @@ class Config:
     shape_steps: int
     radius_share: float
     approach_steps: int
+    planning: Planning
     identification: Identification
     seed: int
 
@@ -70,20 +77,25 @@ def run(
     policy: Policy,
     surrogate: Surrogate,
     calibration: Calibration,
+    simulator: Simulator,
+    effects: EffectChain,
     driver: Driver,
     *,
     tracker: Tracker,
 ) -> RecordingSet:
-    """Return all that was recorded while the policy followed shapes and while programs were sent directly."""
+    """Return all that was recorded while controllers followed shapes and while programs were sent directly.
+
+    ``effects``, with the parameters of ``simulator``, are what a diagnosis found: the planned controllers invert them.
+    """
     if policy.task_name != "track":
         raise ConfigError(
             f"the policy was trained for task={policy.task_name}, but shapes are followed in free space here; "
             "run stage=rl task=track"
         )
+    models = Models(robot, policy, surrogate, calibration, Plant(simulator, effects))
     targets = _targets(config, Workspace(surrogate))
     rollouts = {
-        shape: _follow_shape(config, robot, policy, surrogate, calibration, driver, shape, targets[shape])
-        for shape in progress(SHAPES, "rollouts")
+        shape: _follow_shape(config, models, driver, shape, targets[shape]) for shape in progress(SHAPES, "rollouts")
     }
     sessions = list(
         progress(
@@ -111,28 +123,25 @@ def _targets(config: Config, space: Workspace) -> dict[str, np.ndarray]:
 
 
 def _follow_shape(
-    config: Config, robot: Robot, policy: Policy, surrogate: Surrogate, calibration: Calibration, driver: Driver,
-    shape: str, target: np.ndarray,
+    config: Config, models: Models, driver: Driver, shape: str, target: np.ndarray
 ) -> dict[str, Rollout]:
-    """Return the rollouts of one shape by controller; each starts from rest, both belong to one session."""
-    controllers: dict[str, Controller] = {
-        "policy": PolicyController(policy, surrogate, calibration, target),
-        "open_loop": ModelController(surrogate, target),
-    }
+    """Return the rollouts of one shape by controller; each starts from rest, all belong to one session."""
     pace = Pace(1.0 / config.command_rate_hz, config.average_window, config.approach_steps)
     return {
-        name: follow(driver, robot, controller, target, pace, f"{shape}_{name}", shape)
-        for name, controller in controllers.items()
+        name: follow(driver, models.robot, controller, target, pace, f"{shape}_{name}", shape)
+        for name, controller in controllers(models, config.planning, pace, target).items()
     }
 
 
 def _report(rollouts: dict[str, dict[str, Rollout]], window: int, tracker: Tracker) -> None:
-    """Log each shape's error beside that of the open loop, and against what the moving average asked for."""
+    """Log each shape's error beside those of the other controllers, and against what the moving average asked for."""
     for shape, runs in rollouts.items():
         averaged = moving_average(runs["policy"].target, window)
-        tracker.metric(f"{shape}_mm", 1e3 * runs["policy"].error_m(runs["policy"].target))
+        for controller, rollout in runs.items():
+            name = shape if controller == "policy" else f"{shape}_{controller}"
+            tracker.metric(f"{name}_mm", 1e3 * rollout.error_m(rollout.target))
+            log.info("%s, %s: %.2f mm rms", shape, controller, 1e3 * rollout.error_m(rollout.target))
         tracker.metric(f"{shape}_to_average_mm", 1e3 * runs["policy"].error_m(averaged))
-        tracker.metric(f"{shape}_open_loop_mm", 1e3 * runs["open_loop"].error_m(runs["open_loop"].target))
-        log.info("%s: %.2f mm rms", shape, 1e3 * runs["policy"].error_m(runs["policy"].target))
-    decisions = np.concatenate([runs["policy"].decision_s for runs in rollouts.values()])
-    tracker.metric("inference_hz", 1.0 / float(np.mean(decisions)))
+    for controller, name in (("policy", "inference_hz"), ("planned", "planned_inference_hz")):
+        decisions = np.concatenate([runs[controller].decision_s for runs in rollouts.values()])
+        tracker.metric(name, 1.0 / float(np.mean(decisions)))

@@ -26,6 +26,8 @@ LEVEL = {
     "sim2real": 17,
     "diagnosis": 13,
     "simulate": 17,
+    "bench": 18,
+    "proof": 18,
     "assembly": 20,
     "pipeline": 21,
     "loop": 22,

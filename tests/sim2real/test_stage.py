@@ -12,6 +12,7 @@ from softrl.artifacts.surrogate import Surrogate
 from softrl.core.errors import ArtifactError, ConfigError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import NullTracker
+from softrl.effects.chain import chain_of
 from softrl.effects.effect import Effect
 from softrl.effects.lag import Lag
 from softrl.effects.library import names
@@ -46,10 +47,11 @@ class Stage:
         self.robot, self.body, self.noise = robot, body, noise
         self.inputs = (policy, surrogate, calibration)
 
-    def run(self, config: Config, *effects: Effect) -> tuple[RecordingSet, dict[str, float]]:
+    def run(self, config: Config, *effects: Effect, known: tuple[Effect, ...] = ()) -> tuple[RecordingSet, dict[str, float]]:
         tracker = NullTracker()
         driver = BenchDriver(self.robot, self.body, self.noise, effects)
-        return run(config, self.robot, *self.inputs, driver, tracker=tracker), tracker.metrics
+        plant = (self.body, chain_of(self.robot, known))
+        return run(config, self.robot, *self.inputs, *plant, driver, tracker=tracker), tracker.metrics
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +117,7 @@ def test_without_feedback_a_true_robot_is_where_the_model_says(everything: Stage
 
 def test_the_average_is_what_is_sent(everything: Stage, silence: Noise) -> None:
     class Alternating:
-        def pressure(self, position: np.ndarray, step: int) -> np.ndarray:
+        def pressure(self, position: np.ndarray, step: int, tip_force: np.ndarray | None = None) -> np.ndarray:
             return np.full(3, 10e3 if step % 2 else 20e3)
 
     driver = BenchDriver(everything.robot, everything.body, silence)
@@ -157,7 +159,8 @@ def test_it_refuses_what_does_not_fit(everything: Stage, config: Config) -> None
     driver = BenchDriver(everything.robot, everything.body, everything.noise)
     with pytest.raises(ConfigError, match="task=force"):
         pressing = replace(policy, task_name="force")
-        run(config, everything.robot, pressing, surrogate, calibration, driver, tracker=NullTracker())
+        plant = (everything.body, chain_of(everything.robot, []))
+        run(config, everything.robot, pressing, surrogate, calibration, *plant, driver, tracker=NullTracker())
     with pytest.raises(ArtifactError, match="chambers"):
         PolicyController(policy, surrogate, replace(calibration, pressure_mean=np.zeros(2)), np.zeros((1, 3)))
     with pytest.raises(ConfigError, match="sessions=1"):
