@@ -8,14 +8,17 @@ stand where a fit to the usual program confuses them most.
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from softrl.excite.block import Block, joined
 from softrl.excite.rival import Rival
 from softrl.excite.separation import Normal, Sensing, normal, refitted, responses, tangent
+from softrl.recordings.program import limited
+from softrl.robots.robot import Robot
 
+PIECE_S = 0.5  # grid of places at which a piece may be put into a program
 QUICK_FIT = 3  # evaluations of a rival that follows a growing program
 
 
@@ -52,6 +55,7 @@ class Effort:
     ----------
     shortlist : candidates that are simulated in place, after all were ranked by the sums of their own responses
     exchanges : rounds in which every block may be exchanged
+    proposals : pieces that are tried at random places of the best program, and kept where full refits say they help
     repeats : times that a block may stand in a program; what a repeat adds is noise averaged out, and models err alike
     fit_evaluations : of each refit
     """
@@ -59,6 +63,7 @@ class Effort:
     shortlist: int
     exchanges: int
     repeats: int
+    proposals: int
     fit_evaluations: int
 
 
@@ -143,6 +148,79 @@ def plan(
         if reached <= before:
             break
     return [candidates[k] for k in chosen]
+
+
+@dataclass(frozen=True)
+class Program:
+    """Pressures and where they come from.
+
+    Attributes
+    ----------
+    pressure : (steps, chambers) Pa
+    labels : what the pieces are called
+    piece : (steps,) number of the label of each row
+    """
+
+    pressure: np.ndarray
+    labels: tuple[str, ...]
+    piece: np.ndarray
+
+    def with_piece(self, block: Block, place: int, robot: Robot, dt_s: float) -> "Program":
+        """Return the program with rows from ``place`` on replaced by a block; the slew is kept at its ends."""
+        end = min(place + len(block.pressure), len(self.pressure))
+        pressure, piece = self.pressure.copy(), self.piece.copy()
+        pressure[place:end] = block.pressure[: end - place]
+        piece[place:end] = len(self.labels)
+        return Program(limited(robot, pressure, dt_s), (*self.labels, block.label), piece)
+
+    def segments(self, dt_s: float) -> list[dict[str, Any]]:
+        """Return {label, start_s, duration_s} of the pieces that are left, in order."""
+        edges = [0, *(np.flatnonzero(np.diff(self.piece)) + 1), len(self.piece)]
+        return [
+            {"label": self.labels[int(self.piece[a])], "start_s": float(a * dt_s), "duration_s": float((b - a) * dt_s)}
+            for a, b in itertools.pairwise(edges)
+        ]
+
+
+def refine(
+    pairs: Sequence[Pair],
+    candidates: Sequence[Block],
+    program: Program,
+    robot: Robot,
+    sensing: Sensing,
+    effort: Effort,
+    rng: np.random.Generator,
+) -> Program:
+    """Return ``program`` with pieces of ``candidates`` put in where rivals, searching anew, stay farther apart.
+
+    The plan follows the rivals' tangents, which promise more than a refit leaves; here each proposal is judged by a few
+    steps of the refit itself.
+    """
+    pairs = [_pursued_pair(pair, program.pressure, sensing, effort.fit_evaluations) for pair in pairs]
+    reached = score([_left(pair, program.pressure, sensing) for pair in pairs])
+    grid = max(round(PIECE_S / sensing.dt_s), 1)
+    for _ in range(effort.proposals):
+        piece = candidates[int(rng.integers(len(candidates)))]
+        place = grid * int(rng.integers(max((len(program.pressure) - len(piece.pressure)) // grid, 0) + 1))
+        trial = program.with_piece(piece, place, robot, sensing.dt_s)
+        moved = [_pursued_pair(pair, trial.pressure, sensing, QUICK_FIT) for pair in pairs]
+        value = score([_left(pair, trial.pressure, sensing) for pair in moved])
+        if value > reached:
+            program, pairs, reached = trial, moved, value
+    return program
+
+
+def program_of(chosen: Sequence[Block]) -> Program:
+    """Return blocks one after the other as a program."""
+    piece = np.repeat(np.arange(len(chosen)), [len(block.pressure) for block in chosen])
+    return Program(joined(list(chosen)), tuple(block.label for block in chosen), piece)
+
+
+def _left(pair: Pair, pressure: np.ndarray, sensing: Sensing) -> float:
+    """Return the distance in sigma that is left where the rivals stand, of the way round that leaves less."""
+    plants = [plant for way in pair.ways for plant in (way.truth.at(way.at_truth), way.rival.at(way.at_rival))]
+    rows = responses(plants, pressure, sensing)
+    return float(min(np.linalg.norm(rows[1] - rows[0]), np.linalg.norm(rows[3] - rows[2])))
 
 
 def _pursued_pair(pair: Pair, pressure: np.ndarray, sensing: Sensing, evaluations: int) -> Pair:

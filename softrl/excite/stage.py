@@ -12,9 +12,20 @@ from softrl.core.errors import ConfigError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
 from softrl.core.units import si_factor
-from softrl.excite.block import Block, blocks, joined
+from softrl.excite.block import Block, blocks
 from softrl.excite.figures import draw_program, draw_separations
-from softrl.excite.plan import Effort, Pair, Way, pairs_of, plan, refitted_separation, score
+from softrl.excite.plan import (
+    Effort,
+    Pair,
+    Program,
+    Way,
+    pairs_of,
+    plan,
+    program_of,
+    refine,
+    refitted_separation,
+    score,
+)
 from softrl.excite.rival import rivals_of
 from softrl.excite.separation import Sensing
 from softrl.recordings.program import random_steps
@@ -116,8 +127,13 @@ def run(
     chosen = plan(pairs, candidates, sensing, 60.0 * config.minutes, config.effort)
     hold = max(round(2.0 / noise.dt_s), 1)
     random = random_steps(robot, count // hold + 1, 2.0, noise.dt_s, np.random.default_rng(config.seed))[1][:count]
-    baselines = {"default": usual, "random": random}
-    excitation = _conclude(robot, chosen, pairs, baselines, sensing, config.effort)
+    programs = {
+        "planned": program_of(chosen),
+        "default": program_of([Block("usual program", usual)]),
+        "random": program_of([Block("random steps of 2 s", random)]),
+    }
+    programs["planned"] = _refined(programs, pairs, candidates, robot, sensing, config)
+    excitation = _conclude(robot, pairs, programs, sensing, config.effort)
     _report(excitation, tracker)
     if config.out is not None:
         write_commands(Path(config.out), robot, excitation, config.runs)
@@ -152,45 +168,48 @@ def write_commands(folder: Path, robot: Robot, excitation: Excitation, runs: int
     log.info("wrote %d runs of commands to %s", runs, folder)
 
 
-def _conclude(
-    robot: Robot,
-    chosen: list[Block],
+def _refined(
+    programs: dict[str, Program],
     pairs: list[Pair],
-    baselines: dict[str, np.ndarray],
+    candidates: list[Block],
+    robot: Robot,
     sensing: Sensing,
-    effort: Effort,
-) -> Excitation:
-    """Return the best program by full refits: the blocks that were chosen, unless a baseline is better."""
-    programs = {"planned": joined(chosen), **baselines}
+    config: Config,
+) -> Program:
+    """Return the best program by full refits, the baselines included, with pieces exchanged while that helps."""
     apart = {
-        name: [refitted_separation(pair, rows, sensing, effort) for pair in pairs] for name, rows in programs.items()
+        name: score([refitted_separation(pair, program.pressure, sensing, config.effort) for pair in pairs])
+        for name, program in programs.items()
     }
-    best = max(apart, key=lambda name: score(apart[name]))
-    if best != "planned":
-        log.warning(
-            "the %s program tells these hypotheses apart better than any blocks that were tried: it is taken", best
-        )
-        chosen = [Block(f"the {best} program", programs[best])]
-    apart["planned"] = apart[best]
-    lengths = [sensing.dt_s * len(block.pressure) for block in chosen]
-    starts = np.concatenate([[0.0], np.cumsum(lengths)])
+    best = max(apart, key=lambda name: apart[name])
+    log.info("the search goes on from the %s program", best)
+    rng = np.random.default_rng(config.seed)
+    refined = refine(pairs, candidates, programs[best], robot, sensing, config.effort, rng)
+    after = score([refitted_separation(pair, refined.pressure, sensing, config.effort) for pair in pairs])
+    return refined if after >= apart[best] else programs[best]
+
+
+def _conclude(
+    robot: Robot, pairs: list[Pair], programs: dict[str, Program], sensing: Sensing, effort: Effort
+) -> Excitation:
+    planned = programs["planned"]
     return Excitation(
         robot_name=robot.name,
-        time=sensing.dt_s * np.arange(1, len(programs[best]) + 1),
-        pressure=programs[best],
-        blocks=[
-            {"label": block.label, "start_s": float(start), "duration_s": float(length)}
-            for block, start, length in zip(chosen, starts, lengths, strict=False)
-        ],
+        time=sensing.dt_s * np.arange(1, len(planned.pressure) + 1),
+        pressure=planned.pressure,
+        blocks=planned.segments(sensing.dt_s),
         pairs=[
             {
                 "first": pair.labels[0],
                 "second": pair.labels[1],
                 "name": pair.name,
                 "parameters": {way.truth.label: _values(way) for way in pair.ways},
-                "separation_sigma": {name: values[k] for name, values in apart.items()},
+                "separation_sigma": {
+                    name: refitted_separation(pair, program.pressure, sensing, effort)
+                    for name, program in programs.items()
+                },
             }
-            for k, pair in enumerate(pairs)
+            for pair in pairs
         ],
     )
 

@@ -28,7 +28,7 @@ from softrl.robots.robot import Robot
 
 CONF = Path(__file__).parents[2] / "conf"
 SENSING = Sensing(dt_s=0.05, sample_s=0.1, position_noise_m=1e-4, pressure_noise_pa=None)
-EFFORT = Effort(shortlist=2, exchanges=1, repeats=2, fit_evaluations=8)
+EFFORT = Effort(shortlist=2, exchanges=1, repeats=2, proposals=3, fit_evaluations=8)
 
 
 def node(path: str) -> dict[str, Any]:
