@@ -211,13 +211,16 @@ class FemModel:
         Notes
         -----
         The new nodes x minimise  |x - x_n - dt v_n|_M^2 / (2 dt^2) + |x - x_n|_(aM + bK_n)^2 / (2 dt) + W(x) - p.V(x)
-        - F.tip - m g.x, with K_n the viscous stiffness at x_n: the variational form of implicit Euler with Rayleigh
-        damping. First order in ``dt``; it damps motions faster than about 2 pi dt.
+        - F.tip - m g.x, with K_n the viscous stiffness at x_n + dt v_n / 2: the variational form of implicit Euler with
+        Rayleigh damping. Halfway K_n sees a turning part as it is; at x_n it would take the turn, in second order,
+        for a strain, and resist bending by a fifth too much at 0.01 s. First order in ``dt``; it damps motions
+        faster than about 2 pi dt.
         """
         before, extrapolated = state.pose.position, self.coupling.move(state.pose, state.change)
         damping = None
         if self.rayleigh_stiffness_s > 0:
-            damping = self.viscous(state.pose)
+            halfway = before + 0.5 * dt * state.velocity
+            damping = self.viscous(Pose(halfway, state.pose.centre, state.pose.rotation))
         free_flight = before + dt * state.velocity
         static = self._potential(load, gravity_m_s2)
         inertia = self.nodal_mass[:, None] / dt**2
