@@ -6,7 +6,7 @@ from typing import Any
 import numba as nb
 import numpy as np
 
-from softrl.fem.material import LAW, STRESS, TANGENT, add_second_derivative_of_volume, cofactor_of
+from softrl.fem.material import LAW, STRESS, TANGENT, VISCOUS, add_second_derivative_of_volume, cofactor_of
 
 _law = nb.types.FunctionType(LAW)
 _f1, _f2, _f3, _f4 = (nb.types.Array(nb.float64, d, "C") for d in (1, 2, 3, 4))
@@ -71,7 +71,7 @@ def _assembler(nodes: int, points: int) -> Any:
         ``blocks`` (pairs, 3, 3) N/m. ``weights`` (elements, points) m^3 may carry a stiffness factor per element.
 
         ``bulk`` in Pa adds bulk/2 (J - 1)^2 with J averaged over the element: one condition of volume an element
-        does not lock, one at each integration point does.
+        does not lock, one at each integration point does. At order ``VISCOUS`` only the rate of that mean is weighed.
         """
         cofactor, normal = np.empty((points, 3, 3)), np.empty((nodes, 3))
         volume = push = 0.0
@@ -96,7 +96,7 @@ def _assembler(nodes: int, points: int) -> Any:
                                 f[i, j] += local[a, i] * gradients[e, q, a, j]
                     volume += weights[e, q]
                     swept += weights[e, q] * cofactor_of(f, cofactor[q])
-                push = bulk * (swept / volume - 1.0)
+                push = bulk * (swept / volume - 1.0) if order < VISCOUS else 0.0
                 energy += 0.5 * push * (swept - volume)
                 normal[:] = 0.0
             for q in range(points):

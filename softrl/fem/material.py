@@ -10,6 +10,7 @@ import numpy as np
 from softrl.core.errors import ConfigError
 
 ENERGY, STRESS, TANGENT = 0, 1, 2  # orders: what a kernel must fill
+VISCOUS = 3  # the tangent alone, of a stress that has no energy
 POLAR_ITERATIONS, POLAR_TOLERANCE = 40, 1e-15
 
 _vector = nb.types.Array(nb.float64, 1, "C")
