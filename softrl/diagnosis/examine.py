@@ -110,6 +110,7 @@ class Finding:
     offer : what a map without physics could still remove
     residual_before, residual_after : held-out
     judge : on the held-out runs
+    joint : scaled parameters of all parts' effects and the simulator's, where they were refitted from command to motion
     """
 
     part: Part
@@ -127,6 +128,7 @@ class Finding:
     residual_before: Residual
     residual_after: Residual
     judge: Judge
+    joint: np.ndarray | None = None
 
 
 def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Finding:
@@ -271,7 +273,7 @@ def _confirm(
         weakest = min(gaps, key=lambda choice: gaps[choice].value)
         if gaps[weakest].value >= judge.material and gaps[weakest].low > 0.0:
             found = intervals(part.problem, final, judge.thresholds)
-            mine = _by_effect(final.hypothesis, found)
+            mine = by_effect(final.hypothesis, found)
             return final, [Named(choice, mine[choice], gaps[choice]) for choice in without], without
         log.info("%s does not pay on held-out runs and is not named", weakest.label())
         final = without[weakest]
@@ -307,7 +309,8 @@ def _rivals(
     return sorted(found, key=lambda rival: rival.gap.value)
 
 
-def _by_effect(hypothesis: Hypothesis, found: list[Interval]) -> dict[Choice, list[Interval]]:
+def by_effect(hypothesis: Hypothesis, found: list[Interval]) -> dict[Choice, list[Interval]]:
+    """Return the intervals of each effect's parameters."""
     left, sorted_out = list(found), {}
     for choice in hypothesis.effects:
         size = len(effect_axes(choice))

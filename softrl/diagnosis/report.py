@@ -19,12 +19,14 @@ img { max-width: 100% } .quiet { color: #666; font-size: .85rem }
 """
 CAPTIONS = {
     "held_out_run": "Measured and predicted motion on a run that no fit saw, and the errors",
-    "residual_map": "Where the error sits: over time and pressure",
+    "residual_map": "Where the error sits: over time and pressure, and over the pressures",
+    "pipeline": "Where along the way from command to sensor",
+    "whiteness": "Whether what is left has a memory, before and after",
     "errors": "Errors of the competitors",
     "rivals": "Alternatives to what is named, on held-out runs",
     "intervals": "Identified parameters with their intervals",
     "located": "Where simulation and measurement part, before any effect is added",
-    "screening": "What each effect of the library could explain",
+    "screening": "What each effect of the library explains when it is added first",
 }
 
 

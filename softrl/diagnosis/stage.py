@@ -35,6 +35,7 @@ from softrl.diagnosis.explain import (
 from softrl.diagnosis.figures import draw_all
 from softrl.diagnosis.hypothesis import Hypothesis, candidates
 from softrl.diagnosis.hypothesise import Search, fit_trials
+from softrl.diagnosis.join import joined
 from softrl.diagnosis.judge import Thresholds
 from softrl.diagnosis.locate import corrected, locate
 from softrl.diagnosis.problem import ORIENTATION_LEVER, Numerics, Problem
@@ -107,6 +108,7 @@ def run(config: Config, robot: Robot, recordings: RecordingSet, simulator: Simul
     if apart:
         return _cannot_tell(Refusal(data.check, apart), robot, simulator, tracker)
     findings = _examine(config, whole, data, found)
+    findings = joined(whole.on(data.training), findings, config.search, config.thresholds)
     models = _competitors(config, whole.on(data.training), findings)
     judged = _judge(whole, data, models)
     located = [f for part in findings for f in _locate(part)]
@@ -200,6 +202,8 @@ def _competitors(config: Config, training: Problem, findings: list[Finding]) -> 
     point = np.concatenate([trial.fit.point for trial in parts])
     if not effects:
         point = retuned.fit.point
+    elif motion.joint is not None:
+        point = motion.joint
     lag = one_lag(training, retuned.fit.point, config.search)
     return {
         "nominal": model_of(training, empty, np.zeros(0)),
