@@ -84,12 +84,13 @@ class Offer(NamedTuple):
 
 
 class Rival(NamedTuple):
-    """An alternative to a named effect: how much worse it is held out, and whether the data can tell."""
+    """An alternative to a named effect: how much worse it is held out, and whether the data can tell; its fit."""
 
     instead_of: Choice
     choice: Choice
     gap: Gap
     equivalent: bool
+    trial: Trial
 
 
 @dataclass(frozen=True)
@@ -305,7 +306,7 @@ def _rivals(
         gap = judge.gap(trial.squares, final.squares)
         freer = len(trial.fit.point) > len(final.fit.point) and trial.everywhere.mean() > final.everywhere.mean()
         alike = not both.tells(trial.everywhere, final.everywhere)
-        found.append(Rival(choice, trial.hypothesis.effects[-1], gap, alike and not freer))
+        found.append(Rival(choice, trial.hypothesis.effects[-1], gap, alike and not freer, trial))
     return sorted(found, key=lambda rival: rival.gap.value)
 
 

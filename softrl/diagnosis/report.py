@@ -39,7 +39,10 @@ def page(diagnosis: Diagnosis, figures: Mapping[str, Figure]) -> str:
         *(f"<p>{_safe(line)}</p>" for line in rest),
     ]
     if diagnosis.next_experiment:
-        body.append(f"<p><b>Record next:</b> {_safe(diagnosis.next_experiment['program'])}.</p>")
+        body.append(
+            f"<p><b>Record next:</b> {_safe(diagnosis.next_experiment['program'])} "
+            f"({diagnosis.next_experiment['duration_s']:.0f} s; <code>stage=excite</code> writes a program).</p>"
+        )
     body += [_figure(name, figure) for name, figure in figures.items()]
     body += ["<h2>Identified parameters</h2>", _table(_parameter_rows(diagnosis))]
     body += ["<h2>Retuned only</h2>", _table([{"parameter": k, **v} for k, v in diagnosis.retuned.items()])]

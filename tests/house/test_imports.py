@@ -24,7 +24,7 @@ LEVEL = {
     "surrogate": 15,
     "rl": 16,
     "sim2real": 17,
-    "diagnosis": 13,
+    "diagnosis": 14,
     "simulate": 17,
     "assembly": 20,
     "pipeline": 21,
