@@ -9,10 +9,11 @@ import numpy as np
 from scipy import stats
 
 from softrl.core.errors import SolverError
-from softrl.diagnosis.flexible import MEMORY_DEGREES, fit_ridge, memory_features
+from softrl.diagnosis.flexible import correction
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes
 from softrl.diagnosis.hypothesise import Path, Search, Trial, drop, fit_trials, forward, join
 from softrl.diagnosis.judge import Gap, Judge, Thresholds
+from softrl.diagnosis.locate import corrected, locate
 from softrl.diagnosis.problem import Problem, Residual
 from softrl.diagnosis.statistics import MIN_BLOCKS, blocks_of, correlation_time, sandwich, spectral_line, whiteness
 from softrl.recordings.recording import Recording
@@ -22,6 +23,8 @@ WHITENESS_LAGS = 20
 AT_BOUND = 1e-3  # share of a range at whose ends a parameter is said to be at a bound
 LINE_LEVEL = 1e-8  # chance of a line in the spectrum of noise
 UNDRIVEN_SHARE = 0.5  # of the squared error: effects that remove less explain nothing
+FOLLOWING_FACTOR = 2.0  # times what counts: structure below this may be a detail of the body
+FOLLOWING_LEVEL = 1e-3
 LARGE_SHARE = 0.05  # of the travel: noise with a memory is not as large
 
 
@@ -168,11 +171,9 @@ def _explained(judge: Judge, base: Trial, final: Trial, offer: Offer) -> tuple[f
 def _offer(part: Part, judge: Judge, trial: Trial) -> Offer:
     """Return what a map from pressures and their past to the residual, fitted on training runs, removes held out."""
     training = part.problem.residual(trial.hypothesis, trial.fit.point, trial.placed)
-    ridge = fit_ridge(memory_features(part.problem), training.runs, part.problem.folds, MEMORY_DEGREES)
     heldout = _heldout(judge, trial)
-    runs = [
-        values - ridge.predict(x) for values, x in zip(heldout.runs, memory_features(judge.problem).runs, strict=True)
-    ]
+    offered = correction(part.problem, training.runs, judge.problem)
+    runs = [values - extra for values, extra in zip(heldout.runs, offered, strict=True)]
     squares = Residual(runs, {}).squares
     return Offer(judge.gap(trial.squares, squares), judge.pays(trial.squares, squares), squares)
 
@@ -188,6 +189,8 @@ def _unexplained(judge: Judge, final: Trial, offer: Offer, explained: float, lef
         return []
     if offer.pays:
         reasons.append("what is left follows the pressures and their past")
+    elif left > FOLLOWING_FACTOR * judge.material and (region := _followed(judge, heldout)):
+        reasons.append(f"what is left follows the pressures and their past ({region})")
     elif left > judge.floor and spectral_line(heldout.runs) < LINE_LEVEL:
         reasons.append("what is left swings at one frequency")
     elif left > LARGE_SHARE * judge.travel and not _white(heldout):
@@ -204,7 +207,7 @@ def intervals(problem: Problem, trial: Trial, thresholds: Thresholds) -> list[In
     spread = np.sqrt(np.diag(sandwich(trial.fit.jacobian, trial.fit.residual, per_row)))
     freedom = max(int(blocks.max()) + 1 - len(spread), 1)
     reach = float(stats.t.ppf(thresholds.confidence, freedom)) * spread + _step_error(problem, trial)
-    found = []
+    found, bounds = [], space.bounds
     for k, axis in enumerate(space.axes):
         u = float(trial.fit.point[k])
         free = bool(trial.fit.jacobian[:, k].any())
@@ -212,7 +215,7 @@ def intervals(problem: Problem, trial: Trial, thresholds: Thresholds) -> list[In
         ends = sorted((axis.physical(float(low)), axis.physical(float(high))))
         value = axis.physical(u)
         low, high = min(ends[0], value), max(ends[1], value)
-        at_bound = min(axis.high - value, value - axis.low) < AT_BOUND * (axis.high - axis.low)
+        at_bound = bool(min(u - bounds[0][k], bounds[1][k] - u) < AT_BOUND * (bounds[1][k] - bounds[0][k]))
         found.append(Interval(axis.owner, axis.name, axis.unit, value, low, high, at_bound))
     return found
 
@@ -241,6 +244,16 @@ def _step_error(problem: Problem, trial: Trial) -> np.ndarray:
     scaled = trial.fit.jacobian / size
     moved = np.linalg.solve(scaled.T @ scaled + 1e-6 * np.eye(len(size)), scaled.T @ (residual - trial.fit.residual))
     return np.asarray(np.minimum(2.0 * np.abs(moved / size), 1.0))
+
+
+def _followed(judge: Judge, residual: Residual) -> str:
+    """Return in words what the residual follows beyond chance, or nothing."""
+    rows = corrected(locate(judge.problem, residual, judge.floor, ""))
+    named = [row for row in rows if row["p_value"] < FOLLOWING_LEVEL and row["region"] not in (None, "band")]
+    if not named:
+        return ""
+    chamber = f", chamber {named[0]['chamber']}" if named[0]["chamber"] else ""
+    return f"{named[0]['region']}{chamber}"
 
 
 def _on_heldout(judge: Judge, trial: Trial) -> Trial:

@@ -6,6 +6,7 @@ import numpy as np
 from scipy import stats
 
 UNSEEN = 1e-6  # eigenvalue of the normalised normal matrix below which a direction counts as unseen
+AT_END = 1e-6  # scaled distance from a bound below which a parameter sits on it
 MIN_FREQUENCIES = 32  # fewer do not show whether a spectrum is smooth
 EULER = 0.5772  # mean of minus the logarithm of an exponential variable
 MAX_ORDER = 8  # of an autoregression
@@ -145,23 +146,40 @@ def left_out(
     Notes
     -----
     One Gauss-Newton step on the other folds: with ``H_k = J_k' J_k`` and ``g_k = J_k' r_k`` the parameters move by
-    ``-(H - H_k)^-1 (g - g_k)``. Directions that the other folds do not see stay where they are.
+    ``(H - H_k)^-1 g_k``, the gradient ``g`` of the fit to all folds being taken as zero; ``H`` holds
+    a prior of unit variance in the (scaled) parameters, so that those which nothing determines stay near. Directions that the other folds do not see stay where they are.
     """
-    if not jacobian.size:
-        return residual
-    size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
-    scaled = jacobian / size
-    count = int(folds.max()) + 1
-    normal = [scaled[folds == k].T @ scaled[folds == k] for k in range(count)]
-    slope = [scaled[folds == k].T @ residual[folds == k] for k in range(count)]
     found = residual.copy()
-    for k in range(count):
+    slope = jacobian.T @ residual
+    stuck = ((low > -AT_END) & (slope > 0.0)) | ((high < AT_END) & (slope < 0.0))
+    seen = np.linalg.norm(jacobian, axis=0) > 0.0
+    free: np.ndarray = np.flatnonzero(~stuck & seen)
+    if not len(free):
+        return found
+    size = np.linalg.norm(jacobian[:, free], axis=0)
+    scaled, low, high = jacobian[:, free] / size, low[free] * size, high[free] * size
+    held = np.diag(float(np.mean(residual**2)) / size**2)
+    for k in range(int(folds.max()) + 1):
         mine = folds == k
-        rest, push = sum(normal) - normal[k], sum(slope) - slope[k]
-        moved = -np.linalg.pinv(rest, rcond=UNSEEN, hermitian=True) @ push
-        moved = np.clip(moved, low * size, high * size)
+        rest = scaled[~mine]
+        moved = _bounded_step(rest.T @ rest + held, -scaled[mine].T @ residual[mine], low, high)
         found[mine] = residual[mine] + scaled[mine] @ moved
     return found
+
+
+def _bounded_step(normal: np.ndarray, slope: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return the step (p,) of least squares; parameters that would leave their bounds stop there, one set at a time."""
+    step, held = np.zeros(len(slope)), np.zeros(len(slope), dtype=bool)
+    for _ in range(len(slope)):
+        free = ~held
+        push = slope[free] + normal[np.ix_(free, held)] @ step[held]
+        step[free] = -np.linalg.pinv(normal[np.ix_(free, free)], rcond=UNSEEN, hermitian=True) @ push
+        outside = free & ((step < low) | (step > high))
+        step = np.clip(step, low, high)
+        if not outside.any():
+            break
+        held |= outside
+    return step
 
 
 def spectral_line(runs: Sequence[np.ndarray]) -> float:

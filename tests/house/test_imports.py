@@ -30,8 +30,9 @@ LEVEL = {
     "proof": 18,
     "assembly": 20,
     "pipeline": 21,
-    "loop": 22,
-    "__main__": 23,
+    "paper": 22,
+    "loop": 23,
+    "__main__": 24,
 }
 OWNER = {
     "mlflow": {"core"},
