@@ -17,7 +17,7 @@ from softrl.report.table import table
 log = logging.getLogger(__name__)
 ROOT_KEYS = (
     "robot", "simulator", "task", "agent", "driver", "effect", "tracking", "profile", "stage", "alpha", "lambda", "seed",
-    "recordings", "out", "force", "debug", "inputs", "hydra",
+    "parallel", "bench", "recordings", "out", "force", "debug", "inputs", "hydra",
 )  # fmt: skip
 
 

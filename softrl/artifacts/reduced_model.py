@@ -41,6 +41,7 @@ class ReducedModel(Artifact):
     ``D = rayleigh_mass M + rayleigh_stiffness T' K T``.
     """
 
+    schema: ClassVar[int] = 2
     stage: ClassVar[str] = "pod"
 
     frame: np.ndarray

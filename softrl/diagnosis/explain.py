@@ -6,7 +6,7 @@ from typing import Any
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.diagnosis.correct import Model
 from softrl.diagnosis.examine import Finding, Named
-from softrl.diagnosis.hypothesis import Choice, has_chamber
+from softrl.diagnosis.hypothesis import Choice, has_chamber, pinned_values
 from softrl.diagnosis.problem import Problem
 from softrl.effects.library import effect_class
 from softrl.robots.robot import Robot
@@ -18,6 +18,11 @@ WORDS = {
     "body": "in the body",
     "load": "in the load on the tip",
     "sensor": "in the sensor",
+}
+BESIDE = {
+    "one_lag": "one lag alone",
+    "static": "a static map",
+    "blackbox": "a black box of equal data",
 }
 EXPERIMENTS = {
     "valve": "steps and a multisine of one chamber with the chamber's pressure measured",
@@ -59,8 +64,10 @@ def _entry(finding: Finding, named: Named) -> dict[str, Any]:
         "where": where(choice),
         "chamber": choice.chamber,
         "parameters": {
-            p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit} for p in named.intervals
+            p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit, "at_bound": p.at_bound}
+            for p in named.intervals
         },
+        "pinned": pinned_values(choice),
         "evidence": (
             f"{finding.part.title}: without it the held-out error above the noise is {without:.3g} {unit}, with it "
             f"{without - factor * named.gap.value:.3g} {unit} (gain {factor * named.gap.low:.3g} to "
@@ -122,6 +129,14 @@ def unexplained(findings: Sequence[Finding]) -> dict[str, Any]:
             f"rms_above_noise_{unit.lower()}": factor * finding.left,
             "explained_share": finding.explained,
             "unknown": finding.unknown,
+            "because": "; ".join(finding.reasons),
+            "offered": {
+                "kind": "ridge regression of the residual on pressures and their past: no physics, valid where trained",
+                f"removes_{unit.lower()}": factor * finding.offer.gap.value,
+                "low": factor * finding.offer.gap.low,
+                "high": factor * finding.offer.gap.high,
+                "pays": finding.offer.pays,
+            },
             "closest": finding.closest,
             "retuned_rms_mixed": factor * finding.judge.rms(finding.base.squares),
             "corrected_rms_mixed": factor * finding.judge.rms(finding.final.squares),
@@ -155,7 +170,9 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
     lines.append(
         f"Held-out error from command to motion: nominal {held['nominal']:.3g} mm, "
         f"retuned only {held['retuned']:.3g} mm, corrected {held['corrected']:.3g} mm, "
-        f"noise {held['noise_floor']:.2g} mm."
+        f"noise {held['noise_floor']:.2g} mm; beside them "
+        + ", ".join(f"{words} {held[name]:.3g} mm" for name, words in BESIDE.items() if name in held)
+        + "."
     )
     lines += [_effect_sentence(effect) for effect in diagnosis.effects]
     for rival in diagnosis.rivals[:4]:
@@ -190,6 +207,7 @@ def _verdict_sentence(diagnosis: Diagnosis) -> str:
 def _effect_sentence(effect: dict[str, Any]) -> str:
     values = ", ".join(
         f"{name} {p['value']:.3g} ({p['low']:.3g} to {p['high']:.3g}){'' if p['unit'] == '1' else ' ' + p['unit']}"
+        f"{', at the end of its range' if p['at_bound'] else ''}"
         for name, p in effect["parameters"].items()
     )
     return f"{effect['name']} {WORDS[effect['site']]}, {effect['where']}: {values}. {effect['evidence']}."
@@ -198,4 +216,12 @@ def _effect_sentence(effect: dict[str, Any]) -> str:
 def _left_sentence(finding: Finding) -> str:
     factor, unit = shown_in(finding)
     closest = f"; {finding.closest} came closest without explaining it" if finding.closest else ""
-    return f"{finding.part.title}: {factor * finding.left:.3g} {unit} above the noise stay unexplained{closest}."
+    offer = finding.offer
+    more = (
+        f" A map without physics, fitted to what is left, would remove {factor * offer.gap.value:.2g} {unit} of it on "
+        "held-out runs; it is offered as a correction only, for the range that was recorded."
+        if offer.pays
+        else ""
+    )
+    why = f" ({'; '.join(finding.reasons)})" if finding.reasons else ""
+    return f"{finding.part.title}: {factor * finding.left:.3g} {unit} above the noise stay unexplained{why}{closest}.{more}"

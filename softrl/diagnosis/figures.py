@@ -11,7 +11,8 @@ from softrl.diagnosis.examine import Finding
 from softrl.diagnosis.explain import shown_in
 from softrl.diagnosis.problem import Problem
 
-COLOURS = {"measured": "black", "nominal": "tab:gray", "retuned": "tab:blue", "corrected": "tab:red"}
+COLOURS = {"measured": "black", "nominal": "tab:gray", "retuned": "tab:blue", "corrected": "tab:red",
+           "one_lag": "tab:purple", "static": "tab:olive", "blackbox": "tab:green"}  # fmt: skip
 
 
 def draw_all(
@@ -39,7 +40,8 @@ def draw_run(heldout: Problem, judged: dict[str, Traces]) -> Figure:
     figure = Figure(figsize=(9, 5), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True)
     above.plot(run.time, factor * measured[:, main], color="black", lw=1.6, label="measured")
-    for name, traces in judged.items():
+    for name in ("nominal", "retuned", "corrected"):
+        traces = judged[name]
         above.plot(run.time, factor * traces.predicted[k][:, main], color=COLOURS[name], lw=0.9, label=name)
         error = factor * np.linalg.norm(measured - traces.predicted[k], axis=1)
         label = f"{name}: rms {np.sqrt(np.mean(error**2)):.3g} {unit}"
@@ -81,12 +83,13 @@ def draw_map(heldout: Problem, judged: dict[str, Traces]) -> Figure:
 
 def draw_errors(diagnosis: Diagnosis) -> Figure:
     """Draw training and held-out errors of all competitors."""
-    figure = Figure(figsize=(6, 3), layout="constrained")
+    figure = Figure(figsize=(8, 3.2), layout="constrained")
     ax = figure.subplots()
-    for shift, (split, errors) in zip((-0.2, 0.2), diagnosis.errors_mm.items(), strict=True):
-        bars = ax.bar(np.arange(len(errors)) + shift, list(errors.values()), 0.38, label=split)
-        ax.bar_label(bars, fmt="%.3g", fontsize=8)
-    ax.set_xticks(np.arange(len(errors)), list(errors))
+    width = 0.8 / max(len(diagnosis.errors_mm), 1)
+    for k, (split, errors) in enumerate(diagnosis.errors_mm.items()):
+        bars = ax.bar(np.arange(len(errors)) + (k + 0.5) * width - 0.4, list(errors.values()), width, label=split)
+        ax.bar_label(bars, fmt="%.2g", fontsize=7)
+    ax.set_xticks(np.arange(len(errors)), [name.replace("_", " ") for name in errors])
     ax.set_ylabel("rms error, mm")
     ax.legend()
     return figure

@@ -54,6 +54,7 @@ class FemSimulator:
     robot : chambers, mass, gravity
     mesh : made by stage=mesh
     law, moduli_pa, poisson : the material, see ``fem.material.material_of``
+    element_order : 2 for quadratic tetrahedra; 1 for linear ones, which lock and serve comparisons
     rayleigh_mass_per_s, rayleigh_stiffness_s : damping (a M + b K) v
     tolerance_m, max_iterations, reuse_below : see ``fem.newton.NewtonSettings``
     youngs_modulus_scale, damping_scale, mass_scale : factors on elastic energy, damping, inertia and weight
@@ -71,6 +72,7 @@ class FemSimulator:
     law: str
     moduli_pa: tuple[float, ...]
     poisson: float
+    element_order: int
     rayleigh_mass_per_s: float
     rayleigh_stiffness_s: float
     tolerance_m: float
@@ -114,7 +116,7 @@ class FemSimulator:
             self.mass_scale * self.robot.mass_kg / self.mesh.volume(),
             self.damping_scale * self.rayleigh_mass_per_s, self.damping_scale * self.rayleigh_stiffness_s,
             NewtonSettings(self.tolerance_m, self.max_iterations, self.reuse_below), self.robot.gravity_m_s2,
-            self.youngs_modulus_scale,
+            self.youngs_modulus_scale, element_order=self.element_order,
         )
 
     @cached_property

@@ -13,6 +13,7 @@ from softrl.core.tracking import NullTracker
 from softrl.effects.chain import EffectChain, Plant, chain_of
 from softrl.effects.delay import Delay
 from softrl.effects.lag import Lag
+from softrl.effects.pressure_sensor import PressureSensor
 from softrl.effects.replay import bend_angle, replay
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.program import random_steps
@@ -32,7 +33,9 @@ def simulator(name: str) -> PccSimulator:
 
 
 def config(**changed: object) -> Config:
-    return Config(**(yaml.safe_load((CONF / "stage" / "simulate.yaml").read_text()) | {"seed": 0, "out": None} | changed))
+    return Config(
+        **(yaml.safe_load((CONF / "stage" / "simulate.yaml").read_text()) | {"seed": 0, "out": None} | changed)
+    )
 
 
 def commands(robot: Robot, seed: int = 1) -> RecordingSet:
@@ -75,6 +78,17 @@ def test_measured_drive_bypasses_the_valve() -> None:
     np.testing.assert_allclose(again.position, recorded.position, atol=1e-9)
     with pytest.raises(RecordingError, match="no measured pressure"):
         replay(lagging, commands(body.robot).recordings[0], 0.01, drive="measured")
+
+
+def test_a_gauges_error_is_undone_where_its_readings_drive_the_body() -> None:
+    body = simulator("tripod")
+    wrong = Plant(body, chain_of(body.robot, [Lag(0.2, 0.3), PressureSensor(gain=1.2, offset=0.05)]))
+    recorded = replay(wrong, commands(body.robot).recordings[0], 0.01)
+    again = replay(wrong, recorded, 0.01, drive="measured")
+    np.testing.assert_allclose(again.position, recorded.position, atol=1e-9)
+    np.testing.assert_allclose(again.pressure_meas, recorded.pressure_meas, atol=1e-3)
+    trusting = replay(Plant(body, chain_of(body.robot, [])), recorded, 0.01, drive="measured")
+    assert np.abs(trusting.position - recorded.position).max() > 1e-3
 
 
 def test_settling_starts_at_the_first_row() -> None:

@@ -130,7 +130,8 @@ class Rig:
         self._substeps = round(hardware.physics_rate_hz / hardware.rate_hz)
         self._period_s = 1.0 / hardware.rate_hz
         self._watchdog_s = hardware.watchdog_s
-        self._valve, self._chamber, self._sensor = (SignalFilter(hidden, s) for s in ("valve", "chamber", "sensor"))
+        sites = ("valve", "chamber", "sensor", "gauge")
+        self._valve, self._chamber, self._sensor, self._gauge = (SignalFilter(hidden, s) for s in sites)
         self._sensors = Sensors(hardware.noise, hidden.robot.chambers, self._period_s, rng)
         self._setpoint = np.zeros(hidden.robot.chambers)
         self._ticks = self._silent_ticks = 0
@@ -158,9 +159,7 @@ class Rig:
             self._step(np.zeros_like(self._setpoint), dt_s)
 
     def _step(self, acting: np.ndarray, dt_s: float) -> None:
-        self._state = self._body.step(
-            self._state, acting, dt_s, None, body=self._body_hooks, load=self._load_hooks
-        )
+        self._state = self._body.step(self._state, acting, dt_s, None, body=self._body_hooks, load=self._load_hooks)
 
     def advance(self, ticks: int, setpoints: np.ndarray) -> tuple[np.ndarray, str | None]:
         """Return the samples of ``ticks`` periods as rows (see ``sample_of``), and what the watchdog says.
@@ -220,7 +219,8 @@ class Rig:
             pose[:3], pose[3:] = self._body.observe(self._state)
         pose = self._sensor.advance(poses, dt_s)[-1]
         self._ticks += 1
-        sensed = self._sensors.read(supplied[-1], pose[:3], pose[3:], self._felt())
+        reported = self._gauge.advance(supplied[-1:], self._period_s)[0]
+        sensed = self._sensors.read(reported, pose[:3], pose[3:], self._felt())
         if sensed is None:
             return None
         return np.concatenate([[self._ticks * self._period_s], self._setpoint, *sensed])
