@@ -133,11 +133,12 @@ def policy(surrogate: Surrogate) -> Policy:
     return Policy(
         weights={"weight_0": weight, "bias_0": gain[3]}, activation="tanh", squash="clip", horizon=2,
         position_centre=space.centre, position_scale=space.scale, force_scale=1.0, joint_low=low, joint_high=high,
-        task_name="track", task=_task("track"), agent_name="linear", step_s=0.5, metrics={}, robot_name=surrogate.robot_name,
+        task_name="track", task=task_numbers("track"), agent_name="linear", step_s=0.5, metrics={},
+        robot_name=surrogate.robot_name,
     )  # fmt: skip
 
 
-def _task(name: str) -> dict[str, Any]:
+def task_numbers(name: str) -> dict[str, Any]:
     """Return the numbers of a task as its configuration has them."""
     node = yaml.safe_load((CONF / "task" / f"{name}.yaml").read_text()) | {"alpha": 0.5}
     return {key: value for key, value in node.items() if key != "_target_"}
