@@ -109,7 +109,7 @@ class FemBench:
         if not isinstance(material, StableNeoHookean):
             log.warning("no scikit-fem reference: it is written for law=stable_neo_hookean, not %s", simulator.law)
             return {}
-        reference, state = Reference(model, material, watch.now), self._moving(model)
+        reference, state = Reference(model, watch.now), self._moving(model)
         ended: list[Pose] = []
         parts: list[tuple[float, float]] = []
 

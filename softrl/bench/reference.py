@@ -12,8 +12,8 @@ from scipy.sparse.linalg import splu
 
 from softrl.core.errors import ConfigError, SolverError
 from softrl.fem.coupling import Pose
+from softrl.fem.damping import viscous_moduli
 from softrl.fem.loads import USED_TRIPLES, WEIGHTS, add_volume_gradient, add_volume_stiffness
-from softrl.fem.material import StableNeoHookean
 from softrl.fem.model import FemModel, State
 
 
@@ -27,7 +27,7 @@ class ReferenceStep(NamedTuple):
 
 
 class Reference:
-    """Quadratic tetrahedra of ``model`` in scikit-fem, for the stable Neo-Hookean law.
+    """Quadratic tetrahedra of ``model``, which is of the stable Neo-Hookean law, in scikit-fem.
 
     Notes
     -----
@@ -36,14 +36,15 @@ class Reference:
     which is cheap, is taken from the model itself. Newton's method without a line search, each step a fresh matrix.
     """
 
-    def __init__(
-        self, model: FemModel, material: StableNeoHookean, now: Callable[[], float] = time.perf_counter
-    ) -> None:
+    def __init__(self, model: FemModel, now: Callable[[], float] = time.perf_counter) -> None:
         if importlib.util.find_spec("skfem") is None:
             raise ConfigError("bench=fem compares with scikit-fem; install it with pip install 'softrl[bench]'")
         self._fem: Any = importlib.import_module("skfem")
         self._help: Any = importlib.import_module("skfem.helpers")
-        self.model, self._lame, self._now = model, material.pack(), now
+        self.model, self._now = model, now
+        self._viscous = viscous_moduli(model._material)
+        # the law's own parameters, and the modulus that weighs the mean change of volume of an element, if any
+        self._lame, self._bulk = model._parameters, float(getattr(model, "_bulk_pa", 0.0))
         quadratic = model.quadratic
         corners = quadratic.elements[:, :4]
         region = quadratic.region[quadratic.elements]
@@ -51,6 +52,9 @@ class Reference:
         mesh = self._fem.MeshTet(quadratic.points[: quadratic.corners].T.copy(), corners.T.copy())
         element = self._fem.ElementVector(self._fem.ElementTetP2())
         self.basis = self._fem.Basis(mesh, element, intorder=2, elements=deformable)
+        self._mean = self._fem.Basis(mesh, self._fem.ElementTetP0(), intorder=2, elements=deformable)
+        self._volume = self.basis.dx.sum(axis=1)
+        self._elements = deformable
         self.rows = self._rows(mesh)
         self._forms()
 
@@ -60,7 +64,7 @@ class Reference:
         before, flight = state.pose.position, state.pose.position + dt * state.velocity
         spent = {"assembly": 0.0, "solve": 0.0}
         began = self._now()
-        damping = model.rayleigh_stiffness_s / dt * self.stiffness(state.pose.position)
+        damping = model.rayleigh_stiffness_s / dt * self.viscosity(state.pose.position)
         inertia = np.repeat(model.nodal_mass, 3) * (1.0 / dt**2 + model.rayleigh_mass_per_s / dt)
         lumped = sp.diags(self._ordered(inertia))
         spent["assembly"] += self._now() - began
@@ -84,11 +88,28 @@ class Reference:
 
     def stiffness(self, position: np.ndarray) -> sp.csr_matrix:
         """Return the elastic stiffness at nodes ``position`` (nodes, 3) m in scikit-fem's order."""
-        return self._stiffness.assemble(self.basis, x=self.basis.interpolate(self._vector(position)))
+        x = self.basis.interpolate(self._vector(position))
+        if not self._bulk:
+            return self._stiffness.assemble(self.basis, x=x, push=0.0)
+        push, swell = self._dilatation(x)
+        weight = sp.diags(self._bulk / self._volume)
+        return self._stiffness.assemble(self.basis, x=x, push=push[:, None]) + swell.T @ weight @ swell
+
+    def viscosity(self, position: np.ndarray) -> sp.csr_matrix:
+        """Return what stiffness-proportional damping multiplies, at nodes ``position`` (nodes, 3) m."""
+        return self._viscosity.assemble(self.basis, x=self.basis.interpolate(self._vector(position)))
 
     def force(self, position: np.ndarray) -> np.ndarray:
         """Return the elastic forces (nodes, 3) N at nodes ``position`` (nodes, 3) m."""
-        return self._force.assemble(self.basis, x=self.basis.interpolate(self._vector(position)))[self.rows]
+        x = self.basis.interpolate(self._vector(position))
+        push = self._dilatation(x)[0][:, None] if self._bulk else 0.0
+        return self._force.assemble(self.basis, x=x, push=push)[self.rows]
+
+    def _dilatation(self, x: Any) -> tuple[np.ndarray, sp.csr_matrix]:
+        """Return the pressure (elements,) Pa of the mean change of volume, and d volume / d nodes (elements, dofs)."""
+        swept = (self._help.det(self._help.grad(x)) * self.basis.dx).sum(axis=1)
+        swell = self._swell.assemble(self.basis, self._mean, x=x).tocsr()[self._elements]
+        return self._bulk * (swept / self._volume - 1.0), swell
 
     def _forms(self) -> None:
         fem, ddot, det, inv = self._fem, self._help.ddot, self._help.det, self._help.inv
@@ -99,7 +120,7 @@ class Reference:
         def stiffness(u: Any, v: Any, w: Any) -> Any:
             f = grad(w["x"])
             j, inverse = det(f), inv(f)
-            slope = (lam + mu) * (j - 1.0) - mu
+            slope = (lam + mu) * (j - 1.0) - mu + w["push"]
             a, b = mul(inverse, grad(u)), mul(inverse, grad(v))
             ta, tb = trace(a), trace(b)
             second = j * (ta * tb - ddot(a, transpose(b)))
@@ -109,10 +130,23 @@ class Reference:
         def force(v: Any, w: Any) -> Any:
             f = grad(w["x"])
             j = det(f)
-            slope = (lam + mu) * (j - 1.0) - mu
+            slope = (lam + mu) * (j - 1.0) - mu + w["push"]
             return mu * ddot(f, grad(v)) + slope * j * trace(mul(inv(f), grad(v)))
 
-        self._stiffness, self._force = stiffness, force
+        first, second = self._viscous
+
+        @fem.BilinearForm
+        def viscosity(u: Any, v: Any, w: Any) -> Any:
+            f = transpose(grad(w["x"]))
+            a, b = mul(f, grad(u)), mul(f, grad(v))
+            return first * trace(a) * trace(b) + 0.5 * second * ddot(a + transpose(a), b + transpose(b))
+
+        @fem.BilinearForm
+        def swell(u: Any, mean: Any, w: Any) -> Any:
+            f = grad(w["x"])
+            return mean * det(f) * trace(mul(inv(f), grad(u)))
+
+        self._stiffness, self._force, self._viscosity, self._swell = stiffness, force, viscosity, swell
 
     def _rows(self, mesh: Any) -> np.ndarray:
         """Return scikit-fem's numbers (nodes, 3) of the components of the model's nodes."""

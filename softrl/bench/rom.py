@@ -14,6 +14,7 @@ from softrl.core.progress import progress
 from softrl.core.tracking import Tracker
 from softrl.fem.sampling import step_program
 from softrl.fem.simulator import FemSimulator
+from softrl.pod.galerkin_simulator import GalerkinSimulator
 from softrl.pod.rom import roll
 from softrl.pod.simulator import RomSimulator
 
@@ -31,17 +32,19 @@ class Path(NamedTuple):
 
 @dataclass(frozen=True)
 class RomBench:
-    """The energy ROM and the full model, under weight, through the interface that every stage uses.
+    """The energy ROM, POD Galerkin and the full model, under weight, through the interface that every stage uses.
 
     Attributes
     ----------
-    rom, fem : the bodies; the full model takes its damping from what the reduced model was made with
+    rom, galerkin, fem : the bodies; the full model takes its damping from what the reduced model was made with;
+        ``galerkin`` may be left out
     motions : unseen ones of ``duration_s`` with pressures and tip forces held ``hold_s``, on the time step ``dt_s``
     rate_steps : of a timed run of the ROM
     batch, batch_steps : trajectories and their steps in a timed batch
     """
 
     rom: RomSimulator
+    galerkin: GalerkinSimulator | None
     fem: FemSimulator
     motions: int
     duration_s: float
@@ -67,11 +70,33 @@ class RomBench:
             full.append(self._follow(self._full_model, load))
             taken.append(watch.now() - began)
         rom = [self._follow(self.rom, load) for load in loads]
-        tracker.figure("unseen_motions", draw_motions(clock, [p.tip for p in full], {"energy ROM": [p.tip for p in rom]}))
         metrics = errors("rom", rom, full) | timing(taken).rate("fem_steps", len(clock))
+        tips = {"energy ROM": [path.tip for path in rom]}
+        if self.galerkin is not None:
+            paths, more = self._galerkin(watch, loads)
+            metrics |= errors("galerkin", paths, full) | more
+            tips["POD Galerkin"] = [path.tip for path in paths]
+        tracker.figure("unseen_motions", draw_motions(clock, [path.tip for path in full], tips))
         still = [np.broadcast_to(path.tip[:1], path.tip.shape) for path in full]
         metrics["baseline_rest_tip_rms_mm"] = _rms_mm([a - b.tip for a, b in zip(still, full, strict=True)])
         return metrics | self._rates(watch, rng)
+
+    def _galerkin(self, watch: Watch, loads: list[np.ndarray]) -> tuple[list[Path], dict[str, float]]:
+        """Return the Galerkin body's motions, and its rate and size; building it does not count."""
+        assert self.galerkin is not None
+        began = watch.now()
+        body = self.galerkin.body
+        built = watch.now() - began
+        paths, taken = [], []
+        self._follow(self.galerkin, loads[0][:2])  # rest
+        for load in loads:
+            began = watch.now()
+            paths.append(self._follow(self.galerkin, load))
+            taken.append(watch.now() - began)
+        return paths, timing(taken).rate("galerkin_steps", len(loads[0])) | {
+            "galerkin_modes": body.slope.shape[3], "galerkin_elements": body.elements,
+            "galerkin_sampling_error_pct": 100.0 * body.sampling_error, "galerkin_build_s": built,
+        }  # fmt: skip
 
     @property
     def _full_model(self) -> FemSimulator:

@@ -9,6 +9,7 @@ import numpy as np
 
 from softrl.core.errors import RecordingError
 from softrl.diagnosis.problem import place
+from softrl.diagnosis.quality import unusable
 from softrl.recordings.check import DataCheck, check
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.split import split
@@ -17,6 +18,7 @@ from softrl.robots.robot import Robot
 MIN_RUN_S = 3.0  # a shorter run says nothing about dynamics
 MIN_SIGNAL = 3.0  # travel over noise below which nothing can be told
 FEW_SESSIONS = 2  # with this many sessions or fewer, runs are held out within each instead
+TURNED_FRAME_RAD = 1.0  # the whole motion turned by more than this against the base frame is no misalignment
 OTHER_FRAME_RAD = 0.3  # sessions whose best placements turn apart by more were recorded in different frames
 
 
@@ -34,6 +36,7 @@ class Data:
     pressure : whether every run has measured pressure
     orientation : whether orientations are recorded and can be trusted
     noise : rms of the noise of one sample of the motion, m over all its components
+    turn_noise : the same of the orientation, rad
     pressure_noise : the same of the measured pressure, Pa
     travel, pressure_travel : rms about the mean of what the training runs measured, m and Pa
     """
@@ -45,6 +48,7 @@ class Data:
     pressure: bool
     orientation: bool
     noise: float
+    turn_noise: float
     pressure_noise: float
     travel: float
     pressure_travel: float
@@ -75,7 +79,7 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: 
     marked = set(recordings.notes.get("out_of_distribution", ()))
     outside = tuple(r for r in usable if marked & {r.name, r.session})
     usable = [r for r in usable if not marked & {r.name, r.session}]
-    reason = _refuse(usable, found, robot, channel)
+    reason = _refuse(usable, found, robot, channel) or unusable(usable, found, robot)
     if reason:
         return Refusal(found, reason)
     kept = replace(recordings, recordings=tuple(usable))
@@ -96,6 +100,7 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: 
         pressure,
         _orientation_trusted(usable, found, robot),
         noise,
+        2.0 * np.sqrt(3.0) * found.noise_floor.get("quaternion", 0.0),  # a turn is twice the quaternion's vector
         pressure_noise,
         travel,
         rms_about_mean([r.pressure_meas for r in training.recordings if r.pressure_meas is not None]),
@@ -144,6 +149,21 @@ def other_frames(simulated: Sequence[Recording], runs: Sequence[Recording]) -> f
         turns.append(place(points, np.concatenate([np.asarray(runs[k].position) for k in mine])).turn)
     cosines = [0.5 * (np.trace(a.T @ b) - 1.0) for i, a in enumerate(turns) for b in turns[:i]]
     return float(np.arccos(np.clip(min(cosines, default=1.0), -1.0, 1.0)))
+
+
+def turned_frame(simulated: Sequence[Recording], runs: Sequence[Recording]) -> float:
+    """Return the angle, rad, by which all motion together seems turned against the base frame; 0 where that is unclear.
+
+    A turn counts only if it explains most of the difference between simulated and measured motion.
+    """
+    points = np.concatenate([np.asarray(made.position) for made in simulated])
+    target = np.concatenate([np.asarray(run.position) for run in runs])
+    turn, shift = place(points, target)
+    plain = np.mean(np.sum((target - target.mean(axis=0) - points + points.mean(axis=0)) ** 2, axis=1))
+    placed = np.mean(np.sum((target - points @ turn.T - shift) ** 2, axis=1))
+    if placed > 0.25 * plain:
+        return 0.0
+    return float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
 
 
 def rms_about_mean(series: Sequence[np.ndarray]) -> float:

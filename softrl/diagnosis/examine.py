@@ -9,10 +9,11 @@ import numpy as np
 from scipy import stats
 
 from softrl.core.errors import SolverError
-from softrl.diagnosis.flexible import MEMORY_DEGREES, fit_ridge, memory_features
+from softrl.diagnosis.flexible import correction
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes
 from softrl.diagnosis.hypothesise import Path, Search, Trial, drop, fit_trials, forward, join
 from softrl.diagnosis.judge import Gap, Judge, Thresholds
+from softrl.diagnosis.locate import corrected, locate
 from softrl.diagnosis.problem import Problem, Residual
 from softrl.diagnosis.statistics import MIN_BLOCKS, blocks_of, correlation_time, sandwich, spectral_line, whiteness
 from softrl.recordings.recording import Recording
@@ -20,7 +21,10 @@ from softrl.recordings.recording import Recording
 log = logging.getLogger(__name__)
 WHITENESS_LAGS = 20
 AT_BOUND = 1e-3  # share of a range at whose ends a parameter is said to be at a bound
-LINE_LEVEL = 1e-4  # chance of a line in the spectrum of noise
+LINE_LEVEL = 1e-8  # chance of a line in the spectrum of noise
+UNDRIVEN_SHARE = 0.5  # of the squared error: effects that remove less explain nothing
+FOLLOWING_FACTOR = 2.0  # times what counts: structure below this may be a detail of the body
+FOLLOWING_LEVEL = 1e-3
 LARGE_SHARE = 0.05  # of the travel: noise with a memory is not as large
 
 
@@ -80,12 +84,13 @@ class Offer(NamedTuple):
 
 
 class Rival(NamedTuple):
-    """An alternative to a named effect: how much worse it is held out, and whether the data can tell."""
+    """An alternative to a named effect: how much worse it is held out, and whether the data can tell; its fit."""
 
     instead_of: Choice
     choice: Choice
     gap: Gap
     equivalent: bool
+    trial: Trial
 
 
 @dataclass(frozen=True)
@@ -106,6 +111,7 @@ class Finding:
     offer : what a map without physics could still remove
     residual_before, residual_after : held-out
     judge : on the held-out runs
+    joint : scaled parameters of all parts' effects and the simulator's, where they were refitted from command to motion
     """
 
     part: Part
@@ -123,6 +129,7 @@ class Finding:
     residual_before: Residual
     residual_after: Residual
     judge: Judge
+    joint: np.ndarray | None = None
 
 
 def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Finding:
@@ -153,22 +160,23 @@ def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Fi
 def _explained(judge: Judge, base: Trial, final: Trial, offer: Offer) -> tuple[float, float]:
     """Return (share of the squared error that can be explained which effects explain, error above the floor left).
 
-    What can be explained is what the effects remove, and what a map without physics could remove beyond them.
+    What can be explained is what the effects remove, and what a map without physics could remove beyond them. Effects
+    that remove less than ``UNDRIVEN_SHARE`` of the whole have to answer for the whole.
     """
     whole, left = float(judge.excess(base.mean_square)), float(judge.excess(final.mean_square))
+    removed = whole**2 - left**2
+    if removed <= UNDRIVEN_SHARE * whole**2:
+        return (removed / whole**2 if whole > 0.0 else 0.0), left
     rest = float(judge.excess(offer.squares.mean())) if offer.pays else left
-    can = whole**2 - min(rest, left) ** 2
-    return ((whole**2 - left**2) / can if can > 0.0 else 1.0), left
+    return removed / (whole**2 - min(rest, left) ** 2), left
 
 
 def _offer(part: Part, judge: Judge, trial: Trial) -> Offer:
     """Return what a map from pressures and their past to the residual, fitted on training runs, removes held out."""
     training = part.problem.residual(trial.hypothesis, trial.fit.point, trial.placed)
-    ridge = fit_ridge(memory_features(part.problem), training.runs, part.problem.folds, MEMORY_DEGREES)
     heldout = _heldout(judge, trial)
-    runs = [
-        values - ridge.predict(x) for values, x in zip(heldout.runs, memory_features(judge.problem).runs, strict=True)
-    ]
+    offered = correction(part.problem, training.runs, judge.problem)
+    runs = [values - extra for values, extra in zip(heldout.runs, offered, strict=True)]
     squares = Residual(runs, {}).squares
     return Offer(judge.gap(trial.squares, squares), judge.pays(trial.squares, squares), squares)
 
@@ -180,11 +188,15 @@ def _unexplained(judge: Judge, final: Trial, offer: Offer, explained: float, lef
     a large share of the motion.
     """
     heldout, reasons = _heldout(judge, final), []
-    if offer.pays and explained < judge.thresholds.explained_share:
+    if explained >= judge.thresholds.explained_share or left <= judge.material:
+        return []
+    if offer.pays:
         reasons.append("what is left follows the pressures and their past")
-    if left > judge.material and left > judge.floor and spectral_line(heldout.runs) < LINE_LEVEL:
+    elif left > FOLLOWING_FACTOR * judge.material and (region := _followed(judge, heldout)):
+        reasons.append(f"what is left follows the pressures and their past ({region})")
+    elif left > judge.floor and spectral_line(heldout.runs) < LINE_LEVEL:
         reasons.append("what is left swings at one frequency")
-    if left > LARGE_SHARE * judge.travel and explained < judge.thresholds.explained_share and not _white(heldout):
+    elif left > LARGE_SHARE * judge.travel and not _white(heldout):
         reasons.append("what is left is a large share of the motion")
     return reasons
 
@@ -198,7 +210,7 @@ def intervals(problem: Problem, trial: Trial, thresholds: Thresholds) -> list[In
     spread = np.sqrt(np.diag(sandwich(trial.fit.jacobian, trial.fit.residual, per_row)))
     freedom = max(int(blocks.max()) + 1 - len(spread), 1)
     reach = float(stats.t.ppf(thresholds.confidence, freedom)) * spread + _step_error(problem, trial)
-    found = []
+    found, bounds = [], space.bounds
     for k, axis in enumerate(space.axes):
         u = float(trial.fit.point[k])
         free = bool(trial.fit.jacobian[:, k].any())
@@ -206,7 +218,7 @@ def intervals(problem: Problem, trial: Trial, thresholds: Thresholds) -> list[In
         ends = sorted((axis.physical(float(low)), axis.physical(float(high))))
         value = axis.physical(u)
         low, high = min(ends[0], value), max(ends[1], value)
-        at_bound = min(axis.high - value, value - axis.low) < AT_BOUND * (axis.high - axis.low)
+        at_bound = bool(min(u - bounds[0][k], bounds[1][k] - u) < AT_BOUND * (bounds[1][k] - bounds[0][k]))
         found.append(Interval(axis.owner, axis.name, axis.unit, value, low, high, at_bound))
     return found
 
@@ -237,6 +249,16 @@ def _step_error(problem: Problem, trial: Trial) -> np.ndarray:
     return np.asarray(np.minimum(2.0 * np.abs(moved / size), 1.0))
 
 
+def _followed(judge: Judge, residual: Residual) -> str:
+    """Return in words what the residual follows beyond chance, or nothing."""
+    rows = corrected(locate(judge.problem, residual, judge.floor, ""))
+    named = [row for row in rows if row["p_value"] < FOLLOWING_LEVEL and row["region"] not in (None, "band")]
+    if not named:
+        return ""
+    chamber = f", chamber {named[0]['chamber']}" if named[0]["chamber"] else ""
+    return f"{named[0]['region']}{chamber}"
+
+
 def _on_heldout(judge: Judge, trial: Trial) -> Trial:
     """Return the trial with its squared errors on the held-out runs."""
     return trial._replace(squares=_heldout(judge, trial).squares)
@@ -252,7 +274,7 @@ def _confirm(
         weakest = min(gaps, key=lambda choice: gaps[choice].value)
         if gaps[weakest].value >= judge.material and gaps[weakest].low > 0.0:
             found = intervals(part.problem, final, judge.thresholds)
-            mine = _by_effect(final.hypothesis, found)
+            mine = by_effect(final.hypothesis, found)
             return final, [Named(choice, mine[choice], gaps[choice]) for choice in without], without
         log.info("%s does not pay on held-out runs and is not named", weakest.label())
         final = without[weakest]
@@ -279,16 +301,17 @@ def _rivals(
         if other.name not in taken
     ]
     trials = fit_trials(part.problem, judge.problem, tasks[: search.rivals], search)
-    found = []
+    found, both = [], judge.on((*part.problem.runs, *part.heldout))
     for trial in trials:
         gap = judge.gap(trial.squares, final.squares)
-        freer = len(trial.fit.point) > len(final.fit.point) and trial.mean_square > final.mean_square
-        alike = not judge.tells(trial.squares, final.squares)
-        found.append(Rival(choice, trial.hypothesis.effects[-1], gap, alike and not freer))
+        freer = len(trial.fit.point) > len(final.fit.point) and trial.everywhere.mean() > final.everywhere.mean()
+        alike = not both.tells(trial.everywhere, final.everywhere)
+        found.append(Rival(choice, trial.hypothesis.effects[-1], gap, alike and not freer, trial))
     return sorted(found, key=lambda rival: rival.gap.value)
 
 
-def _by_effect(hypothesis: Hypothesis, found: list[Interval]) -> dict[Choice, list[Interval]]:
+def by_effect(hypothesis: Hypothesis, found: list[Interval]) -> dict[Choice, list[Interval]]:
+    """Return the intervals of each effect's parameters."""
     left, sorted_out = list(found), {}
     for choice in hypothesis.effects:
         size = len(effect_axes(choice))

@@ -14,7 +14,9 @@ from scipy.signal import lfilter, lfiltic
 from softrl.diagnosis.problem import Problem
 
 MEMORY_S = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # time constants of the lagged pressures that stand for memory
-STATIC_DEGREES = (1, 2, 3)
+BRIEF_S = 1.0
+STATIC_DEGREES = (1, 2, 3, 4)
+BRIEF_DEGREES = (1, 2, 3)
 MEMORY_DEGREES = (1, 2)
 RIDGES = tuple(10.0**k for k in range(-6, 4))  # of the mean square of a standardised feature
 
@@ -46,6 +48,15 @@ class Ridge:
     def predict(self, features: np.ndarray) -> np.ndarray:
         """Return (rows, channels), the features held within what training saw, a spread beyond at most."""
         return np.asarray(_terms((features - self.mean) / self.spread, self.degree) @ self.weights + self.level)
+
+
+def brief_features(problem: Problem) -> Features:
+    """Return driving pressures and their lagged values at one time constant: memory for short recordings."""
+    found = []
+    for k in range(len(problem.runs)):
+        p = pressures(problem, k)
+        found.append(np.hstack([p, _lagged(p, problem.numerics.bin_s, BRIEF_S)]))
+    return Features(found)
 
 
 def static_features(problem: Problem) -> Features:
@@ -81,8 +92,25 @@ def _lagged(values: np.ndarray, period: float, tau: float) -> np.ndarray:
     return np.stack(columns, axis=1)
 
 
+KINDS = ((static_features, STATIC_DEGREES), (brief_features, BRIEF_DEGREES), (memory_features, MEMORY_DEGREES))
+
+
+def correction(training: Problem, targets: Sequence[np.ndarray], other: Problem) -> list[np.ndarray]:
+    """Return (bins, channels) a run of ``other``: what the best of all kinds of maps, fitted to ``targets``, predicts."""
+    fitted = [(features, *_chosen(features(training), targets, training.folds, degrees)) for features, degrees in KINDS]
+    features, ridge, _ = min(fitted, key=lambda found: found[2])
+    return [ridge.predict(rows) for rows in features(other).runs]
+
+
 def fit_ridge(features: Features, targets: Sequence[np.ndarray], folds: np.ndarray, degrees: Sequence[int]) -> Ridge:
-    """Return the map whose degree and shrinkage predict folds left out best.
+    """Return the map whose degree and shrinkage predict folds left out best: see ``_chosen``."""
+    return _chosen(features, targets, folds, degrees)[0]
+
+
+def _chosen(
+    features: Features, targets: Sequence[np.ndarray], folds: np.ndarray, degrees: Sequence[int]
+) -> tuple[Ridge, float]:
+    """Return the map whose degree and shrinkage predict folds left out best, and its mean squared error there.
 
     Parameters
     ----------
@@ -98,10 +126,10 @@ def fit_ridge(features: Features, targets: Sequence[np.ndarray], folds: np.ndarr
         terms = _terms((x - mean) / spread, degree)
         for ridge, error in zip(RIDGES, _left_out_errors(terms, y - level, folds), strict=True):
             best = min(best, (error, degree, ridge))
-    _, degree, ridge = best
+    error, degree, ridge = best
     terms = _terms((x - mean) / spread, degree)
     normal = terms.T @ terms + ridge * len(terms) * np.eye(terms.shape[1])
-    return Ridge(degree, mean, spread, np.linalg.solve(normal, terms.T @ (y - level)), level)
+    return Ridge(degree, mean, spread, np.linalg.solve(normal, terms.T @ (y - level)), level), error
 
 
 def _left_out_errors(terms: np.ndarray, target: np.ndarray, folds: np.ndarray) -> list[float]:

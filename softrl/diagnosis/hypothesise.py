@@ -13,13 +13,16 @@ from softrl.core.errors import ConfigError, SolverError
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes, may_be_pinned, neutral, starts
 from softrl.diagnosis.judge import Judge
 from softrl.diagnosis.problem import Problem, Registration
-from softrl.diagnosis.search import Fit, least_squares, refine
+from softrl.diagnosis.search import Fit, jacobian_at, least_squares, refine
 from softrl.diagnosis.statistics import left_out
 
 log = logging.getLogger(__name__)
 MIN_AMPLITUDE = 0.25  # a search begins at least at this share of an effect's typical size
 FIRST_ITERATIONS = 4  # of every start; only the best of them goes on
 SAME_NAME = 2  # forms of one effect (all chambers, one chamber) that are fitted in full
+ROUGH_STARTS = 2  # of every effect that are followed
+ROUGH_DIFFERENCE = 0.02  # scaled step of differences
+FAR = 0.5  # a parameter retuned by more than this factor, in logarithms, is no longer near nominal
 SILENT = 1e-6  # of the largest column: a parameter with less influence on the residual has none
 
 
@@ -59,17 +62,27 @@ class Search:
 
 
 class Trial(NamedTuple):
-    """A fitted hypothesis: its search, the placements found with it, and squared errors (bins,) on runs left out."""
+    """A fitted hypothesis: its search, the placements found with it, and squared errors (bins,).
+
+    ``inside`` holds those on the fitted runs, each left out in turn; ``squares`` those that judge it: the same, or the
+    errors on runs that no fit saw.
+    """
 
     hypothesis: Hypothesis
     fit: Fit
     placed: dict[str, Registration]
     squares: np.ndarray
+    inside: np.ndarray
 
     @property
     def mean_square(self) -> float:
         """Mean squared error on runs left out."""
         return float(self.squares.mean())
+
+    @property
+    def everywhere(self) -> np.ndarray:
+        """Squared errors on all runs, none of which its fit saw."""
+        return np.concatenate([self.inside, self.squares])
 
 
 class Lead(NamedTuple):
@@ -240,13 +253,13 @@ def _fit_trial(
         fit = least_squares(lambda u: fitting.residual(hypothesis, u).flat, fit.point, low, high, rest)
     try:
         placed = fitting.residual(hypothesis, fit.point).registrations
-        squares = _squares_left_out(fitting, fit, low, high)
+        squares = inside = _squares_left_out(fitting, fit, low, high)
         if unseen is not None:
             squares = unseen.residual(hypothesis, fit.point, placed).squares
     except SolverError as error:
         log.info("%s diverges on runs left out and is dropped: %s", hypothesis.label(), error)
         return None
-    return Trial(hypothesis, fit, placed, squares)
+    return Trial(hypothesis, fit, placed, squares, inside)
 
 
 def _squares_left_out(fitting: Problem, fit: Fit, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -262,18 +275,66 @@ def rank(fitting: Problem, current: Trial, choices: Sequence[Choice], search: Se
 
     Every effect is fitted nonlinearly, first for all chambers, then in each chamber alone from the shapes found so.
     """
-    jacobian = current.fit.jacobian
-    basis = np.linalg.qr(jacobian)[0] if jacobian.size else np.zeros((len(jacobian), 0))
+    fitting = fitting.rough
+    bases = _bases(fitting, current, search.rough_steps)
     for_all = [choice for choice in choices if choice.chamber < 0]
-    jobs: list[tuple[Any, ...]] = [(fitting, current, basis, c, starts(c), search.rough_steps) for c in for_all]
+    jobs: list[tuple[Any, ...]] = [(fitting, bases, c, starts(c), search.rough_steps) for c in for_all]
     leads: list[Lead] = parallel(_rough_fit, jobs, search.workers)
     shapes = {lead.choice.name: lead.point[: len(effect_axes(lead.choice))] for lead in leads}
     alone = [choice for choice in choices if choice.chamber >= 0]
-    jobs = [
-        (fitting, current, basis, c, [_plain(c, shapes.get(c.name)), starts(c)[0]], search.rough_steps) for c in alone
-    ]
+    jobs = [(fitting, bases, c, [_plain(c, shapes.get(c.name)), starts(c)[0]], search.rough_steps) for c in alone]
     leads += parallel(_rough_fit, jobs, search.workers)
     return sorted(leads, key=lambda lead: -lead.gain)
+
+
+class _Base(NamedTuple):
+    """Where rough fits begin: a trial, and an orthonormal basis (rows, p) of what its free parameters can do."""
+
+    trial: Trial
+    basis: np.ndarray
+
+
+def _bases(fitting: Problem, current: Trial, steps: int) -> list[_Base]:
+    """Return ``current``, and if the simulator's parameters went far, the same with them back at nominal.
+
+    Parameters that were retuned in an effect's place lead to wherever they hide it best, often to a bound, from where
+    a few steps do not come back.
+    """
+    trials = [_settled(fitting, current, steps)]
+    free = len(current.hypothesis.tuned)
+    if free and np.abs(trials[0].fit.point[-free:]).max() > FAR:
+        point = trials[0].fit.point.copy()
+        point[-free:] = 0.0
+        low, high = fitting.space(current.hypothesis).bounds
+        try:
+            value = fitting.residual(current.hypothesis, point).flat
+            jacobian = jacobian_at(
+                lambda u: fitting.residual(current.hypothesis, u).flat, point, value, low, high, ROUGH_DIFFERENCE
+            )
+            fit = Fit(point, value, jacobian, 0.5 * float(value @ value), 0)
+            trials.append(trials[0]._replace(fit=fit))
+        except SolverError:
+            log.debug("%s does not run with nominal parameters", current.hypothesis.label())
+    return [
+        _Base(trial, np.linalg.qr(trial.fit.jacobian)[0] if trial.fit.jacobian.size else trial.fit.jacobian)
+        for trial in trials
+    ]
+
+
+def _settled(fitting: Problem, trial: Trial, steps: int) -> Trial:
+    """Return ``trial`` refitted roughly on a problem of other steps."""
+    low, high = fitting.space(trial.hypothesis).bounds
+    none = np.zeros(0, dtype=int)
+    fit = refine(
+        lambda u: fitting.residual(trial.hypothesis, u).flat,
+        trial.fit.point,
+        trial.fit.jacobian,
+        none,
+        low,
+        high,
+        steps,
+    )
+    return trial._replace(fit=fit, squares=_squares_left_out(fitting, fit, low, high))
 
 
 def _plain(choice: Choice, shape: np.ndarray | None) -> np.ndarray:
@@ -284,10 +345,9 @@ def _plain(choice: Choice, shape: np.ndarray | None) -> np.ndarray:
     return shape
 
 
-def _rough_fit(
-    fitting: Problem, current: Trial, basis: np.ndarray, choice: Choice, points: list[np.ndarray], steps: int
-) -> Lead:
-    """Return one effect, fitted in few steps from its two best starts: its own derivatives anew, others kept."""
+def _rough_fit(fitting: Problem, bases: list[_Base], choice: Choice, points: list[np.ndarray], steps: int) -> Lead:
+    """Return one effect, fitted in few steps from its best starts: its own derivatives anew, others kept."""
+    current = bases[0].trial
     hypothesis = current.hypothesis.with_effect(choice)
     low, high = fitting.space(hypothesis).bounds
     before = current.mean_square
@@ -298,14 +358,15 @@ def _rough_fit(
     first = len(current.fit.point) - len(current.hypothesis.tuned)
     own = np.arange(first, first + len(effect_axes(choice)))
     found = []
-    for begin in _begins(fitting, current, basis, choice, points)[:2]:
-        known = np.insert(current.fit.jacobian, [first] * len(own), 0.0, axis=1)
-        try:
-            fit = refine(residual, join(current, begin), known, own, low, high, steps)
-        except SolverError:
-            continue
-        left = float(_squares_left_out(fitting, fit, low, high).mean())
-        found.append((left, np.r_[fit.point[own], np.delete(fit.point, own)]))
+    for trial, basis in bases:
+        known = np.insert(trial.fit.jacobian, [first] * len(own), 0.0, axis=1)
+        for begin in _begins(fitting, trial, basis, choice, points)[:ROUGH_STARTS]:
+            try:
+                fit = refine(residual, join(trial, begin), known, own, low, high, steps)
+            except SolverError:
+                continue
+            left = float(_squares_left_out(fitting, fit, low, high).mean())
+            found.append((left, np.r_[fit.point[own], np.delete(fit.point, own)]))
     if not found:
         return Lead(choice, np.r_[points[0], current.fit.point], -np.inf)
     left, point = min(found, key=lambda pair: pair[0])

@@ -1,7 +1,7 @@
 """What pays: errors on unseen runs, with intervals that respect how long errors stay alike."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -10,6 +10,7 @@ import numpy as np
 from softrl.core.errors import ConfigError
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.statistics import MIN_BLOCKS, blocks_of, bootstrap_means, correlation_time
+from softrl.recordings.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,10 @@ class Judge:
     thresholds: Thresholds
     seed: int
 
+    def on(self, runs: Sequence[Recording]) -> "Judge":
+        """Return the same judge of other runs."""
+        return replace(self, problem=self.problem.on(runs))
+
     @property
     def material(self) -> float:
         """The smallest difference of errors that counts, m (Pa)."""
@@ -106,8 +111,11 @@ class Judge:
         Where both leave structure behind, neither is the truth, and a difference that is small beside what is left
         says nothing about which of them is nearer to it.
         """
-        gap = self.gap(worse, better)
-        return gap.low > 0.0 and gap.value >= self.thresholds.material_gain * float(self.excess(better.mean()))
+        change = worse - better
+        drawn = bootstrap_means(change, self._blocks(change), self.thresholds.draws, np.random.default_rng(self.seed))
+        sure = np.quantile(drawn, 1.0 - self.thresholds.confidence) > 0.0
+        needed = ((1.0 + self.thresholds.material_gain) ** 2 - 1.0) * float(self.excess(better.mean())) ** 2
+        return bool(sure and change.mean() >= needed)
 
     def simplest(self, trials: Sequence[Any]) -> Any:
         """Return the best trial, or one with fewer free parameters from which the data cannot tell it."""

@@ -32,6 +32,7 @@ class Numerics:
     """Steps and bounds that every replay shares; fields as in the stage's Config."""
 
     dt_s: float
+    rough_dt_s: float
     bin_s: float
     settle_s: float
     tuned_factor: float
@@ -124,6 +125,11 @@ class Problem:
     def on(self, runs: Sequence[Recording]) -> "Problem":
         """Return the same problem on other runs."""
         return replace(self, runs=tuple(runs))
+
+    @property
+    def rough(self) -> "Problem":
+        """The same problem with the step of rough fits."""
+        return replace(self, numerics=replace(self.numerics, dt_s=self.numerics.rough_dt_s))
 
     def space(self, hypothesis: Hypothesis) -> Space:
         """Return the free parameters of a hypothesis."""

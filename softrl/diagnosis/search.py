@@ -114,7 +114,7 @@ def refine(
             point, value, cost, damping = found.point, found.value, found.cost, found.damping
             if decrease < 0.01:
                 break
-        if not again or np.abs(point - np.clip(start, low, high)).max() < 0.05:
+        if not again or np.abs(point - np.clip(start, low, high)).max(initial=0.0) < 0.05:
             break
     return Fit(point, value, jacobian, cost, used)
 

@@ -75,7 +75,7 @@ def generate_chunks(
     """
     counts = [min(runs_per_chunk, runs - start) for start in range(0, runs, runs_per_chunk)]
     tasks = [(recipe, count, child) for count, child in zip(counts, seed.spawn(len(counts)), strict=True)]
-    rows, rates = _files(kept, recipe, runs)
+    _make_files(kept, recipe, runs)
     waiting = [k for k in range(len(tasks)) if f"chunk_{k}" not in kept]
     resumed = len(tasks) - len(waiting)
     if resumed:
@@ -84,9 +84,10 @@ def generate_chunks(
     for number, chunk in progress(made, "chunks of motion", len(waiting)):
         k = waiting[number]
         part = slice(k * runs_per_chunk, k * runs_per_chunk + counts[k])
-        rows[part], rates[part] = chunk.rows, chunk.next_rate
-        rows.flush()
-        rates.flush()
+        for name, values in ((ROWS, chunk.rows), (RATES, chunk.next_rate)):
+            file = np.lib.format.open_memmap(kept.folder / name, mode="r+")  # anew, or all that was written stays mapped
+            file[part] = values
+            file.flush()
         kept.save(f"chunk_{k}", {"within_reach": np.asarray(chunk.within_reach)})
     within = sum(int(kept.load(f"chunk_{k}")["within_reach"]) for k in range(len(tasks)))
     # copy on write: torch wants memory that it might change
@@ -112,17 +113,14 @@ def _within_reach(z: np.ndarray, frame: np.ndarray | None) -> int:
     return int((np.linalg.norm(y, axis=0) <= 1.0).sum())
 
 
-def _files(kept: Kept, recipe: Recipe, runs: int) -> tuple[np.memmap, np.memmap]:
-    """Return the files' arrays, made anew unless an earlier run left them."""
+def _make_files(kept: Kept, recipe: Recipe, runs: int) -> None:
+    """Make the two files at their full size, unless an earlier run left them."""
     n = recipe.robot.chambers
     states, loads = 8 + n, n + 3
     shapes = {
         ROWS: (runs, recipe.steps + recipe.window - 2, 2 * states + loads), RATES: (runs, recipe.steps - 1, states)
     }  # fmt: skip
     kept.folder.mkdir(parents=True, exist_ok=True)
-    opened = []
     for name, shape in shapes.items():
-        path = kept.folder / name
-        mode = "r+" if path.is_file() else "w+"
-        opened.append(np.lib.format.open_memmap(path, mode=mode, dtype=np.float32, shape=shape))
-    return opened[0], opened[1]
+        if not (kept.folder / name).is_file():
+            np.lib.format.open_memmap(kept.folder / name, mode="w+", dtype=np.float32, shape=shape)

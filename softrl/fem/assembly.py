@@ -6,7 +6,7 @@ from typing import Any
 import numba as nb
 import numpy as np
 
-from softrl.fem.material import LAW, STRESS, TANGENT
+from softrl.fem.material import LAW, STRESS, TANGENT, VISCOUS, add_second_derivative_of_volume, cofactor_of
 
 _law = nb.types.FunctionType(LAW)
 _f1, _f2, _f3, _f4 = (nb.types.Array(nb.float64, d, "C") for d in (1, 2, 3, 4))
@@ -58,18 +58,23 @@ def _assembler(nodes: int, points: int) -> Any:
     """Return the kernel for elements of so many nodes and integration points: constants make its loops fast."""
 
     @nb.njit(
-        nb.float64(_law, _f1, _f2, _i2, _f4, _f2, nb.int64, _i3, _f2, _f3),
+        nb.float64(_law, _f1, nb.float64, _f2, _i2, _f4, _f2, nb.int64, _i3, _f2, _f3),
         cache=True, fastmath={"contract", "reassoc", "nsz", "arcp"},
     )
     def assemble_elastic(
-        law: Any, parameters: np.ndarray, x: np.ndarray, elements: np.ndarray, gradients: np.ndarray,
+        law: Any, parameters: np.ndarray, bulk: float, x: np.ndarray, elements: np.ndarray, gradients: np.ndarray,
         weights: np.ndarray, order: int, slots: np.ndarray, gradient: np.ndarray, blocks: np.ndarray,
     ) -> float:
         """Return the elastic energy in J at nodes ``x`` (nodes, 3) m, infinite where the law ends.
 
         From ``order`` 1 on its gradient is added to ``gradient`` (nodes, 3) N, from 2 on its Hessian to the node-pair
         ``blocks`` (pairs, 3, 3) N/m. ``weights`` (elements, points) m^3 may carry a stiffness factor per element.
+
+        ``bulk`` in Pa adds bulk/2 (J - 1)^2 with J averaged over the element: one condition of volume an element
+        does not lock, one at each integration point does. At order ``VISCOUS`` only the rate of that mean is weighed.
         """
+        cofactor, normal = np.empty((points, 3, 3)), np.empty((nodes, 3))
+        volume = push = 0.0
         f, p, tangent = np.empty((3, 3)), np.zeros((3, 3)), np.zeros((9, 9))
         local, part = np.empty((nodes, 3)), np.empty((nodes, 3, 9))
         stiff = np.empty((nodes, 3, 3, nodes))  # node, component, component, node: the last axis vectorises
@@ -81,6 +86,19 @@ def _assembler(nodes: int, points: int) -> Any:
                     local[a, i] = x[elements[e, a], i]
             if order >= TANGENT:
                 stiff[:] = 0.0
+            if bulk > 0.0:
+                volume = swept = 0.0
+                for q in range(points):
+                    f[:] = 0.0
+                    for a in range(nodes):
+                        for i in range(3):
+                            for j in range(3):
+                                f[i, j] += local[a, i] * gradients[e, q, a, j]
+                    volume += weights[e, q]
+                    swept += weights[e, q] * cofactor_of(f, cofactor[q])
+                push = bulk * (swept / volume - 1.0) if order < VISCOUS else 0.0
+                energy += 0.5 * push * (swept - volume)
+                normal[:] = 0.0
             for q in range(points):
                 f[:] = 0.0
                 for a in range(nodes):
@@ -94,6 +112,16 @@ def _assembler(nodes: int, points: int) -> Any:
                 energy += weight * density
                 if order < STRESS:
                     continue
+                if bulk > 0.0:
+                    for a in range(nodes):
+                        for i in range(3):
+                            for j in range(3):
+                                normal[a, i] += weight * cofactor[q, i, j] * gradients[e, q, a, j]
+                    for i in range(3):
+                        for j in range(3):
+                            p[i, j] += push * cofactor[q, i, j]
+                    if order >= TANGENT:
+                        add_second_derivative_of_volume(push, f, tangent)
                 for a in range(nodes):
                     for i in range(3):
                         force = 0.0
@@ -119,6 +147,12 @@ def _assembler(nodes: int, points: int) -> Any:
                             for b in range(nodes):
                                 stiff[a, i, k, b] += t0 * column[0, b] + t1 * column[1, b] + t2 * column[2, b]
             if order >= TANGENT:
+                if bulk > 0.0:
+                    for a in range(nodes):
+                        for i in range(3):
+                            for k in range(3):
+                                for b in range(nodes):
+                                    stiff[a, i, k, b] += bulk / volume * normal[a, i] * normal[b, k]
                 for a in range(nodes):
                     for b in range(nodes):
                         slot = slots[e, a, b]

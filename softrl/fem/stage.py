@@ -18,6 +18,7 @@ from softrl.core.resume import Kept, pack, unpack
 from softrl.core.tracking import Tracker
 from softrl.fem.continuation import Cost, Equilibrium, follow
 from softrl.fem.figures import draw_newton, draw_shapes, draw_tips, draw_trajectories
+from softrl.fem.lag import lag_at
 from softrl.fem.material import Material, material_of
 from softrl.fem.model import FemModel
 from softrl.fem.newton import NewtonSettings
@@ -101,6 +102,7 @@ def run(
     samples, trajectories, reused = _compute(body, loads, chains, programs, parallel or LOCAL, kept)
     tracker.metric("parts_resumed", reused)
     log.info("%d equilibria and %d trajectories in %.0f s", len(samples), len(trajectories), time.monotonic() - began)
+    _record_failures(loads, samples, tracker)
     _refuse_failures(len(loads) - len(samples), config)
     snapshots = _collect(body, loads, samples, clock, trajectories)
     _report(snapshots, samples, config.trajectories, tracker)
@@ -130,6 +132,9 @@ class Row(NamedTuple):
     compliance: np.ndarray
     tangent_stiffness: np.ndarray
     tangent_mass: np.ndarray
+    lag_stiffness: np.ndarray
+    lag_viscosity: np.ndarray
+    lag_spin: np.ndarray
     centre_of_mass: np.ndarray
     tip_quaternion: np.ndarray
     displacement: np.ndarray
@@ -201,13 +206,16 @@ def _trace(body: Body, loads: np.ndarray, chain: np.ndarray) -> list[Found]:
 
 def _row(model: FemModel, equilibrium: Equilibrium) -> Row:
     pose, tangent = equilibrium.pose, equilibrium.tangent
-    corners = model.quadratic.corners
+    corners, lag = model.quadratic.corners, lag_at(model, pose, tangent)
     return Row(
         coordinate=model.coordinate(pose),
         energy=model.elastic_energy(pose),
         compliance=0.5 * (tangent.compliance + tangent.compliance.T),
         tangent_stiffness=tangent.stiffness,
         tangent_mass=tangent.mass,
+        lag_stiffness=lag.stiffness,
+        lag_viscosity=lag.viscosity,
+        lag_spin=lag.spin,
         centre_of_mass=model.centre_of_mass(pose),
         tip_quaternion=model.tip_quaternion(pose),
         displacement=(pose.position - model.quadratic.points)[:corners].astype(np.float32),
@@ -221,6 +229,16 @@ def _move(body: Body, program: np.ndarray) -> Trajectory | None:
     except SolverError as failure:
         log.warning("a trajectory is left out: %s", failure)
         return None
+
+
+def _record_failures(loads: np.ndarray, samples: list[Found], tracker: Tracker) -> None:
+    """Keep the loads that found no equilibrium with the run, one a line."""
+    missing = np.setdiff1d(np.arange(len(loads)), [number for number, _, _ in samples])
+    if len(missing):
+        n = loads.shape[1] - 3
+        names = ["sample", *(f"p{k + 1}_pa" for k in range(n)), "force_x_n", "force_y_n", "force_z_n"]
+        rows = [",".join([str(number), *(f"{value:.9g}" for value in loads[number])]) for number in missing]
+        tracker.text("failed_loads.csv", "\n".join([",".join(names), *rows]) + "\n")
 
 
 def _refuse_failures(failed: int, config: Config) -> None:

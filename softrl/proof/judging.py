@@ -50,7 +50,7 @@ def diagnosed(
 def plain(found: Diagnosis) -> Answer:
     """Return the parts of a diagnosis that are scored."""
     return {
-        "verdict": found.verdict,
+        "verdict": "cannot tell" if "cannot_tell" in found.unexplained else found.verdict,
         "effects": [
             {"name": e["name"], "site": e["site"], "chamber": e["chamber"], "parameters": e["parameters"]}
             for e in found.effects

@@ -86,9 +86,9 @@ def coverage(key: dict[str, Any], given: dict[str, Any]) -> tuple[int, int]:
             effect, parameter = name.split(".")
             if effect not in found or found[effect]["chamber"] not in (hidden["chamber"], -1):
                 continue
-            entry = found[effect]["parameters"][parameter]
-            if not np.isfinite([entry["low"], entry["high"]]).all():
-                continue
+            entry = found[effect]["parameters"].get(parameter)
+            if entry is None or not np.isfinite([entry["low"], entry["high"]]).all():
+                continue  # not free, or beyond what the data tell
             counted += 1
             covered += entry["low"] <= value <= entry["high"]
     return covered, counted

@@ -8,9 +8,11 @@ from softrl.artifacts.surrogate import Surrogate
 from softrl.calibration.pressure_map import PressureMap
 from softrl.core.errors import ArtifactError
 from softrl.rl.policy import act, joints, observation
+from softrl.rl.tasks.task import Task
+from softrl.rl.workspace import Workspace
+from softrl.sim2real.course import Course
 from softrl.sim2real.rollout import Controller
 from softrl.surrogate.maps import PressureToJoints
-from softrl.surrogate.twin import Twin
 
 
 class PolicyController:
@@ -18,20 +20,22 @@ class PolicyController:
 
     Parameters
     ----------
-    target : (steps, 3) m, a closed curve, so that the targets after the last are the first
+    course : what it follows
     """
 
-    def __init__(self, policy: Policy, surrogate: Surrogate, calibration: Calibration, target: np.ndarray) -> None:
+    def __init__(self, policy: Policy, surrogate: Surrogate, calibration: Calibration, course: Course) -> None:
         require_chambers(surrogate, calibration)
-        self._act, self._policy, self._target = act(policy, surrogate.robot_name), policy, target
+        self._act, self._policy, self._course = act(policy, surrogate.robot_name), policy, course
         self._maps, self._calibrated = PressureToJoints(surrogate), PressureMap(calibration)
         self._theta = self._maps.joints(np.zeros((1, surrogate.chambers)))
-        self._no_force = np.zeros((1, policy.horizon))
 
     def pressure(self, position: np.ndarray, step: int, tip_force: np.ndarray | None = None) -> np.ndarray:
         """Return P_R (chambers,) Pa for the target of ``step``, the tip being at ``position`` (3,) m."""
-        ahead = self._target[None, (max(step, 0) + np.arange(self._policy.horizon)) % len(self._target)]
-        seen = observation(self._policy, position[None], self._theta, self._no_force[:, 0], ahead, self._no_force)
+        course = self._course
+        ahead = (max(step, 0) + np.arange(self._policy.horizon)) % len(course.position)
+        pressed = np.atleast_1d(course.pressed(tip_force))
+        targets = course.position[None, ahead], course.force[None, ahead]
+        seen = observation(self._policy, position[None], self._theta, pressed, *targets)
         self._theta = joints(self._policy, self._act(seen))
         return np.asarray(self._calibrated.sim_to_real(self._maps.pressure(self._theta))[0])
 
@@ -39,8 +43,9 @@ class PolicyController:
 class ModelController:
     """The surrogate's inverse for each target, sent as if the robot were the simulator: no feedback, no calibration."""
 
-    def __init__(self, surrogate: Surrogate, target: np.ndarray) -> None:
-        self._pressure = PressureToJoints(surrogate).pressure(Twin(surrogate).joints_for_tip(target))
+    def __init__(self, space: Workspace, task: Task, course: Course) -> None:
+        theta = task.expert(course.position, course.force, space)
+        self._pressure = PressureToJoints(space.surrogate).pressure(theta)
 
     @property
     def pressures(self) -> np.ndarray:

@@ -18,7 +18,7 @@ from softrl.sim2real.filter import moving_average
 
 log = logging.getLogger(__name__)
 
-# tip positions (steps, 3) m -> what is compared with the targets, (steps, 3) m
+# tip positions (steps, 3) m -> what is compared with the targets, (steps, 3) m, by the simulation
 Reading = Callable[[np.ndarray], np.ndarray]
 
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import fields, replace
 from pathlib import Path
 
 import hydra
@@ -15,9 +16,14 @@ import pytest
 from hydra.errors import ConfigCompositionException
 
 from softrl.__main__ import _one_line, _spell_out
+from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ConfigError
 from softrl.core.parallel import LOCAL, Parallel, seeds
 from softrl.core.resume import Kept
+from softrl.core.tracking import NullTracker
+from softrl.fem.stage import run as run_fem
+from tests.fem.bodies import box_robot, hollow_box
+from tests.fem.test_stage import CONFIG
 
 ROOT = Path(__file__).resolve().parents[2]
 TASKS = 12
@@ -136,5 +142,21 @@ def test_a_sweep_goes_to_slurm() -> None:
 
 def test_a_missing_launcher_is_one_line() -> None:
     assert _spell_out("launcher=slurm") == ["hydra/launcher=slurm"]
+    assert _spell_out("bench=rl,policy") == ["bench=[rl,policy]"] and _spell_out("bench=fem") == ["bench=fem"]
+    assert _spell_out("bench=rl,policy", sweep=True) == ["bench=rl,policy"]
     missing = ConfigCompositionException("In 'hydra/launcher/slurm': Could not load 'hydra/launcher/submitit_slurm'.")
     assert "softrl[slurm]" in _one_line(missing) and "\n" not in _one_line(missing)
+
+
+@pytest.mark.slow
+def test_the_fem_stage_gives_the_same_artifact_on_a_cluster(
+    cluster: tuple[str, list[subprocess.Popen[bytes]]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    robot, box = box_robot(2), hollow_box(chambers=2)
+    settings = replace(CONFIG, equilibria=3, paths=2, trajectories=1, processes=2)
+    here = run_fem(settings, robot, box, tracker=NullTracker())
+    there = run_fem(settings, robot, box, Parallel("dask", None, cluster[0]), tracker=NullTracker())
+    for field in fields(Snapshots):
+        one, two = getattr(here, field.name), getattr(there, field.name)
+        assert np.array_equal(one, two) if isinstance(one, np.ndarray) else one == two, field.name

@@ -14,6 +14,7 @@ from softrl.effects.hysteresis import Hysteresis
 from softrl.effects.lag import Lag
 from softrl.effects.offset import Offset
 from softrl.robots.robot import Robot
+from softrl.sim2real.course import Course
 from softrl.sim2real.drivers.rig import Noise
 from softrl.sim2real.planning import Plan, PlannedController, Planning, Route, linearise, plan
 from softrl.sim2real.rollout import Pace, follow
@@ -55,8 +56,8 @@ def planned(route: Route, target: np.ndarray, guess: np.ndarray) -> Plan:
 
 def error_mm(controller: Any, robot: Robot, body: Simulator, noise: Noise, target: np.ndarray, *hidden: Effect) -> float:
     driver = BenchDriver(robot, body, noise, hidden)
-    rollout = follow(driver, robot, controller, target, Pace(PERIOD_S, 2, APPROACH), "loop", "loop")
-    return 1e3 * rollout.error_m(target)
+    rollout = follow(driver, robot, controller, Course.free("loop", target), Pace(PERIOD_S, 2, APPROACH), "loop", "loop")
+    return 1e3 * rollout.error_m()
 
 
 def test_known_physics_is_inverted_without_feedback(
@@ -101,7 +102,7 @@ def test_the_prediction_is_what_the_rig_does(
             return request[step + 1]
 
     driver = BenchDriver(tripod, body, silence)
-    rollout = follow(driver, tripod, Playing(), target, Pace(PERIOD_S, 2, 1), "play", "play")
+    rollout = follow(driver, tripod, Playing(), Course.free("play", target), Pace(PERIOD_S, 2, 1), "play", "play")
     np.testing.assert_allclose(rollout.reached, predicted[1:], atol=5e-5)
 
 

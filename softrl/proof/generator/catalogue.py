@@ -58,21 +58,21 @@ RIGHT: dict[str, tuple[int, tuple[str, ...], float]] = {
     "relay": (laws.RELAY, ("deadband",), 0.2),
     "ceiling": (laws.CEILING, ("supply_limit",), 0.7),
     "orifice": (laws.ORIFICE, ("leak",), 0.6),
-    "gain": (laws.GAIN, ("gain",), 0.4),
+    "gain": (laws.GAIN, ("gain", "asymmetry"), 0.4),
     "offset": (laws.OFFSET, ("offset",), 0.25),
     "coupling": (laws.COUPLING, ("crosstalk",), 0.4),
-    "balloon": (laws.BALLOON, ("area_growth", "strain_softening"), 1.5),
-    "powerlaw": (laws.POWERLAW, ("viscoelasticity",), 1.5),
-    "slip": (laws.SLIP, ("hysteresis",), 0.3),
-    "bristle": (laws.BRISTLE, ("friction", "hysteresis"), 0.2),
+    "balloon": (laws.BALLOON, ("area_growth", "strain_softening", "knee"), 1.5),
+    "powerlaw": (laws.POWERLAW, ("viscoelasticity", "power_creep"), 1.5),
+    "slip": (laws.SLIP, ("hysteresis", "play"), 0.3),
+    "bristle": (laws.BRISTLE, ("friction", "hysteresis", "play"), 0.2),
     "damage": (laws.DAMAGE, ("mullins",), 0.6),
     "fung": (laws.FUNG, ("strain_stiffening",), 150.0),
-    "soften": (laws.SOFTEN, ("strain_softening", "area_growth"), 8.0),
+    "soften": (laws.SOFTEN, ("strain_softening", "area_growth", "knee"), 8.0),
     "wall": (laws.WALL, ("stiffness_scale",), 1.5),
     "relax": (laws.RELAX, ("drift",), 0.4),
-    "mass": (laws.MASS, ("payload",), 0.5),
+    "mass": (laws.MASS, ("payload",), 1.5),
     "tilt": (laws.TILT, ("mount_tilt",), 0.5),
-    "rebound": (laws.REBOUND, ("contact",), 400.0),
+    "rebound": (laws.REBOUND, ("contact",), 2000.0),
     "string": (laws.STRING, ("tether",), 120.0),
     "frame": (laws.FRAME, ("frame",), 0.25),
     "marker": (laws.MARKER, ("marker_offset",), 0.15),
@@ -102,7 +102,10 @@ CONCEALED = (
     ("relax", "late"),
     ("gain", "late"),
 )
-LATE_TOO = {"gain": ("drift",)}  # a gain that changes late looks like a stiffness that does
+# what else is right where a law acts late: a change in time, whatever changes
+LATE_TOO = {"gain": ("failure", "drift"), "orifice": ("failure",)}
+# what else is right where the chambers' pressures are not recorded
+UNMEASURED_TOO = {"line": ("delay",), "latency": ("dead_time",), "ceiling": ("knee",), "relay": ("play",)}
 PAIRS = (
     ("spool", "powerlaw"),
     ("powerlaw", "slip"),
@@ -122,6 +125,12 @@ PAIRS = (
 )
 INSEPARABLE = (
     ("dead_time", "delay", "without measured pressure a delay before a time-invariant body equals one behind it"),
+    ("supply_limit", "knee", "without measured pressure a ceiling is a knee beyond which nothing more acts"),
+    ("deadband", "play", "without measured pressure play in the regulator equals play between pressure and strain"),
+    ("gain", "asymmetry", "three chambers' gains are a common one, which retuning takes, and a first harmonic"),
+    ("hysteresis", "play", "a sum of slips lies between one slip with corners and Bouc-Wen without"),
+    ("viscoelasticity", "power_creep", "a sum of modes is either, within a few decades of time"),
+    ("area_growth", "knee", "a smooth and a broken form of the same static curve"),
     ("friction", "hysteresis", "a bristle that slips is Bouc-Wen hysteresis of exponent one with a short yield"),
     ("area_growth", "strain_softening", "a static softening response to pressure alone, no load, no force"),
     ("lag", "tube_line", "a well-damped second order beside a first"),
@@ -182,7 +191,7 @@ def draw(name: str, place: str, session_s: float, chambers: int, rng: np.random.
     elif name == "tilt":
         drawn = {0: direction[0] / np.hypot(*direction[:2]), 1: direction[1] / np.hypot(*direction[:2])}
     elif name == "rebound":
-        drawn = {1: u(0.08, 0.2), 2: u(-np.pi, np.pi)}
+        drawn = {1: u(0.02, 0.08), 2: u(-np.pi, np.pi)}
     elif name == "string":
         angle, far = u(-np.pi, np.pi), u(0.1, 0.4)
         drawn = {1: far * np.cos(angle), 2: far * np.sin(angle), 3: u(0.02, 0.08)}
@@ -200,7 +209,7 @@ def draw(name: str, place: str, session_s: float, chambers: int, rng: np.random.
     if place == "above":
         drawn[laws.ABOVE] = u(0.3, 0.45)
         if name == "rebound":
-            drawn[1], drawn[laws.ABOVE] = u(0.2, 0.25), UP
+            drawn[1], drawn[laws.ABOVE] = u(0.09, 0.12), UP
     if place == "late":
         drawn[laws.LATE] = u(0.4, 0.6) * session_s
         right = right + LATE_TOO.get(name, ())
@@ -217,9 +226,7 @@ def sticking(session_s: float, chambers: int, amplitude: float, rng: np.random.G
 
 def answers(hidden: Hidden, measured_pressure: bool) -> tuple[str, ...]:
     """Return the names that count as right for ``hidden``."""
-    if not measured_pressure and hidden.name in ("line", "latency"):
-        return ("dead_time", "delay")
-    return hidden.right
+    return hidden.right + (() if measured_pressure else UNMEASURED_TOO.get(hidden.name, ()))
 
 
 def frozen() -> str:

@@ -84,12 +84,13 @@ def _run(
     masses[n] = P[laws.MASS, 0] * mass
     points, speeds, biases = np.zeros((n + 1, 3)), np.zeros((n + 1, 3)), np.zeros((n + 1, 3))
     jacobian, R, M = np.zeros((n + 1, 3, m)), np.zeros((3, 3)), np.zeros((m, m))
-    A, x, force, last = np.zeros((m, m)), np.zeros(m), np.zeros(m), np.zeros(m)
+    A, x, force, between = np.zeros((m, m)), np.zeros(m), np.zeros(m), np.zeros(m)
     mid_q, mid_v = np.zeros(m), np.zeros(m)
     supplies, chamber = np.zeros((chambers, laws.SUPPLY_SLOTS)), np.zeros((chambers, 2))
     walls, modes = np.zeros((chambers, laws.WALL_SLOTS)), np.zeros((3, laws.MODES))
     p, acting, pushed = np.zeros(chambers), np.zeros(chambers), np.zeros(3)
     e_rest, s_rest = np.zeros(chambers), np.zeros(3)
+    between[:] = v
     unseen = True
     tilted = gravity.copy()
     if P[laws.TILT, 0] != 0.0 or P[laws.TILT, 1] != 0.0:
@@ -108,7 +109,7 @@ def _run(
                 p[c] = laws.supply(P, c, now, h, command[row, c], supplies[c], sticking)
             laws.inflate(P, now, h, p, chamber, acting)
             for i in range(m):
-                mid_q[i], mid_v[i] = q[i] + 0.5 * h * v[i], v[i] + 0.5 * h * last[i]
+                mid_q[i], mid_v[i] = q[i] + 0.5 * h * between[i], between[i]
             kinematics(mid_q, mid_v, length, points, speeds, biases, jacobian, R)
             pushed[:] = tip_force[row]
             laws.pull(P, now, points[n], speeds[n], length, pushed)
@@ -148,7 +149,7 @@ def _run(
                 force[3 * j] += generalized[0]
                 force[3 * j + 1] += generalized[1]
                 force[3 * j + 2] += generalized[2] / n - rest[3 * j + 2]
-            advance(q, v, last, h, M, force, stiffness, damping, A, x)
+            advance(q, v, between, h, M, force, stiffness, damping, A, x)
         t = times[row]
         kinematics(q, v, length, points, speeds, biases, jacobian, R)
         position[row], rotation[row], pressure[row] = points[n], R, p * unit
