@@ -7,7 +7,7 @@ from softrl.artifacts.artifact import Artifact
 from softrl.core.errors import ArtifactError
 
 VERDICTS = ("nothing missing", "named", "indistinguishable", "unknown")
-COMPETITORS = ("noise_floor", "nominal", "retuned", "corrected")
+COMPETITORS = ("noise_floor", "nominal", "retuned", "corrected", "one_lag", "static", "blackbox")
 
 
 @dataclass(frozen=True)
@@ -20,13 +20,14 @@ class Diagnosis(Artifact):
     simulator_name : class of the body that was diagnosed
     verdict : one of ``VERDICTS``
     sentences : the finding in plain words, the verdict first
-    effects : one entry a named effect: name, site, where, chamber (-1 all), parameters ({value, low, high, unit}),
-        evidence (one sentence with numbers)
+    effects : one entry a named effect: name, site, where, chamber (-1 all), parameters ({value, low, high, unit,
+        at_bound}), pinned (parameters held at the value at which they do nothing), evidence (one sentence with numbers)
     simulator_parameters : tunable parameter -> identified value, in the unit of its name
     retuned : tunable parameter -> {nominal, value, plausible}: the competitor that changes parameters only
     rivals : {name, score_gap, low, high, equivalent}, score gaps in mm of held-out error, best first
     located : {site, channel, chamber, region, effect_size, p_value}, p-values corrected for their number
-    errors_mm : train and heldout -> competitor -> rms error, mm; of an angle-only robot arc length times angle
+    errors_mm : train, heldout and, where the dataset marks such runs, ood (out of distribution) -> competitor
+        -> rms error, mm; of an angle-only robot arc length times angle
     errors_deg : the same in degrees for an angle-only robot, else empty
     unexplained : what is left after the correction: rms, share, structure
     next_experiment : the program that would separate what is left, or None
@@ -73,7 +74,8 @@ class Diagnosis(Artifact):
             {
                 "name": effect["name"],
                 "chamber": effect["chamber"],
-                "parameters": {name: entry["value"] for name, entry in effect["parameters"].items()},
+                "parameters": effect.get("pinned", {})
+                | {name: entry["value"] for name, entry in effect["parameters"].items()},
             }
             for effect in self.effects
         ]

@@ -35,8 +35,7 @@ def traces(problem: Problem, model: Model) -> Traces:
     replayed = problem.replayed(model.hypothesis, model.point)
     placed = problem.compare(replayed, model.placed).registrations
     predicted = [
-        _placed(seen(problem, made), placed.get(run.session))
-        for run, made in zip(problem.runs, replayed, strict=True)
+        _placed(seen(problem, made), placed.get(run.session)) for run, made in zip(problem.runs, replayed, strict=True)
     ]
     squares = [np.sum((seen(problem, r) - p) ** 2, axis=1) for r, p in zip(problem.runs, predicted, strict=True)]
     return Traces(predicted, float(np.sqrt(np.mean(np.concatenate(squares)))))

@@ -9,6 +9,7 @@ import numpy as np
 
 from softrl.core.errors import RecordingError
 from softrl.diagnosis.problem import place
+from softrl.diagnosis.quality import unusable
 from softrl.recordings.check import DataCheck, check
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.split import split
@@ -17,6 +18,7 @@ from softrl.robots.robot import Robot
 MIN_RUN_S = 3.0  # a shorter run says nothing about dynamics
 MIN_SIGNAL = 3.0  # travel over noise below which nothing can be told
 FEW_SESSIONS = 2  # with this many sessions or fewer, runs are held out within each instead
+TURNED_FRAME_RAD = 1.0  # the whole motion turned by more than this against the base frame is no misalignment
 OTHER_FRAME_RAD = 0.3  # sessions whose best placements turn apart by more were recorded in different frames
 
 
@@ -27,35 +29,39 @@ class Data:
     Attributes
     ----------
     check : findings
-    fitting, validation : training runs that fits see, and that choose between hypotheses
-    heldout : runs that judge once
+    training : runs that fits see; left out in turn, they choose between hypotheses
+    heldout : whole runs that judge once
+    outside : runs that the dataset marks as out of distribution (``out_of_distribution`` in its notes: names of runs or
+        sessions); they are neither fitted nor do they decide anything
     pressure : whether every run has measured pressure
     orientation : whether orientations are recorded and can be trusted
     noise : rms of the noise of one sample of the motion, m over all its components
+    turn_noise : the same of the orientation, rad
     pressure_noise : the same of the measured pressure, Pa
     travel, pressure_travel : rms about the mean of what the training runs measured, m and Pa
     """
 
     check: DataCheck
-    fitting: tuple[Recording, ...]
-    validation: tuple[Recording, ...]
+    training: tuple[Recording, ...]
     heldout: tuple[Recording, ...]
+    outside: tuple[Recording, ...]
     pressure: bool
     orientation: bool
     noise: float
+    turn_noise: float
     pressure_noise: float
     travel: float
     pressure_travel: float
 
     @property
-    def training(self) -> tuple[Recording, ...]:
-        """Runs that are not held out."""
-        return self.fitting + self.validation
+    def splits(self) -> dict[str, tuple[Recording, ...]]:
+        """Runs by the name of their split."""
+        parts = {"train": self.training, "heldout": self.heldout, "ood": self.outside}
+        return {name: runs for name, runs in parts.items() if runs}
 
     def shortened(self, fit_s: float) -> "Data":
-        """Return the data with fits limited to ``fit_s`` of recordings, and validation to 70 % of that."""
-        fitting, validation = within(self.fitting, fit_s), within(self.validation, 0.7 * fit_s)
-        return replace(self, fitting=fitting, validation=validation)
+        """Return the data with fits limited to ``fit_s`` of recordings."""
+        return replace(self, training=within(self.training, fit_s))
 
 
 class Refusal(NamedTuple):
@@ -70,12 +76,14 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: 
     found = check(recordings, robot)
     channel = "bend_angle" if robot.output == "bend_angle" else "position"
     usable = [r for r in recordings.recordings if np.ptp(r.time) >= MIN_RUN_S and getattr(r, channel) is not None]
-    reason = _refuse(usable, found, robot, channel)
+    marked = set(recordings.notes.get("out_of_distribution", ()))
+    outside = tuple(r for r in usable if marked & {r.name, r.session})
+    usable = [r for r in usable if not marked & {r.name, r.session}]
+    reason = _refuse(usable, found, robot, channel) or unusable(usable, found, robot)
     if reason:
         return Refusal(found, reason)
     kept = replace(recordings, recordings=tuple(usable))
     training, heldout = hold_out(kept, heldout_share, seed)
-    fitting, validation = _inner(training, heldout_share, seed)
     noise, pressure_noise = _noise(found, usable, robot, channel)
     travel = rms_about_mean([_seen(r, robot) for r in training.recordings])
     if travel < MIN_SIGNAL * noise:
@@ -86,12 +94,13 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: 
     pressure = all(r.pressure_meas is not None for r in usable)
     return Data(
         found,
-        fitting,
-        validation,
+        training.recordings,
         heldout.recordings,
+        outside,
         pressure,
         _orientation_trusted(usable, found, robot),
         noise,
+        2.0 * np.sqrt(3.0) * found.noise_floor.get("quaternion", 0.0),  # a turn is twice the quaternion's vector
         pressure_noise,
         travel,
         rms_about_mean([r.pressure_meas for r in training.recordings if r.pressure_meas is not None]),
@@ -112,18 +121,6 @@ def hold_out(recordings: RecordingSet, share: float, seed: int) -> tuple[Recordi
     halves = [split(part, share, seed, by="run") for part in parts]
     training, heldout = (tuple(r for half in halves for r in half[side].recordings) for side in (0, 1))
     return replace(recordings, recordings=training), replace(recordings, recordings=heldout)
-
-
-def _inner(
-    training: RecordingSet, share: float, seed: int
-) -> tuple[tuple[Recording, ...], tuple[Recording, ...]]:
-    """Return (fitting, validation): whole runs, or the two halves of a run that is the only one."""
-    if len(training.recordings) == 1:
-        run = training.recordings[0]
-        middle = run.time[0] + 0.6 * np.ptp(run.time)
-        return (cut(run, middle),), (run,)
-    fitting, validation = hold_out(training, share, seed + 1)
-    return fitting.recordings, validation.recordings
 
 
 def within(runs: Sequence[Recording], seconds: float) -> tuple[Recording, ...]:
@@ -152,6 +149,21 @@ def other_frames(simulated: Sequence[Recording], runs: Sequence[Recording]) -> f
         turns.append(place(points, np.concatenate([np.asarray(runs[k].position) for k in mine])).turn)
     cosines = [0.5 * (np.trace(a.T @ b) - 1.0) for i, a in enumerate(turns) for b in turns[:i]]
     return float(np.arccos(np.clip(min(cosines, default=1.0), -1.0, 1.0)))
+
+
+def turned_frame(simulated: Sequence[Recording], runs: Sequence[Recording]) -> float:
+    """Return the angle, rad, by which all motion together seems turned against the base frame; 0 where that is unclear.
+
+    A turn counts only if it explains most of the difference between simulated and measured motion.
+    """
+    points = np.concatenate([np.asarray(made.position) for made in simulated])
+    target = np.concatenate([np.asarray(run.position) for run in runs])
+    turn, shift = place(points, target)
+    plain = np.mean(np.sum((target - target.mean(axis=0) - points + points.mean(axis=0)) ** 2, axis=1))
+    placed = np.mean(np.sum((target - points @ turn.T - shift) ** 2, axis=1))
+    if placed > 0.25 * plain:
+        return 0.0
+    return float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
 
 
 def rms_about_mean(series: Sequence[np.ndarray]) -> float:

@@ -9,16 +9,23 @@ import numpy as np
 from scipy import stats
 
 from softrl.core.errors import SolverError
+from softrl.diagnosis.flexible import correction
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes
 from softrl.diagnosis.hypothesise import Path, Search, Trial, drop, fit_trials, forward, join
 from softrl.diagnosis.judge import Gap, Judge, Thresholds
+from softrl.diagnosis.locate import corrected, locate
 from softrl.diagnosis.problem import Problem, Residual
-from softrl.diagnosis.statistics import blocks_of, sandwich, whiteness
+from softrl.diagnosis.statistics import MIN_BLOCKS, blocks_of, correlation_time, sandwich, spectral_line, whiteness
 from softrl.recordings.recording import Recording
 
 log = logging.getLogger(__name__)
 WHITENESS_LAGS = 20
-UNKNOWN_FACTOR = 2.0  # times the smallest difference that counts: what is left must be larger to be called unknown
+AT_BOUND = 1e-3  # share of a range at whose ends a parameter is said to be at a bound
+LINE_LEVEL = 1e-8  # chance of a line in the spectrum of noise
+UNDRIVEN_SHARE = 0.5  # of the squared error: effects that remove less explain nothing
+FOLLOWING_FACTOR = 2.0  # times what counts: structure below this may be a detail of the body
+FOLLOWING_LEVEL = 1e-3
+LARGE_SHARE = 0.05  # of the travel: noise with a memory is not as large
 
 
 @dataclass(frozen=True)
@@ -28,8 +35,8 @@ class Part:
     Attributes
     ----------
     title : "command to measured pressure", "measured pressure to motion" or "command to motion"
-    problem : on the fitting runs
-    validation, heldout : runs
+    problem : on the training runs, as far as fits see them
+    heldout : runs
     floor, travel : m (Pa): noise in a bin, rms of what is measured
     tuned : simulator parameters that are refitted
     choices : effects to consider
@@ -37,17 +44,11 @@ class Part:
 
     title: str
     problem: Problem
-    validation: tuple[Recording, ...]
     heldout: tuple[Recording, ...]
     floor: float
     travel: float
     tuned: tuple[str, ...]
     choices: tuple[Choice, ...]
-
-    @property
-    def training(self) -> Problem:
-        """The problem on all training runs."""
-        return self.problem.on((*self.problem.runs, *self.validation))
 
     def judge(self, runs: Sequence[Recording], thresholds: Thresholds, seed: int) -> Judge:
         """Return the judge on ``runs``."""
@@ -63,6 +64,7 @@ class Interval(NamedTuple):
     value: float
     low: float
     high: float
+    at_bound: bool
 
 
 class Named(NamedTuple):
@@ -73,13 +75,22 @@ class Named(NamedTuple):
     gap: Gap
 
 
+class Offer(NamedTuple):
+    """A map without physics from pressures and their past to what is left: its held-out gain, and whether it pays."""
+
+    gap: Gap
+    pays: bool
+    squares: np.ndarray
+
+
 class Rival(NamedTuple):
-    """An alternative to a named effect: how much worse it is held out, and whether the data can tell."""
+    """An alternative to a named effect: how much worse it is held out, and whether the data can tell; its fit."""
 
     instead_of: Choice
     choice: Choice
     gap: Gap
     equivalent: bool
+    trial: Trial
 
 
 @dataclass(frozen=True)
@@ -96,8 +107,11 @@ class Finding:
     left : held-out error above the floor that remains, m (Pa)
     unknown : whether something is missing that no effect explains; nothing is named then
     closest : the effects that came closest to it, without explaining it
+    reasons : why it is unknown, one clause each
+    offer : what a map without physics could still remove
     residual_before, residual_after : held-out
     judge : on the held-out runs
+    joint : scaled parameters of all parts' effects and the simulator's, where they were refitted from command to motion
     """
 
     part: Part
@@ -110,57 +124,113 @@ class Finding:
     left: float
     unknown: bool
     closest: str
+    reasons: list[str]
+    offer: Offer
     residual_before: Residual
     residual_after: Residual
     judge: Judge
+    joint: np.ndarray | None = None
 
 
 def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Finding:
     """Return what is missing in one part, searched on training runs and judged once on held-out runs."""
-    validation = part.judge(part.validation, thresholds, seed)
-    path = forward(part.problem, validation, part.tuned, part.choices, search, lambda line: log.info("%s", line))
+    inside = part.judge(part.problem.runs, thresholds, seed)
+    path = forward(part.problem, inside, part.tuned, part.choices, search, lambda line: log.info("%s", line))
     judge = part.judge(part.heldout, thresholds, seed)
-    base, final = _refit(part, [path.retuned, path.best], search)
+    base, final = (_on_heldout(judge, trial) for trial in (path.retuned, path.best))
     final, named, without = _confirm(part, judge, base, final, search)
-    explained, left = _explained(judge, base, final)
-    smallest = UNKNOWN_FACTOR * max(judge.material, 0.5 * judge.floor)
-    unknown = left > smallest and explained < thresholds.explained_share and not _white(_heldout(judge, final))
-    closest = final.hypothesis.label() if unknown and named else ""
-    if unknown:
+    offer = _offer(part, judge, final)
+    explained, left = _explained(judge, base, final, offer)
+    reasons = _unexplained(judge, final, offer, explained, left)
+    closest = final.hypothesis.label() if reasons and named else ""
+    if reasons:
         final, named, without = base, [], {}
-        explained, left = _explained(judge, base, final)
+        offer = _offer(part, judge, final)
+        explained, left = _explained(judge, base, final, offer)
     rivals = []
     for choice, trial in without.items():
         rivals += _rivals(part, judge, path, final, trial, choice, search)
     before, after = (_heldout(judge, trial) for trial in (base, final))
-    return Finding(part, path, base, final, named, rivals, explained, left, unknown, closest, before, after, judge)
+    unknown = bool(reasons)
+    return Finding(
+        part, path, base, final, named, rivals, explained, left, unknown, closest, reasons, offer, before, after, judge
+    )
 
 
-def _explained(judge: Judge, base: Trial, final: Trial) -> tuple[float, float]:
-    """Return (share of the squared error above the floor that effects remove, error above the floor that is left)."""
+def _explained(judge: Judge, base: Trial, final: Trial, offer: Offer) -> tuple[float, float]:
+    """Return (share of the squared error that can be explained which effects explain, error above the floor left).
+
+    What can be explained is what the effects remove, and what a map without physics could remove beyond them. Effects
+    that remove less than ``UNDRIVEN_SHARE`` of the whole have to answer for the whole.
+    """
     whole, left = float(judge.excess(base.mean_square)), float(judge.excess(final.mean_square))
-    return (1.0 - (left / whole) ** 2 if whole > 0.0 else 1.0), left
+    removed = whole**2 - left**2
+    if removed <= UNDRIVEN_SHARE * whole**2:
+        return (removed / whole**2 if whole > 0.0 else 0.0), left
+    rest = float(judge.excess(offer.squares.mean())) if offer.pays else left
+    return removed / (whole**2 - min(rest, left) ** 2), left
+
+
+def _offer(part: Part, judge: Judge, trial: Trial) -> Offer:
+    """Return what a map from pressures and their past to the residual, fitted on training runs, removes held out."""
+    training = part.problem.residual(trial.hypothesis, trial.fit.point, trial.placed)
+    heldout = _heldout(judge, trial)
+    offered = correction(part.problem, training.runs, judge.problem)
+    runs = [values - extra for values, extra in zip(heldout.runs, offered, strict=True)]
+    squares = Residual(runs, {}).squares
+    return Offer(judge.gap(trial.squares, squares), judge.pays(trial.squares, squares), squares)
+
+
+def _unexplained(judge: Judge, final: Trial, offer: Offer, explained: float, left: float) -> list[str]:
+    """Return why the effects do not explain what is measured, one clause each; empty if they do.
+
+    Noise with a memory is no reason: what is left has to follow the pressures, to be a line in the spectrum, or to be
+    a large share of the motion.
+    """
+    heldout, reasons = _heldout(judge, final), []
+    if explained >= judge.thresholds.explained_share or left <= judge.material:
+        return []
+    if offer.pays:
+        reasons.append("what is left follows the pressures and their past")
+    elif left > FOLLOWING_FACTOR * judge.material and (region := _followed(judge, heldout)):
+        reasons.append(f"what is left follows the pressures and their past ({region})")
+    elif left > judge.floor and spectral_line(heldout.runs) < LINE_LEVEL:
+        reasons.append("what is left swings at one frequency")
+    elif left > LARGE_SHARE * judge.travel and not _white(heldout):
+        reasons.append("what is left is a large share of the motion")
+    return reasons
 
 
 def intervals(problem: Problem, trial: Trial, thresholds: Thresholds) -> list[Interval]:
     """Return every free parameter with its interval, robust to errors that stay alike within blocks."""
     space = problem.space(trial.hypothesis)
-    length = max(round(thresholds.block_s / problem.numerics.bin_s), 1)
-    blocks = blocks_of(problem.run_of_bin, length)
-    rows = len(trial.fit.residual) // len(blocks)
+    rows = len(trial.fit.residual) // len(problem.run_of_bin)
+    blocks = _independent(problem, trial.fit.residual.reshape(-1, rows), len(space.axes), thresholds)
     per_row = np.repeat(blocks, rows)
     spread = np.sqrt(np.diag(sandwich(trial.fit.jacobian, trial.fit.residual, per_row)))
     freedom = max(int(blocks.max()) + 1 - len(spread), 1)
     reach = float(stats.t.ppf(thresholds.confidence, freedom)) * spread + _step_error(problem, trial)
-    found = []
+    found, bounds = [], space.bounds
     for k, axis in enumerate(space.axes):
         u = float(trial.fit.point[k])
         free = bool(trial.fit.jacobian[:, k].any())
         low, high = (u - reach[k], u + reach[k]) if free else (-np.inf, np.inf)
         ends = sorted((axis.physical(float(low)), axis.physical(float(high))))
         value = axis.physical(u)
-        found.append(Interval(axis.owner, axis.name, axis.unit, value, min(ends[0], value), max(ends[1], value)))
+        low, high = min(ends[0], value), max(ends[1], value)
+        at_bound = bool(min(u - bounds[0][k], bounds[1][k] - u) < AT_BOUND * (bounds[1][k] - bounds[0][k]))
+        found.append(Interval(axis.owner, axis.name, axis.unit, value, low, high, at_bound))
     return found
+
+
+def _independent(problem: Problem, residual: np.ndarray, free: int, thresholds: Thresholds) -> np.ndarray:
+    """Return blocks (bins,) as long as errors (bins, channels) stay alike, but enough of them for ``free`` parameters."""
+    runs = problem.run_of_bin
+    longest = max(
+        correlation_time(residual[runs == run, k]) for run in np.unique(runs) for k in range(residual.shape[1])
+    )
+    length = max(thresholds.block_s / problem.numerics.bin_s, 2.0 * longest)
+    return blocks_of(runs, max(int(min(length, len(runs) / (MIN_BLOCKS + 2 * free))), 1))
 
 
 def _step_error(problem: Problem, trial: Trial) -> np.ndarray:
@@ -179,16 +249,19 @@ def _step_error(problem: Problem, trial: Trial) -> np.ndarray:
     return np.asarray(np.minimum(2.0 * np.abs(moved / size), 1.0))
 
 
-def _refit(part: Part, trials: Sequence[Trial], search: Search) -> list[Trial]:
-    """Return the trials refitted on all training runs from where they were, judged on held-out runs."""
-    heldout = part.problem.on(part.heldout)
-    tasks = [(trial.hypothesis, [trial.fit.point]) for trial in trials]
-    fitted = fit_trials(part.training, heldout, tasks, search)
-    if len(fitted) < len(trials):
-        missing = {t.hypothesis.label() for t in trials} - {t.hypothesis.label() for t in fitted}
-        log.warning("%s diverges on other runs: only hypotheses that run are kept", ", ".join(sorted(missing)))
-        fitted = [fitted[0]] * len(trials)
-    return fitted
+def _followed(judge: Judge, residual: Residual) -> str:
+    """Return in words what the residual follows beyond chance, or nothing."""
+    rows = corrected(locate(judge.problem, residual, judge.floor, ""))
+    named = [row for row in rows if row["p_value"] < FOLLOWING_LEVEL and row["region"] not in (None, "band")]
+    if not named:
+        return ""
+    chamber = f", chamber {named[0]['chamber']}" if named[0]["chamber"] else ""
+    return f"{named[0]['region']}{chamber}"
+
+
+def _on_heldout(judge: Judge, trial: Trial) -> Trial:
+    """Return the trial with its squared errors on the held-out runs."""
+    return trial._replace(squares=_heldout(judge, trial).squares)
 
 
 def _confirm(
@@ -196,23 +269,23 @@ def _confirm(
 ) -> tuple[Trial, list[Named], dict[Choice, Trial]]:
     """Return the final trial less effects that do not pay held out, those that do, and the trial without each."""
     while final.hypothesis.effects:
-        without = _leave_one_out(part, base, final, search)
+        without = _leave_one_out(part, judge, base, final, search)
         gaps = {choice: judge.gap(trial.squares, final.squares) for choice, trial in without.items()}
         weakest = min(gaps, key=lambda choice: gaps[choice].value)
         if gaps[weakest].value >= judge.material and gaps[weakest].low > 0.0:
-            found = intervals(part.training, final, judge.thresholds)
-            mine = _by_effect(final.hypothesis, found)
+            found = intervals(part.problem, final, judge.thresholds)
+            mine = by_effect(final.hypothesis, found)
             return final, [Named(choice, mine[choice], gaps[choice]) for choice in without], without
         log.info("%s does not pay on held-out runs and is not named", weakest.label())
         final = without[weakest]
     return base, [], {}
 
 
-def _leave_one_out(part: Part, base: Trial, final: Trial, search: Search) -> dict[Choice, Trial]:
+def _leave_one_out(part: Part, judge: Judge, base: Trial, final: Trial, search: Search) -> dict[Choice, Trial]:
     if len(final.hypothesis.effects) == 1:
         return {final.hypothesis.effects[0]: base}
     tasks = [(final.hypothesis.without(c), [drop(final, c)]) for c in final.hypothesis.effects]
-    fitted = fit_trials(part.training, part.problem.on(part.heldout), tasks, search)
+    fitted = fit_trials(part.problem, judge.problem, tasks, search)
     labels = {trial.hypothesis: trial for trial in fitted}
     return {c: labels.get(final.hypothesis.without(c), base) for c in final.hypothesis.effects}
 
@@ -227,17 +300,18 @@ def _rivals(
         for other, point in path.tried.get(choice, [])
         if other.name not in taken
     ]
-    trials = fit_trials(part.training, part.problem.on(part.heldout), tasks[: search.rivals], search)
-    found = []
+    trials = fit_trials(part.problem, judge.problem, tasks[: search.rivals], search)
+    found, both = [], judge.on((*part.problem.runs, *part.heldout))
     for trial in trials:
         gap = judge.gap(trial.squares, final.squares)
-        freer = len(trial.fit.point) > len(final.fit.point)
-        alike = gap.value < judge.material or gap.low <= 0.0
-        found.append(Rival(choice, trial.hypothesis.effects[-1], gap, alike and not freer))
+        freer = len(trial.fit.point) > len(final.fit.point) and trial.everywhere.mean() > final.everywhere.mean()
+        alike = not both.tells(trial.everywhere, final.everywhere)
+        found.append(Rival(choice, trial.hypothesis.effects[-1], gap, alike and not freer, trial))
     return sorted(found, key=lambda rival: rival.gap.value)
 
 
-def _by_effect(hypothesis: Hypothesis, found: list[Interval]) -> dict[Choice, list[Interval]]:
+def by_effect(hypothesis: Hypothesis, found: list[Interval]) -> dict[Choice, list[Interval]]:
+    """Return the intervals of each effect's parameters."""
     left, sorted_out = list(found), {}
     for choice in hypothesis.effects:
         size = len(effect_axes(choice))

@@ -6,8 +6,9 @@ from typing import Any
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.diagnosis.correct import Model
 from softrl.diagnosis.examine import Finding, Named
-from softrl.diagnosis.hypothesis import Choice, has_chamber
+from softrl.diagnosis.hypothesis import Choice, has_chamber, pinned_values
 from softrl.diagnosis.problem import Problem
+from softrl.diagnosis.separate import separating_program
 from softrl.effects.library import effect_class
 from softrl.robots.robot import Robot
 
@@ -18,6 +19,11 @@ WORDS = {
     "body": "in the body",
     "load": "in the load on the tip",
     "sensor": "in the sensor",
+}
+BESIDE = {
+    "one_lag": "one lag alone",
+    "static": "a static map",
+    "blackbox": "a black box of equal data",
 }
 EXPERIMENTS = {
     "valve": "steps and a multisine of one chamber with the chamber's pressure measured",
@@ -59,8 +65,10 @@ def _entry(finding: Finding, named: Named) -> dict[str, Any]:
         "where": where(choice),
         "chamber": choice.chamber,
         "parameters": {
-            p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit} for p in named.intervals
+            p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit, "at_bound": p.at_bound}
+            for p in named.intervals
         },
+        "pinned": pinned_values(choice),
         "evidence": (
             f"{finding.part.title}: without it the held-out error above the noise is {without:.3g} {unit}, with it "
             f"{without - factor * named.gap.value:.3g} {unit} (gain {factor * named.gap.low:.3g} to "
@@ -122,6 +130,14 @@ def unexplained(findings: Sequence[Finding]) -> dict[str, Any]:
             f"rms_above_noise_{unit.lower()}": factor * finding.left,
             "explained_share": finding.explained,
             "unknown": finding.unknown,
+            "because": "; ".join(finding.reasons),
+            "offered": {
+                "kind": "ridge regression of the residual on pressures and their past: no physics, valid where trained",
+                f"removes_{unit.lower()}": factor * finding.offer.gap.value,
+                "low": factor * finding.offer.gap.low,
+                "high": factor * finding.offer.gap.high,
+                "pays": finding.offer.pays,
+            },
             "closest": finding.closest,
             "retuned_rms_mixed": factor * finding.judge.rms(finding.base.squares),
             "corrected_rms_mixed": factor * finding.judge.rms(finding.final.squares),
@@ -129,7 +145,7 @@ def unexplained(findings: Sequence[Finding]) -> dict[str, Any]:
     return left
 
 
-def next_experiment(findings: Sequence[Finding], verdict: str, robot: Robot) -> dict[str, Any] | None:
+def next_experiment(findings: Sequence[Finding], verdict: str, robot: Robot, noise_m: float) -> dict[str, Any] | None:
     """Return the recording that would help most, or None if nothing is open."""
     if verdict not in ("indistinguishable", "unknown"):
         return None
@@ -139,13 +155,26 @@ def next_experiment(findings: Sequence[Finding], verdict: str, robot: Robot) -> 
     named = [n.choice.label() for f in findings for n in f.named if _class(f)]
     if verdict == "unknown":
         open_sites = ["valve"] if findings[0].unknown and len(findings) > 1 else ["body", "load"]
-    return {
+    found: dict[str, Any] = {
         "separates": [*named, *between],
         "program": "; then ".join(EXPERIMENTS[site] for site in dict.fromkeys(open_sites)),
         "pressure_min_pa": robot.pressure_min_pa,
         "pressure_max_pa": robot.pressure_max_pa,
         "duration_s": 300.0,
     }
+    if verdict == "indistinguishable":
+        found |= _planned(findings, noise_m) or {}
+    return found
+
+
+def _planned(findings: Sequence[Finding], noise_m: float) -> dict[str, Any] | None:
+    """Return the program that tells the nearest open rival apart, with how far it does."""
+    for finding in findings:
+        for rival in sorted(finding.rivals, key=lambda r: r.gap.value):
+            if rival.equivalent and rival.choice.name != rival.instead_of.name:
+                motion = finding.part.problem.target == "motion"
+                return separating_program(finding.part.problem, finding.final, rival.trial, noise_m) if motion else None
+    return None
 
 
 def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
@@ -155,7 +184,9 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
     lines.append(
         f"Held-out error from command to motion: nominal {held['nominal']:.3g} mm, "
         f"retuned only {held['retuned']:.3g} mm, corrected {held['corrected']:.3g} mm, "
-        f"noise {held['noise_floor']:.2g} mm."
+        f"noise {held['noise_floor']:.2g} mm; beside them "
+        + ", ".join(f"{words} {held[name]:.3g} mm" for name, words in BESIDE.items() if name in held)
+        + "."
     )
     lines += [_effect_sentence(effect) for effect in diagnosis.effects]
     for rival in diagnosis.rivals[:4]:
@@ -190,6 +221,7 @@ def _verdict_sentence(diagnosis: Diagnosis) -> str:
 def _effect_sentence(effect: dict[str, Any]) -> str:
     values = ", ".join(
         f"{name} {p['value']:.3g} ({p['low']:.3g} to {p['high']:.3g}){'' if p['unit'] == '1' else ' ' + p['unit']}"
+        f"{', at the end of its range' if p['at_bound'] else ''}"
         for name, p in effect["parameters"].items()
     )
     return f"{effect['name']} {WORDS[effect['site']]}, {effect['where']}: {values}. {effect['evidence']}."
@@ -198,4 +230,12 @@ def _effect_sentence(effect: dict[str, Any]) -> str:
 def _left_sentence(finding: Finding) -> str:
     factor, unit = shown_in(finding)
     closest = f"; {finding.closest} came closest without explaining it" if finding.closest else ""
-    return f"{finding.part.title}: {factor * finding.left:.3g} {unit} above the noise stay unexplained{closest}."
+    offer = finding.offer
+    more = (
+        f" A map without physics, fitted to what is left, would remove {factor * offer.gap.value:.2g} {unit} of it on "
+        "held-out runs; it is offered as a correction only, for the range that was recorded."
+        if offer.pays
+        else ""
+    )
+    why = f" ({'; '.join(finding.reasons)})" if finding.reasons else ""
+    return f"{finding.part.title}: {factor * finding.left:.3g} {unit} above the noise stay unexplained{why}{closest}.{more}"

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,10 +17,14 @@ FULL_TURN_RAD = 6.0  # a parameter in rad with a wider range than this is a dire
 
 
 class Choice(NamedTuple):
-    """One effect of the library; ``chamber`` is -1 for all chambers, or where the effect knows none."""
+    """One effect of the library; ``chamber`` is -1 for all chambers, or where the effect knows none.
+
+    ``pinned`` names the parameters that are held at their neutral values.
+    """
 
     name: str
     chamber: int = -1
+    pinned: tuple[str, ...] = ()
 
     def label(self) -> str:
         """Return the name, with the chamber (counted from 1) if it is one alone."""
@@ -117,10 +121,15 @@ class Space:
         return dict(zip(self.hypothesis.tuned, self.values(point)[len(self.axes) - count :], strict=True))
 
 
+def free_fields(choice: Choice) -> list[Any]:
+    """Return the fields of one effect's parameters that are free."""
+    return [f for f in effect_class(choice.name).parameter_fields() if f.name not in choice.pinned]
+
+
 def effect_axes(choice: Choice) -> list[Axis]:
-    """Return the axes of one effect's parameters."""
+    """Return the axes of one effect's free parameters."""
     found = []
-    for field in effect_class(choice.name).parameter_fields():
+    for field in free_fields(choice):
         m = field.metadata
         log = bool(m["log"]) and m["low"] > 0.0
         scale = abs(m["typical"] - m["neutral"]) or 0.1 * (m["high"] - m["low"])
@@ -130,11 +139,29 @@ def effect_axes(choice: Choice) -> list[Axis]:
 
 
 def build_effect(choice: Choice, values: Sequence[float]) -> Effect:
-    """Return the effect with ``values`` in the order of its parameters."""
+    """Return the effect with ``values`` in the order of its free parameters."""
     cls = effect_class(choice.name)
-    named = dict(zip((f.name for f in cls.parameter_fields()), values, strict=True))
+    named = pinned_values(choice) | dict(zip((f.name for f in free_fields(choice)), values, strict=True))
     fixed = {"chamber": choice.chamber} if has_chamber(choice.name) else {}
     return cls(**named, **fixed)
+
+
+def pinned_values(choice: Choice) -> dict[str, float]:
+    """Return the neutral values of the parameters that are not free."""
+    fields_ = effect_class(choice.name).parameter_fields()
+    return {f.name: float(f.metadata["neutral"]) for f in fields_ if f.name in choice.pinned}
+
+
+def may_be_pinned(choice: Choice) -> list[str]:
+    """Return the free parameters whose neutral value means less physics, if there is more than one parameter.
+
+    A time constant or a width with a neutral value inside its range only shapes what another parameter switches on.
+    """
+    found = free_fields(choice)
+    if len(found) < 2:
+        return []
+    return [f.name for f in found if not (f.metadata["log"] and f.metadata["low"] < f.metadata["neutral"]
+                                          < f.metadata["high"])]  # fmt: skip
 
 
 def has_chamber(name: str) -> bool:
@@ -156,7 +183,7 @@ def candidates(names: Sequence[str], sites: Sequence[str], robot: Robot, excited
 
 def starts(choice: Choice) -> list[np.ndarray]:
     """Return scaled points (p,) of an effect that is plain to see: typical values, and spread-out shapes of it."""
-    fields_ = list(effect_class(choice.name).parameter_fields())
+    fields_ = free_fields(choice)
     axes = effect_axes(choice)
     typical = np.array([axis.scaled(field.metadata["typical"]) for axis, field in zip(axes, fields_, strict=True)])
     found = [typical]
@@ -175,5 +202,5 @@ def starts(choice: Choice) -> list[np.ndarray]:
 
 def neutral(choice: Choice) -> np.ndarray:
     """Return the scaled point (p,) at which the effect does nothing."""
-    fields_ = effect_class(choice.name).parameter_fields()
-    return np.array([a.scaled(f.metadata["neutral"]) for a, f in zip(effect_axes(choice), fields_, strict=True)])
+    pairs = zip(effect_axes(choice), free_fields(choice), strict=True)
+    return np.array([axis.scaled(field.metadata["neutral"]) for axis, field in pairs])

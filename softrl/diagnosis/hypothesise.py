@@ -1,8 +1,8 @@
-"""Screen every effect cheaply, fit the promising ones, and add them one by one while it pays on unseen runs."""
+"""Fit every effect of the library, and add, swap and drop effects while that pays on runs left out of the fit."""
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import joblib
@@ -10,17 +10,20 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from softrl.core.errors import ConfigError, SolverError
-from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes, neutral, starts
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes, may_be_pinned, neutral, starts
 from softrl.diagnosis.judge import Judge
 from softrl.diagnosis.problem import Problem, Registration
-from softrl.diagnosis.search import Fit, least_squares
+from softrl.diagnosis.search import Fit, jacobian_at, least_squares, refine
+from softrl.diagnosis.statistics import left_out
 
 log = logging.getLogger(__name__)
 MIN_AMPLITUDE = 0.25  # a search begins at least at this share of an effect's typical size
-CLOSER = 8  # effects that are also screened in each chamber alone
-HOPELESS = 0.05  # leads that promise less than this share of the best one's gain are not fitted
 FIRST_ITERATIONS = 4  # of every start; only the best of them goes on
-SAME_NAME = 2  # leads of one effect (all chambers, one chamber) that are fitted
+SAME_NAME = 2  # forms of one effect (all chambers, one chamber) that are fitted in full
+ROUGH_STARTS = 2  # of every effect that are followed
+ROUGH_DIFFERENCE = 0.02  # scaled step of differences
+FAR = 0.5  # a parameter retuned by more than this factor, in logarithms, is no longer near nominal
+SILENT = 1e-6  # of the largest column: a parameter with less influence on the residual has none
 
 
 @dataclass(frozen=True)
@@ -30,11 +33,12 @@ class Search:
     Attributes
     ----------
     max_effects : effects named together at most, for each stage of the pipeline
-    keep : effects fitted in full in each round, after the screening of all
+    keep : effects fitted in full in each round, after all were fitted roughly
     starts : starting points of each fit
-    iterations : Jacobians of each fit at most
+    iterations : Jacobians of each full fit at most
+    rough_steps : steps of each rough fit at most
     rivals : alternatives to each named effect that are judged on the held-out runs
-    fit_s : seconds of motion that fits see at most, and validation 70 % of it; runs are cut at a common length
+    fit_s : seconds of motion that fits see at most; runs are cut at a common length
     fit_lumped_s : the same for the lumped body, which is simulated much faster
     workers : processes
     """
@@ -43,13 +47,14 @@ class Search:
     keep: int
     starts: int
     iterations: int
+    rough_steps: int
     rivals: int
     fit_s: float
     fit_lumped_s: float
     workers: int
 
     def __post_init__(self) -> None:
-        for name in ("keep", "starts", "iterations", "fit_s", "fit_lumped_s", "workers"):
+        for name in ("keep", "starts", "iterations", "rough_steps", "fit_s", "fit_lumped_s", "workers"):
             if getattr(self, name) <= 0:
                 raise ConfigError(f"stage.search.{name}={getattr(self, name):g} must be positive")
         if not 0 <= self.max_effects <= 3:
@@ -57,38 +62,56 @@ class Search:
 
 
 class Trial(NamedTuple):
-    """A fitted hypothesis: its search, the placements found with it, and squared errors (bins,) on validation runs."""
+    """A fitted hypothesis: its search, the placements found with it, and squared errors (bins,).
+
+    ``inside`` holds those on the fitted runs, each left out in turn; ``squares`` those that judge it: the same, or the
+    errors on runs that no fit saw.
+    """
 
     hypothesis: Hypothesis
     fit: Fit
     placed: dict[str, Registration]
     squares: np.ndarray
+    inside: np.ndarray
 
     @property
     def mean_square(self) -> float:
-        """Mean squared error on the validation runs."""
+        """Mean squared error on runs left out."""
         return float(self.squares.mean())
+
+    @property
+    def everywhere(self) -> np.ndarray:
+        """Squared errors on all runs, none of which its fit saw."""
+        return np.concatenate([self.inside, self.squares])
 
 
 class Lead(NamedTuple):
-    """A screened effect: starting points (p,) in scaled units, best first, and the share of the cost it may save."""
+    """An effect fitted roughly: its scaled parameters with those of the simulator, and the squared error left out.
+
+    ``gain`` is the share of the squared error, of runs left out of the fit, that it saves.
+    """
 
     choice: Choice
-    starts: list[np.ndarray]
+    point: np.ndarray
     gain: float
 
 
-class Path(NamedTuple):
+@dataclass
+class Path:
     """What a search found.
 
-    ``best`` is the hypothesis that pays, ``retuned`` the one without effects; ``screened`` holds the leads of every
-    round, and ``tried`` what was fitted in the round that added an effect, each with its scaled parameters.
+    Attributes
+    ----------
+    best : the hypothesis that pays
+    retuned : the one without effects
+    screened : the leads of every round
+    tried : for each named effect the alternatives fitted in its place, best first, with their points
     """
 
     best: Trial
     retuned: Trial
-    screened: list[list[Lead]]
-    tried: dict[Choice, list[tuple[Choice, np.ndarray]]]
+    screened: list[list[Lead]] = field(default_factory=list)
+    tried: dict[Choice, list[tuple[Choice, np.ndarray]]] = field(default_factory=dict)
 
 
 def forward(
@@ -99,39 +122,78 @@ def forward(
     search: Search,
     report: Callable[[str], None],
 ) -> Path:
-    """Return the hypothesis that forward selection with backward elimination leaves.
+    """Return the hypothesis that stepwise selection leaves: add, try all others in each one's place, drop.
 
     Parameters
     ----------
-    fitting : problem on the runs that fits see
-    judge : scores on runs that fits do not see, and says what pays
+    fitting : problem on the training runs
+    judge : scores on the same runs, each left out of the fit in turn, and says what pays
     tuned : simulator parameters that are refitted with every hypothesis
     choices : effects to consider
     report : told of each round in a sentence
     """
-    retuned = fit_trials(fitting, judge.problem, [(Hypothesis((), tuple(tuned)), [])], search)[0]
-    current, screened = retuned, []
-    tried: dict[Choice, list[tuple[Choice, np.ndarray]]] = {}
+    retuned = fit_trials(fitting, None, [(Hypothesis((), tuple(tuned)), [])], search)[0]
+    path = Path(retuned, retuned)
     for _ in range(search.max_effects):
+        current = path.best
         if judge.excess(current.mean_square) < judge.material:
             report(f"{current.hypothesis.label()}: what is left is less than counts")
             break
-        left = [c for c in choices if c.name not in {e.name for e in current.hypothesis.effects}]
-        leads = screen(fitting, current, left, search.workers)
-        screened.append(leads)
-        trials = fit_leads(fitting, judge.problem, current, leads[: 4 * search.keep], search)
-        if not trials:
+        added = _addition(fitting, judge, current, choices, search, path)
+        if added is None:
             break
-        best = judge.simplest(trials)
         report(
             f"{current.hypothesis.label()}: rms {judge.rms(current.squares):.4g}, best addition "
-            f"{best.hypothesis.effects[-1].label()}: {judge.rms(best.squares):.4g} on validation runs"
+            f"{added.hypothesis.effects[-1].label()}: {judge.rms(added.squares):.4g} on runs left out"
         )
-        if not judge.pays(current.squares, best.squares):
+        if not judge.pays(current.squares, added.squares):
             break
-        tried[best.hypothesis.effects[-1]] = _others(trials, best)
-        current = _prune(fitting, judge, best, search)
-    return Path(current, retuned, screened, tried)
+        added = slim(fitting, judge, added, search, path)
+        path.best = _swap(fitting, judge, added, choices, search, path)
+        path.best = _prune(fitting, judge, path.best, search)
+        path.best = slim(fitting, judge, path.best, search, path)
+    return path
+
+
+def _addition(
+    fitting: Problem, judge: Judge, current: Trial, choices: Sequence[Choice], search: Search, path: Path
+) -> Trial | None:
+    """Return ``current`` with the best further effect, if one runs; what was tried is noted in ``path``."""
+    taken = {effect.name for effect in current.hypothesis.effects}
+    leads = rank(fitting, current, [c for c in choices if c.name not in taken], search)
+    if not taken or len(path.screened) < len(taken) + 1:
+        path.screened.append(leads)
+    trials = fit_leads(fitting, current, leads, search)
+    if not trials:
+        return None
+    best = judge.simplest(trials)
+    path.tried[best.hypothesis.effects[-1]] = _others(trials, best) + [
+        (lead.choice, lead.point[: len(effect_axes(lead.choice))])
+        for lead in leads
+        if lead.choice not in {t.hypothesis.effects[-1] for t in trials}
+    ]
+    return best
+
+
+def _swap(fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice], search: Search, path: Path) -> Trial:
+    """Return ``trial`` after each of its older effects was put to the test against all others in its place."""
+    for old in trial.hypothesis.effects[:-1]:
+        less = fit_trials(fitting, None, [(trial.hypothesis.without(old), [drop(trial, old)])], search)
+        if not less:
+            continue
+        instead = _addition(fitting, judge, less[0], choices, search, path)
+        if instead is None:
+            continue
+        new = instead.hypothesis.effects[-1]
+        if new != old and judge.tells(trial.squares, instead.squares):
+            log.info("%s takes the place of %s", new.label(), old.label())
+            trial = instead
+        elif new != old:
+            others = [pair for pair in path.tried.pop(new) if pair[0] != old]
+            end = len(instead.fit.point) - len(instead.hypothesis.tuned)
+            mine = instead.fit.point[end - len(effect_axes(new)) : end]
+            path.tried[old] = [(new, mine), *others]
+    return trial
 
 
 def _others(trials: Sequence[Trial], best: Trial) -> list[tuple[Choice, np.ndarray]]:
@@ -145,35 +207,35 @@ def _others(trials: Sequence[Trial], best: Trial) -> list[tuple[Choice, np.ndarr
     return found
 
 
-def fit_leads(
-    fitting: Problem, validation: Problem, current: Trial, leads: Sequence[Lead], search: Search
-) -> list[Trial]:
-    """Return ``current`` with each of the best leads added, fitted; at most ``SAME_NAME`` leads of one effect."""
+def fit_leads(fitting: Problem, current: Trial, leads: Sequence[Lead], search: Search) -> list[Trial]:
+    """Return ``current`` with each of the best leads added, fitted in full; at most ``SAME_NAME`` forms of one."""
     tasks: list[tuple[Hypothesis, list[np.ndarray]]] = []
     seen: dict[str, int] = {}
     for lead in leads:
-        if len(tasks) == search.keep or lead.gain < HOPELESS * leads[0].gain:
+        if len(tasks) == search.keep or lead.gain <= 0.0:
             break
         seen[lead.choice.name] = seen.get(lead.choice.name, 0) + 1
         if seen[lead.choice.name] <= SAME_NAME:
-            points = starting_points(current, lead, search.starts)
-            tasks.append((current.hypothesis.with_effect(lead.choice), points))
-    return fit_trials(fitting, validation, tasks, search)
+            tasks.append((current.hypothesis.with_effect(lead.choice), starting_points(current, lead, search.starts)))
+    return fit_trials(fitting, None, tasks, search)
 
 
 def fit_trials(
     fitting: Problem,
-    validation: Problem,
+    unseen: Problem | None,
     tasks: Sequence[tuple[Hypothesis, list[np.ndarray]]],
     search: Search,
 ) -> list[Trial]:
-    """Return the fitted hypotheses, in order; one that diverges from every start is left out."""
-    jobs = [(fitting, validation, hypothesis, points, search.iterations) for hypothesis, points in tasks]
+    """Return the fitted hypotheses, in order; one that diverges from every start is left out.
+
+    Squared errors are those on ``unseen`` runs, or without any on the fitted runs, each left out in turn.
+    """
+    jobs = [(fitting, unseen, hypothesis, points, search.iterations) for hypothesis, points in tasks]
     return [trial for trial in parallel(_fit_trial, jobs, search.workers) if trial is not None]
 
 
 def _fit_trial(
-    fitting: Problem, validation: Problem, hypothesis: Hypothesis, points: list[np.ndarray], iterations: int
+    fitting: Problem, unseen: Problem | None, hypothesis: Hypothesis, points: list[np.ndarray], iterations: int
 ) -> Trial | None:
     low, high = fitting.space(hypothesis).bounds
     rough = []
@@ -191,31 +253,134 @@ def _fit_trial(
         fit = least_squares(lambda u: fitting.residual(hypothesis, u).flat, fit.point, low, high, rest)
     try:
         placed = fitting.residual(hypothesis, fit.point).registrations
-        squares = validation.residual(hypothesis, fit.point, placed).squares
+        squares = inside = _squares_left_out(fitting, fit, low, high)
+        if unseen is not None:
+            squares = unseen.residual(hypothesis, fit.point, placed).squares
     except SolverError as error:
-        log.info("%s diverges on validation runs and is dropped: %s", hypothesis.label(), error)
+        log.info("%s diverges on runs left out and is dropped: %s", hypothesis.label(), error)
         return None
-    return Trial(hypothesis, fit, placed, squares)
+    return Trial(hypothesis, fit, placed, squares, inside)
 
 
-def screen(fitting: Problem, current: Trial, choices: Sequence[Choice], workers: int) -> list[Lead]:
-    """Return all ``choices``, most promising first, by how much of the residual their directions explain linearly.
+def _squares_left_out(fitting: Problem, fit: Fit, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return squared errors (bins,) of every run as predicted by a fit to the others."""
+    folds, bins = fitting.folds, len(fitting.run_of_bin)
+    rows = len(fit.residual) // bins
+    error = left_out(fit.jacobian, fit.residual, np.repeat(folds, rows), low - fit.point, high - fit.point)
+    return np.asarray(np.sum(error.reshape(bins, rows) ** 2, axis=1))
 
-    Each effect is simulated at a few sizes beside ``current``; the differences, together with the free parameters'
-    Jacobian, are fitted to the residual within the effect's bounds.
+
+def rank(fitting: Problem, current: Trial, choices: Sequence[Choice], search: Search) -> list[Lead]:
+    """Return all ``choices`` fitted roughly beside ``current``, the one that predicts runs left out best first.
+
+    Every effect is fitted nonlinearly, first for all chambers, then in each chamber alone from the shapes found so.
     """
-    jacobian = current.fit.jacobian
-    basis = np.linalg.qr(jacobian)[0] if jacobian.size else np.zeros((len(jacobian), 0))
+    fitting = fitting.rough
+    bases = _bases(fitting, current, search.rough_steps)
     for_all = [choice for choice in choices if choice.chamber < 0]
-    leads = parallel(_screen_one, [(fitting, current, basis, choice) for choice in for_all], workers)
-    leads.sort(key=lambda lead: -lead.gain)
-    closer = {lead.choice.name for lead in leads[:CLOSER]}
-    alone = [choice for choice in choices if choice.chamber >= 0 and choice.name in closer]
-    leads += parallel(_screen_one, [(fitting, current, basis, choice) for choice in alone], workers)
+    jobs: list[tuple[Any, ...]] = [(fitting, bases, c, starts(c), search.rough_steps) for c in for_all]
+    leads: list[Lead] = parallel(_rough_fit, jobs, search.workers)
+    shapes = {lead.choice.name: lead.point[: len(effect_axes(lead.choice))] for lead in leads}
+    alone = [choice for choice in choices if choice.chamber >= 0]
+    jobs = [(fitting, bases, c, [_plain(c, shapes.get(c.name)), starts(c)[0]], search.rough_steps) for c in alone]
+    leads += parallel(_rough_fit, jobs, search.workers)
     return sorted(leads, key=lambda lead: -lead.gain)
 
 
-def _screen_one(fitting: Problem, current: Trial, basis: np.ndarray, choice: Choice) -> Lead:
+class _Base(NamedTuple):
+    """Where rough fits begin: a trial, and an orthonormal basis (rows, p) of what its free parameters can do."""
+
+    trial: Trial
+    basis: np.ndarray
+
+
+def _bases(fitting: Problem, current: Trial, steps: int) -> list[_Base]:
+    """Return ``current``, and if the simulator's parameters went far, the same with them back at nominal.
+
+    Parameters that were retuned in an effect's place lead to wherever they hide it best, often to a bound, from where
+    a few steps do not come back.
+    """
+    trials = [_settled(fitting, current, steps)]
+    free = len(current.hypothesis.tuned)
+    if free and np.abs(trials[0].fit.point[-free:]).max() > FAR:
+        point = trials[0].fit.point.copy()
+        point[-free:] = 0.0
+        low, high = fitting.space(current.hypothesis).bounds
+        try:
+            value = fitting.residual(current.hypothesis, point).flat
+            jacobian = jacobian_at(
+                lambda u: fitting.residual(current.hypothesis, u).flat, point, value, low, high, ROUGH_DIFFERENCE
+            )
+            fit = Fit(point, value, jacobian, 0.5 * float(value @ value), 0)
+            trials.append(trials[0]._replace(fit=fit))
+        except SolverError:
+            log.debug("%s does not run with nominal parameters", current.hypothesis.label())
+    return [
+        _Base(trial, np.linalg.qr(trial.fit.jacobian)[0] if trial.fit.jacobian.size else trial.fit.jacobian)
+        for trial in trials
+    ]
+
+
+def _settled(fitting: Problem, trial: Trial, steps: int) -> Trial:
+    """Return ``trial`` refitted roughly on a problem of other steps."""
+    low, high = fitting.space(trial.hypothesis).bounds
+    none = np.zeros(0, dtype=int)
+    fit = refine(
+        lambda u: fitting.residual(trial.hypothesis, u).flat,
+        trial.fit.point,
+        trial.fit.jacobian,
+        none,
+        low,
+        high,
+        steps,
+    )
+    return trial._replace(fit=fit, squares=_squares_left_out(fitting, fit, low, high))
+
+
+def _plain(choice: Choice, shape: np.ndarray | None) -> np.ndarray:
+    """Return the fitted ``shape`` of an effect, or its typical one where the fit left it nearly neutral."""
+    typical, zero = starts(choice)[0], neutral(choice)
+    if shape is None or np.abs(shape - zero).max() < MIN_AMPLITUDE * np.abs(typical - zero).max():
+        return typical
+    return shape
+
+
+def _rough_fit(fitting: Problem, bases: list[_Base], choice: Choice, points: list[np.ndarray], steps: int) -> Lead:
+    """Return one effect, fitted in few steps from its best starts: its own derivatives anew, others kept."""
+    current = bases[0].trial
+    hypothesis = current.hypothesis.with_effect(choice)
+    low, high = fitting.space(hypothesis).bounds
+    before = current.mean_square
+
+    def residual(u: np.ndarray) -> np.ndarray:
+        return fitting.residual(hypothesis, u).flat
+
+    first = len(current.fit.point) - len(current.hypothesis.tuned)
+    own = np.arange(first, first + len(effect_axes(choice)))
+    found = []
+    for trial, basis in bases:
+        known = np.insert(trial.fit.jacobian, [first] * len(own), 0.0, axis=1)
+        for begin in _begins(fitting, trial, basis, choice, points)[:ROUGH_STARTS]:
+            try:
+                fit = refine(residual, join(trial, begin), known, own, low, high, steps)
+            except SolverError:
+                continue
+            left = float(_squares_left_out(fitting, fit, low, high).mean())
+            found.append((left, np.r_[fit.point[own], np.delete(fit.point, own)]))
+    if not found:
+        return Lead(choice, np.r_[points[0], current.fit.point], -np.inf)
+    left, point = min(found, key=lambda pair: pair[0])
+    return Lead(choice, point, 1.0 - left / max(before, 1e-300))
+
+
+def _begins(
+    fitting: Problem, current: Trial, basis: np.ndarray, choice: Choice, points: list[np.ndarray]
+) -> list[np.ndarray]:
+    """Return starting points of one effect, best first, by how much of the residual their directions explain linearly.
+
+    The effect is simulated at a few sizes beside ``current``; the differences, less what the free parameters can do,
+    are fitted to the residual within the effect's bounds.
+    """
     hypothesis, zero = current.hypothesis.with_effect(choice), neutral(choice)
     residual = current.fit.residual - basis @ (basis.T @ current.fit.residual)
     cost = float(residual @ residual)
@@ -230,7 +395,6 @@ def _screen_one(fitting: Problem, current: Trial, basis: np.ndarray, choice: Cho
         return moved if moved @ moved > 1e-12 * cost else None
 
     found: list[tuple[float, np.ndarray]] = []
-    points = starts(choice)
     for point in points:
         along = direction(point)
         if along is not None:
@@ -238,12 +402,10 @@ def _screen_one(fitting: Problem, current: Trial, basis: np.ndarray, choice: Cho
             gain = cost - float(np.sum((residual + share * along) ** 2))
             begin = np.where(log_axis, point, zero + max(share, MIN_AMPLITUDE) * (point - zero))
             found.append((gain, begin))
-    if len(zero) > 1 or not log_axis[0]:
+    if not log_axis[0]:
         found += _jointly(direction, points[0], zero, log_axis, residual, cost, choice)
-    if not found:
-        return Lead(choice, [points[0]], 0.0)
     found.sort(key=lambda pair: -pair[0])
-    return Lead(choice, [begin for _, begin in found], found[0][0] / max(cost, 1e-300))
+    return [begin for _, begin in found]
 
 
 def _jointly(
@@ -277,17 +439,20 @@ def _jointly(
 
 
 def starting_points(current: Trial, lead: Lead, count: int) -> list[np.ndarray]:
-    """Return starts of a fit: beside ``current``, and with the simulator's parameters back at their nominal values.
+    """Return starts of a fit: where the rough fit ended, and with the simulator's parameters at their nominal values.
 
     Parameters that were retuned in an effect's place lie far off once it acts.
     """
-    points = [join(current, lead.starts[0])]
+    own, before = len(effect_axes(lead.choice)), len(current.fit.point) - len(current.hypothesis.tuned)
+    mine, others = lead.point[:own], lead.point[own:]
+    points = [np.concatenate([others[:before], mine, others[before:]])]
     if current.hypothesis.tuned and count > 1:
         fresh = points[0].copy()
         fresh[-len(current.hypothesis.tuned) :] = 0.0
         points.append(fresh)
-    points += [join(current, start) for start in lead.starts[1:]]
-    return points[:count]
+    if count > 2:
+        points += [join(current, start) for start in starts(lead.choice)[: count - 2]]
+    return points
 
 
 def join(current: Trial, point: np.ndarray) -> np.ndarray:
@@ -298,11 +463,16 @@ def join(current: Trial, point: np.ndarray) -> np.ndarray:
 
 def drop(trial: Trial, choice: Choice) -> np.ndarray:
     """Return the point of ``trial`` without the parameters of one of its effects."""
+    return np.delete(trial.fit.point, _columns(trial, choice))
+
+
+def _columns(trial: Trial, choice: Choice) -> np.ndarray:
+    """Return the places of one effect's parameters in the point of ``trial``."""
     first = 0
     for effect in trial.hypothesis.effects:
         size = len(effect_axes(effect))
         if effect == choice:
-            return np.delete(trial.fit.point, slice(first, first + size))
+            return np.arange(first, first + size)
         first += size
     raise ValueError(f"{choice.label()} is not part of {trial.hypothesis.label()}")
 
@@ -311,10 +481,52 @@ def _prune(fitting: Problem, judge: Judge, trial: Trial, search: Search) -> Tria
     """Return ``trial`` without the effects, other than the last, that no longer pay."""
     for choice in trial.hypothesis.effects[:-1]:
         tasks = [(trial.hypothesis.without(choice), [drop(trial, choice)])]
-        fewer = fit_trials(fitting, judge.problem, tasks, search)
+        fewer = fit_trials(fitting, None, tasks, search)
         if fewer and not judge.pays(fewer[0].squares, trial.squares):
             log.info("%s no longer pays and is dropped", choice.label())
             trial = fewer[0]
+    return trial
+
+
+def slim(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Path) -> Trial:
+    """Return ``trial`` without the parameters that do not pay: each is pinned at its neutral value and the rest refitted."""
+    again = True
+    while again:
+        again = False
+        for choice in trial.hypothesis.effects:
+            forms = [_pinned(trial, choice, name) for name in may_be_pinned(choice)]
+            forms = [form for form in forms if effect_axes(form[0].effects[form[2]])]
+            fitted = fit_trials(fitting, None, [(hypothesis, [point]) for hypothesis, point, _ in forms], search)
+            as_good = [t for t in fitted if not judge.tells(t.squares, trial.squares)]
+            if as_good:
+                slimmer = min(as_good, key=lambda t: t.mean_square)
+                place = trial.hypothesis.effects.index(choice)
+                path.tried[slimmer.hypothesis.effects[place]] = path.tried.pop(choice, [])
+                trial, again = _without_silent(fitting, slimmer, search, path), True
+                break
+    return trial
+
+
+def _pinned(trial: Trial, choice: Choice, name: str) -> tuple[Hypothesis, np.ndarray, int]:
+    """Return (hypothesis, point, place of the effect) with one more parameter of ``choice`` held at neutral."""
+    place = trial.hypothesis.effects.index(choice)
+    less = choice._replace(pinned=(*choice.pinned, name))
+    effects = tuple(less if effect == choice else effect for effect in trial.hypothesis.effects)
+    column = _columns(trial, choice)[[axis.name for axis in effect_axes(choice)].index(name)]
+    return Hypothesis(effects, trial.hypothesis.tuned), np.delete(trial.fit.point, column), place
+
+
+def _without_silent(fitting: Problem, trial: Trial, search: Search, path: Path) -> Trial:
+    """Return ``trial`` with the parameters of its effects pinned that have no influence any more."""
+    size = np.linalg.norm(trial.fit.jacobian, axis=0)
+    for choice in trial.hypothesis.effects:
+        columns = _columns(trial, choice)
+        for column, axis in zip(columns, effect_axes(choice), strict=True):
+            if size[column] <= SILENT * size.max() and len(columns) > 1:
+                hypothesis, point, place = _pinned(trial, choice, axis.name)
+                path.tried[hypothesis.effects[place]] = path.tried.pop(choice, [])
+                fitted = fit_trials(fitting, None, [(hypothesis, [point])], search)
+                return _without_silent(fitting, fitted[0], search, path) if fitted else trial
     return trial
 
 

@@ -1,7 +1,7 @@
 """What pays: errors on unseen runs, with intervals that respect how long errors stay alike."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -10,6 +10,7 @@ import numpy as np
 from softrl.core.errors import ConfigError
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.statistics import MIN_BLOCKS, blocks_of, bootstrap_means, correlation_time
+from softrl.recordings.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,7 @@ class Thresholds:
     ----------
     material_share : of the travel (rms about its mean) of what is measured: less would not be noticed
     material_gain : an addition must lower the error above the noise floor by this share
-    explained_share : share of the squared error above the floor that named effects must explain together
+    explained_share : share of the squared error that can be explained which named effects must explain together
     confidence : of one-sided decisions and of two-sided parameter intervals, 0.5..1
     draws : of the block bootstrap
     block_s : shortest block
@@ -72,6 +73,10 @@ class Judge:
     thresholds: Thresholds
     seed: int
 
+    def on(self, runs: Sequence[Recording]) -> "Judge":
+        """Return the same judge of other runs."""
+        return replace(self, problem=self.problem.on(runs))
+
     @property
     def material(self) -> float:
         """The smallest difference of errors that counts, m (Pa)."""
@@ -100,10 +105,22 @@ class Judge:
         needed = max(self.material, self.thresholds.material_gain * float(self.excess(worse.mean())))
         return gap.low > 0.0 and gap.value >= needed
 
+    def tells(self, worse: np.ndarray, better: np.ndarray) -> bool:
+        """Return whether the data tell that ``better`` is better, by more than what both leave could bring about.
+
+        Where both leave structure behind, neither is the truth, and a difference that is small beside what is left
+        says nothing about which of them is nearer to it.
+        """
+        change = worse - better
+        drawn = bootstrap_means(change, self._blocks(change), self.thresholds.draws, np.random.default_rng(self.seed))
+        sure = np.quantile(drawn, 1.0 - self.thresholds.confidence) > 0.0
+        needed = ((1.0 + self.thresholds.material_gain) ** 2 - 1.0) * float(self.excess(better.mean())) ** 2
+        return bool(sure and change.mean() >= needed)
+
     def simplest(self, trials: Sequence[Any]) -> Any:
-        """Return the best trial, or one with fewer free parameters that is as good within what counts."""
+        """Return the best trial, or one with fewer free parameters from which the data cannot tell it."""
         best = min(trials, key=lambda trial: trial.mean_square)
-        alike = [t for t in trials if self.gap(t.squares, best.squares).value < 0.5 * self.material]
+        alike = [t for t in trials if not self.tells(t.squares, best.squares)]
         return min(alike or [best], key=lambda t: (len(t.fit.point), _alone(t), t.mean_square))
 
     def _blocks(self, series: np.ndarray) -> np.ndarray:

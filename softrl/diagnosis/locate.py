@@ -1,15 +1,24 @@
-"""Where simulation and measurement part: tests by site, channel, chamber, region, direction, time and band."""
+"""Where simulation and measurement part: tests by site, channel, chamber, region, direction, history, time and band.
+
+Every test asks whether what is left moves with a regressor, beyond what noise with the same memory would do: only what
+follows the drive, its past or the clock is found.
+"""
 
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import stats
 
+from softrl.diagnosis.flexible import pressures
 from softrl.diagnosis.problem import Problem, Residual
-from softrl.diagnosis.statistics import block_sums, blocks_of, holm, slope_test, whiteness
+from softrl.diagnosis.statistics import follows, holm
 
 BANDS_HZ = ((0.0, 0.1), (0.1, 1.0), (1.0, np.inf))
-WHITENESS_LAGS = 20
+SEGMENTS = 8  # pieces of all runs together that the coherence of a band is estimated from, at least
+LATE = (1 / 3, 2 / 3)  # shares of a run after which an onset is looked for
+HIGH = 0.6  # share of a chamber's largest pressure above which it counts as high
+BELOW_MAXIMUM = 0.97  # share of the largest pressure so far under which a chamber is off its maximum
+SIGNIFICANT = 0.01
+BLOCK_S = 1.0  # samples closer than this may depend on each other even when whitened
 
 
 class Finding(NamedTuple):
@@ -26,7 +35,7 @@ class Finding(NamedTuple):
     p_value: float
 
 
-def locate(problem: Problem, residual: Residual, floor: float, site: str, block_s: float) -> list[Finding]:
+def locate(problem: Problem, residual: Residual, floor: float, site: str) -> list[Finding]:
     """Return the tests of one residual, uncorrected: see ``corrected``.
 
     Parameters
@@ -35,28 +44,22 @@ def locate(problem: Problem, residual: Residual, floor: float, site: str, block_
     residual : measured less simulated
     floor : rms that noise alone leaves in a bin
     site : which part of the pipeline it spans
-    block_s : samples farther apart than this count as independent
     """
-    drives = [_drive(problem, k) for k in range(len(problem.runs))]
-    pressure, rate = (np.concatenate([drive[i] for drive in drives]) for i in (0, 1))
-    time = np.concatenate([drive[2] for drive in drives])
-    values = np.concatenate(residual.runs)
-    blocks = blocks_of(problem.run_of_bin, max(round(block_s / problem.numerics.bin_s), 1))
-    strength = np.sqrt(np.sum(values**2, axis=1))
-    main = _main_component(values)
-    found = [Finding(site, None, None, None, *_above_floor(values, floor, blocks))]
-    found += _channels(problem, values, site)
-    for chamber in range(problem.robot.chambers):
-        p, dp = pressure[:, chamber], rate[:, chamber]
-        if np.ptp(p) <= 0.0:
-            continue
-        found.append(Finding(site, None, chamber + 1, "in step with pressure", *_sized(main, p, blocks)))
-        found.append(Finding(site, None, chamber + 1, "loading against unloading", *_sized(main, np.sign(dp), blocks)))
-        found.append(Finding(site, None, chamber + 1, "stronger at high pressure", *_sized(strength, p, blocks)))
-    total = np.abs(rate).sum(axis=1)
-    found.append(Finding(site, None, None, "while pressure changes", *_sized(strength, total, blocks)))
-    found.append(Finding(site, None, None, "grows with time", *_sized(strength, time, blocks)))
-    return found + _bands(problem, residual, site)
+    regressors = _regressors(problem)
+    length = max(round(BLOCK_S / problem.numerics.bin_s), 1)
+    strength = [np.sum(run**2, axis=1) for run in residual.runs]
+    components = _components(residual)
+    found = []
+    for (chamber, region), runs in regressors.items():
+        tests = [follows(target, runs, length) for target in (*components, strength)]
+        size, p_value = min(tests, key=lambda test: test[1])
+        found.append(Finding(site, None, chamber, region, abs(size), min(1.0, len(tests) * p_value)))
+    found += _channels(problem, residual, regressors, site)
+    found += _bands(problem, components[0], site)
+    power = float(np.mean(np.concatenate(strength)))
+    share = max(1.0 - floor**2 / max(power, 1e-300), 0.0)
+    alone = min((f.p_value for f in found), default=1.0)
+    return [Finding(site, None, None, None, share, min(1.0, len(found) * alone)), *found]
 
 
 def corrected(findings: list[Finding]) -> list[dict[str, Any]]:
@@ -66,7 +69,7 @@ def corrected(findings: list[Finding]) -> list[dict[str, Any]]:
         finding._replace(p_value=float(p), effect_size=float(finding.effect_size))._asdict()
         for finding, p in zip(findings, adjusted, strict=True)
     ]
-    return sorted(rows, key=lambda row: (row["p_value"] > 0.01, -row["effect_size"]))
+    return sorted(rows, key=lambda row: (row["p_value"] > SIGNIFICANT, -row["effect_size"]))
 
 
 def channel_names(problem: Problem) -> list[str]:
@@ -79,67 +82,101 @@ def channel_names(problem: Problem) -> list[str]:
     return names + (["turn_x", "turn_y", "turn_z"] if problem.orientation else [])
 
 
-def _sized(target: np.ndarray, regressor: np.ndarray, blocks: np.ndarray) -> tuple[float, float]:
-    size, p_value = slope_test(target, regressor, blocks)
-    return abs(size), p_value
-
-
-def _above_floor(values: np.ndarray, floor: float, blocks: np.ndarray) -> tuple[float, float]:
-    """Return (share of power above the floor, p-value), from the spread of the power over blocks."""
-    power = np.sum(values**2, axis=1)
-    share = 1.0 - floor**2 / max(float(power.mean()), 1e-300)
-    means = block_sums(power, blocks) / np.bincount(blocks)
-    spread = float(means.std(ddof=1)) / np.sqrt(len(means)) if len(means) > 1 else 0.0
-    if share <= 0.0 or spread == 0.0:
-        return max(share, 0.0), 1.0
-    return share, float(stats.t.sf((means.mean() - floor**2) / spread, len(means) - 1))
-
-
-def _channels(problem: Problem, values: np.ndarray, site: str) -> list[Finding]:
-    """Return each channel's share of the power, with a test against white noise."""
-    total = max(float(np.mean(np.sum(values**2, axis=1))), 1e-300)
-    found = []
-    for name, column in zip(channel_names(problem), values.T, strict=True):
-        p_values: list[float] = [
-            whiteness(column[problem.run_of_bin == run], WHITENESS_LAGS)[1] for run in range(len(problem.runs))
+def _regressors(problem: Problem) -> dict[tuple[int | None, str], list[np.ndarray]]:
+    """Return (chamber from 1, or None; region in words) -> one series (bins,) a run; those that never move are left out."""
+    runs = [pressures(problem, k) for k in range(len(problem.runs))]
+    largest = np.max([run.max(axis=0) for run in runs], axis=0)
+    found: dict[tuple[int | None, str], list[np.ndarray]] = {}
+    for i in range(problem.robot.chambers):
+        own = [run[:, i] for run in runs]
+        top = [np.maximum.accumulate(p) for p in own]
+        found[i + 1, "in step with pressure"] = own
+        found[i + 1, "above high pressure"] = [np.maximum(p - HIGH * largest[i], 0.0) for p in own]
+        found[i + 1, "loading against unloading"] = [_direction(p) for p in own]
+        found[i + 1, "below the largest pressure so far"] = [
+            (p < BELOW_MAXIMUM * t).astype(float) * p for p, t in zip(own, top, strict=True)
         ]
-        p_value = min(1.0, len(p_values) * min(p_values))
-        found.append(Finding(site, name, None, None, float(np.mean(column**2)) / total, p_value))
-    return found
+        found[i + 1, "after a new maximum"] = top
+        found[i + 1, "while pressure changes"] = [np.gradient(p) for p in own]
+        for j in range(i):
+            found[None, f"chambers {j + 1} and {i + 1} together"] = [run[:, i] * run[:, j] for run in runs]
+    clocks = [np.linspace(0.0, 1.0, len(run)) for run in runs]
+    found[None, "grows with time"] = clocks
+    for share in LATE:
+        found[None, f"after {share:.0%} of a run"] = [(clock > share).astype(float) for clock in clocks]
+    found[None, "while any pressure changes"] = [np.abs(np.gradient(run, axis=0)).sum(axis=1) for run in runs]
+    return {key: series for key, series in found.items() if any(np.ptp(s) > 1e-6 for s in series)}
 
 
-def _bands(problem: Problem, residual: Residual, site: str) -> list[Finding]:
-    """Return the share of the residual's power in each band; p-value against the share of white noise."""
+def _direction(pressure: np.ndarray) -> np.ndarray:
+    """Return +1 on the way up and -1 on the way down, held while the pressure rests."""
+    sign = np.sign(np.diff(pressure, prepend=pressure[:1]))
+    last = np.maximum.accumulate(np.where(sign != 0.0, np.arange(len(sign)), 0))
+    return np.asarray(sign[last])
+
+
+def _channels(
+    problem: Problem, residual: Residual, regressors: dict[tuple[int | None, str], list[np.ndarray]], site: str
+) -> list[Finding]:
+    """Return each channel's share of the power, with the strongest test of it against any regressor."""
+    length = max(round(BLOCK_S / problem.numerics.bin_s), 1)
+    total = max(float(np.mean(residual.squares)), 1e-300)
     found = []
-    period = problem.numerics.bin_s
-    for low, high in BANDS_HZ:
-        shares, expected = [], []
-        for run in residual.runs:
-            power = (np.abs(np.fft.rfft(run - run.mean(axis=0), axis=0)) ** 2).sum(axis=1)[1:]
-            frequency = np.fft.rfftfreq(len(run), period)[1:]
-            inside = (frequency >= low) & (frequency < high)
-            if inside.any() and not inside.all() and power.sum() > 0.0:
-                shares.append(float(power[inside].sum() / power.sum()))
-                expected.append((int(inside.sum()), int((~inside).sum())))
-        if not shares:
-            continue
-        count = sum(a for a, _ in expected), sum(b for _, b in expected)
-        share = float(np.mean(shares))
-        p_value = float(stats.beta.sf(share, count[0], count[1]))
-        name = f"{low:g} to {high:g} Hz" if np.isfinite(high) else f"above {low:g} Hz"
-        found.append(Finding(site, name, None, "band", share, p_value))
+    for k, name in enumerate(channel_names(problem)):
+        target = [run[:, k] for run in residual.runs]
+        p_values = [follows(target, runs, length)[1] for runs in regressors.values()]
+        share = float(np.mean(np.concatenate(target) ** 2)) / total
+        found.append(Finding(site, name, None, None, share, min(1.0, len(p_values) * min(p_values, default=1.0))))
     return found
 
 
-def _main_component(values: np.ndarray) -> np.ndarray:
-    """Return the residual (bins,) along the direction in which it is largest."""
+def _bands(problem: Problem, main: list[np.ndarray], site: str) -> list[Finding]:
+    """Return the coherence of the residual with the chambers' pressures in each band.
+
+    Notes
+    -----
+    ``C = |sum X* Y|^2 / (sum |X|^2 sum |Y|^2)`` over L segments without overlap exceeds c by chance with probability
+    ``(1 - c)^(L - 1)`` (textbook form, no equation number checked); corrected for frequencies and chambers.
+    """
+    runs = [pressures(problem, k) for k in range(len(problem.runs))]
+    length = min(min(len(run) for run in runs), sum(len(run) for run in runs) // SEGMENTS)
+    starts_ = [(k, s) for k, run in enumerate(runs) for s in range(0, len(run) - length + 1, max(length, 1))]
+    if length < 16 or len(starts_) < 4:
+        return []
+    window = np.hanning(length)[:, None]
+    frequency = np.fft.rfftfreq(length, problem.numerics.bin_s)[1:]
+    cut_x = np.stack([np.fft.rfft(_level(runs[k][s : s + length]) * window, axis=0)[1:] for k, s in starts_])
+    cut_y = np.stack([np.fft.rfft(_level(main[k][s : s + length, None]) * window, axis=0)[1:] for k, s in starts_])
+    power_x, power_y = np.sum(np.abs(cut_x) ** 2, axis=0), np.sum(np.abs(cut_y) ** 2, axis=0)
+    cross = np.abs(np.sum(np.conj(cut_x) * cut_y, axis=0)) ** 2
+    coherence = np.divide(cross, power_x * power_y, out=np.zeros_like(cross), where=power_x * power_y > 0.0)
+    found = []
+    for low, high in BANDS_HZ:
+        inside = (frequency >= low) & (frequency < high)
+        if not inside.any():
+            continue
+        largest = float(min(coherence[inside].max(), 1.0 - 1e-12))
+        chance = min(1.0, coherence[inside].size * (1.0 - largest) ** (len(starts_) - 1))
+        name = f"{low:g} to {high:g} Hz" if np.isfinite(high) else f"above {low:g} Hz"
+        found.append(Finding(site, name, None, "band", float(power_y[inside].sum() / power_y.sum()), chance))
+    return found
+
+
+def _level(values: np.ndarray) -> np.ndarray:
+    """Return ``values`` (steps, n) about their line in time."""
+    clock = np.linspace(-1.0, 1.0, len(values))[:, None]
     centred = values - values.mean(axis=0)
-    return np.asarray(centred @ np.linalg.svd(centred.T @ centred)[0][:, 0])
+    return np.asarray(centred - clock * (clock.T @ centred) / float((clock**2).sum()))
 
 
-def _drive(problem: Problem, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return pressure (bins, chambers), its rate, and time (bins,) of run ``k``."""
-    run = problem.runs[k]
-    acting = run.pressure_meas if problem.drive == "measured" and run.pressure_meas is not None else run.pressure_cmd
-    pressure = problem.binned(k, acting)
-    return pressure, np.gradient(pressure, axis=0), problem.binned(k, run.time[:, None])[:, 0] - run.time[0]
+def _components(residual: Residual) -> list[list[np.ndarray]]:
+    """Return the residual, run by run, along the two directions in which it is largest."""
+    values = np.concatenate(residual.runs)
+    level = values.mean(axis=0)
+    axes = np.linalg.svd((values - level).T @ (values - level))[0]
+    return [[(run - level) @ axis for run in residual.runs] for axis in axes.T[:2]]
+
+
+def significant(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the corrected findings that chance does not explain."""
+    return [row for row in rows if row["p_value"] < SIGNIFICANT]

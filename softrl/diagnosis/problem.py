@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from softrl.core.errors import SolverError
 from softrl.core.simulator import Hook, Motion, Simulator
@@ -17,6 +16,7 @@ from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
 AT_REST_SHARE = 0.02  # a run whose first pressures stay below this share of the limit begins at rest
+MIN_FOLDS = 3  # parts of the data that are left out in turn
 ORIENTATION_LEVER = 0.5  # lengths of the robot: turns orientation errors into displacements
 
 
@@ -32,6 +32,7 @@ class Numerics:
     """Steps and bounds that every replay shares; fields as in the stage's Config."""
 
     dt_s: float
+    rough_dt_s: float
     bin_s: float
     settle_s: float
     tuned_factor: float
@@ -125,6 +126,11 @@ class Problem:
         """Return the same problem on other runs."""
         return replace(self, runs=tuple(runs))
 
+    @property
+    def rough(self) -> "Problem":
+        """The same problem with the step of rough fits."""
+        return replace(self, numerics=replace(self.numerics, dt_s=self.numerics.rough_dt_s))
+
     def space(self, hypothesis: Hypothesis) -> Space:
         """Return the free parameters of a hypothesis."""
         return Space(hypothesis, self.simulator, self.numerics.tuned_factor)
@@ -141,6 +147,16 @@ class Problem:
     def run_of_bin(self) -> np.ndarray:
         """Run number (bins,) of every bin, runs joined."""
         return np.repeat(np.arange(len(self.runs)), [int(b[-1]) + 1 for b in self.bins])
+
+    @cached_property
+    def folds(self) -> np.ndarray:
+        """Fold (bins,) of every bin: one a run, or with fewer than ``MIN_FOLDS`` runs equal parts of each run."""
+        parts = -(-MIN_FOLDS // len(self.runs))
+        found = []
+        for number, bins in enumerate(self.bins):
+            count = int(bins[-1]) + 1
+            found.append(number * parts + np.arange(count) * parts // count)
+        return np.concatenate(found)
 
     def binned(self, number: int, values: np.ndarray) -> np.ndarray:
         """Return bin means (bins, n) of ``values`` (steps, n) of run ``number``."""
@@ -178,9 +194,7 @@ class Problem:
         """Return measured less predicted; ``registrations`` found elsewhere are kept, else they are fitted here."""
         return self.compare(self.replayed(hypothesis, point), registrations)
 
-    def compare(
-        self, simulated: Sequence[Recording], registrations: dict[str, Registration] | None = None
-    ) -> Residual:
+    def compare(self, simulated: Sequence[Recording], registrations: dict[str, Registration] | None = None) -> Residual:
         """Return measured less ``simulated``."""
         if self.target == "pressure":
             return Residual([self._pressure(k, simulated[k]) for k in range(len(self.runs))], {})
@@ -237,9 +251,14 @@ def place(points: np.ndarray, seen: np.ndarray) -> Registration:
 
 
 def _turn_between(simulated: np.ndarray | None, measured: np.ndarray) -> np.ndarray:
-    """Return the rotation vector (steps, 3) rad from simulated to measured orientation."""
-    wanted = Rotation.from_quat(measured, scalar_first=True)
-    return np.asarray((wanted * Rotation.from_quat(_present(simulated), scalar_first=True).inv()).as_rotvec())
+    """Return the rotation vector (steps, 3) rad from simulated to measured orientation, quaternions w x y z."""
+    a, b = measured, _present(simulated)
+    w = np.einsum("ij,ij->i", a, b)
+    v = a[:, 1:] * b[:, :1] - b[:, 1:] * a[:, :1] - np.cross(a[:, 1:], b[:, 1:])
+    v *= np.where(w < 0.0, -1.0, 1.0)[:, None]
+    half = np.linalg.norm(v, axis=1)
+    angle = 2.0 * np.arctan2(half, np.abs(w))
+    return np.asarray(v * np.where(half > 1e-12, angle / np.maximum(half, 1e-300), 2.0)[:, None])
 
 
 def _present(values: np.ndarray | None) -> np.ndarray:

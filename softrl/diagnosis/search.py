@@ -83,6 +83,59 @@ def least_squares(
     return Fit(point, value, jacobian, cost, used)
 
 
+def refine(
+    residual: Residual,
+    start: np.ndarray,
+    known: np.ndarray,
+    own: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    steps: int,
+    step: float = 0.05,
+) -> Fit:
+    """Return a rough minimiser in few evaluations: columns ``own`` by differences at the start, the rest ``known``.
+
+    After every step the Jacobian (rows, p) is updated instead of computed anew.
+    """
+    point = np.clip(start, low, high)
+    value = residual(point)
+    cost, used, damping = 0.5 * float(value @ value), 1, 1e-3
+    jacobian = known.copy()
+    for again in (True, False):
+        jacobian[:, own] = _own_columns(residual, point, value, own, low, high, step)
+        used += len(own)
+        for _ in range(steps):
+            found = _try_steps(residual, point, value, jacobian, cost, low, high, damping, 3)
+            used += found.tries
+            if found.point is None:
+                break
+            decrease = (cost - found.cost) / max(cost, 1e-300)
+            jacobian = _updated(jacobian, found.point - point, found.value - value)
+            point, value, cost, damping = found.point, found.value, found.cost, found.damping
+            if decrease < 0.01:
+                break
+        if not again or np.abs(point - np.clip(start, low, high)).max(initial=0.0) < 0.05:
+            break
+    return Fit(point, value, jacobian, cost, used)
+
+
+def _own_columns(
+    residual: Residual,
+    point: np.ndarray,
+    value: np.ndarray,
+    own: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    step: float,
+) -> np.ndarray:
+    def partly(u: np.ndarray) -> np.ndarray:
+        whole = point.copy()
+        whole[own] = u
+        return residual(whole)
+
+    return jacobian_at(partly, point[own], value, low[own], high[own], step)
+
+
 def _updated(jacobian: np.ndarray, moved: np.ndarray, change: np.ndarray) -> np.ndarray:
     """Return the Jacobian after Broyden's rank-one update, which makes it explain the last step."""
     return np.asarray(jacobian + np.outer(change - jacobian @ moved, moved) / max(float(moved @ moved), 1e-300))
@@ -105,6 +158,7 @@ def _try_steps(
     low: np.ndarray,
     high: np.ndarray,
     damping: float,
+    limit: int = 6,
 ) -> _Step:
     """Return the first damped step that lowers the cost, with more damping after every refusal."""
     gradient = jacobian.T @ value
@@ -114,7 +168,7 @@ def _try_steps(
         return _Step(None, value, cost, damping, 0)
     normal = jacobian[:, free].T @ jacobian[:, free]
     scale = np.diag(normal) + 1e-6 * np.trace(normal) / len(free)
-    for tries in range(1, 7):
+    for tries in range(1, limit + 1):
         moved = point.copy()
         moved[free] -= np.linalg.lstsq(normal + damping * np.diag(scale), gradient[free], rcond=None)[0]
         moved = np.clip(moved, low, high)
@@ -126,4 +180,4 @@ def _try_steps(
         if trial_cost < cost:
             return _Step(moved, trial, trial_cost, max(damping / 5.0, 1e-6), tries)
         damping *= 8.0
-    return _Step(None, value, cost, damping, 6)
+    return _Step(None, value, cost, damping, limit)

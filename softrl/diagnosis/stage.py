@@ -6,12 +6,23 @@ from typing import Any
 
 import numpy as np
 
+from softrl.artifacts.calibration import Calibration
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.errors import ConfigError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
+from softrl.diagnosis.baselines import one_lag, without_physics
 from softrl.diagnosis.correct import Model, Traces, errors, in_mm, model_of, share_closed, traces
-from softrl.diagnosis.data import OTHER_FRAME_RAD, Data, Refusal, other_frames, prepare, require_robot
+from softrl.diagnosis.data import (
+    OTHER_FRAME_RAD,
+    TURNED_FRAME_RAD,
+    Data,
+    Refusal,
+    other_frames,
+    prepare,
+    require_robot,
+    turned_frame,
+)
 from softrl.diagnosis.examine import Finding, Part, examine
 from softrl.diagnosis.explain import (
     effect_entries,
@@ -23,11 +34,14 @@ from softrl.diagnosis.explain import (
     verdict_of,
 )
 from softrl.diagnosis.figures import draw_all
+from softrl.diagnosis.hidden import behind, in_words, read_map
 from softrl.diagnosis.hypothesis import Hypothesis, candidates
 from softrl.diagnosis.hypothesise import Search, fit_trials
+from softrl.diagnosis.join import joined
 from softrl.diagnosis.judge import Thresholds
 from softrl.diagnosis.locate import corrected, locate
-from softrl.diagnosis.problem import Numerics, Problem
+from softrl.diagnosis.problem import ORIENTATION_LEVER, Numerics, Problem
+from softrl.diagnosis.quality import mixed
 from softrl.diagnosis.report import page
 from softrl.diagnosis.response import step_responses
 from softrl.effects.effect import SITES
@@ -63,7 +77,7 @@ class Config:
     seed: int
 
     def __post_init__(self) -> None:
-        for name in ("dt_s", "bin_s"):
+        for name in ("dt_s", "rough_dt_s", "bin_s"):
             if getattr(self.numerics, name) <= 0.0:
                 raise ConfigError(f"stage.numerics.{name}={getattr(self.numerics, name):g} s must be positive")
         if self.numerics.settle_s < 0.0 or self.numerics.tuned_factor <= 1.0:
@@ -84,9 +98,19 @@ class Config:
 
 
 def run(
-    config: Config, robot: Robot, recordings: RecordingSet, simulator: Simulator, *, tracker: Tracker
+    config: Config,
+    robot: Robot,
+    recordings: RecordingSet,
+    simulator: Simulator,
+    calibration: Calibration | None = None,
+    *,
+    tracker: Tracker,
 ) -> Diagnosis:
-    """Return what the simulator leaves out, with evidence, rivals, and what rebuilds the corrected simulator."""
+    """Return what the simulator leaves out, with evidence, rivals, and what rebuilds the corrected simulator.
+
+    A ``calibration`` is a competitor: the retuned simulator behind the calibrated map of pressures. What the map has
+    absorbed is told, and whether physics predicts held-out runs at least as well.
+    """
     require_robot(recordings, robot)
     found = prepare(recordings, robot, config.heldout_share, config.seed)
     if isinstance(found, Refusal):
@@ -94,27 +118,38 @@ def run(
     lumped = isinstance(simulator, PccSimulator)
     data = found.shortened(config.search.fit_lumped_s if lumped else config.search.fit_s)
     whole = _whole(config, robot, simulator, data)
+    apart = mixed(data.training, whole.replayed(Hypothesis((), ()), np.zeros(0)), robot)
+    if apart:
+        return _cannot_tell(Refusal(data.check, apart), robot, simulator, tracker)
     findings = _examine(config, whole, data, found)
+    findings = joined(whole.on(data.training), findings, config.search, config.thresholds)
     models = _competitors(config, whole.on(data.training), findings)
-    judged = {split: {name: traces(whole.on(runs), model) for name, model in models.items()}
-              for split, runs in (("train", data.training), ("heldout", data.heldout))}  # fmt: skip
-    located = [f for part in findings for f in _locate(part, config)]
+    judged = _judge(whole, data, models)
+    if calibration is not None:
+        _add_calibrated(whole, data, calibration, models["retuned"], judged, config)
+    located = [f for part in findings for f in _locate(part)]
     diagnosis = _conclude(config, data, whole, findings, models, judged, corrected(located))
+    if calibration is not None:
+        diagnosis = _with_map(diagnosis, calibration)
     _report(diagnosis, config, data, whole, findings, judged, tracker)
     return diagnosis
 
 
 def _whole(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Problem:
     """Return the problem from command to motion, with registration if sessions use different frames."""
-    bare = Problem(
-        robot, simulator, data.training, config.numerics, "motion", "command", False, data.orientation
-    )
+    bare = Problem(robot, simulator, data.training, config.numerics, "motion", "command", False, data.orientation)
     if robot.output == "bend_angle":
         return bare
-    apart = other_frames(bare.replayed(Hypothesis((), ()), np.zeros(0)), data.training)
-    if apart < OTHER_FRAME_RAD:
+    nominal = bare.replayed(Hypothesis((), ()), np.zeros(0))
+    apart, turned = other_frames(nominal, data.training), turned_frame(nominal, data.training)
+    if apart < OTHER_FRAME_RAD and turned < TURNED_FRAME_RAD:
         return bare
-    log.info("sessions use frames that turn apart by %.0f deg: each is placed by itself", np.degrees(apart))
+    log.info(
+        "sessions use frames that turn apart by %.0f deg, and all by %.0f deg against the base frame: each is placed by "
+        "itself",
+        np.degrees(apart),
+        np.degrees(turned),
+    )
     return replace(bare, register=True, orientation=False)
 
 
@@ -130,8 +165,7 @@ def _examine(config: Config, whole: Problem, data: Data, full: Data) -> list[Fin
     shifted = {run.name: run for run in behind.runs}
     body = replace(
         data,
-        fitting=tuple(shifted[r.name] for r in data.fitting),
-        validation=tuple(shifted[r.name] for r in data.validation),
+        training=tuple(shifted[r.name] for r in data.training),
         heldout=_without_bias(data.heldout, valve, whole),
     )
     sites = tuple(site for site in SITES if site != "valve")
@@ -139,20 +173,20 @@ def _examine(config: Config, whole: Problem, data: Data, full: Data) -> list[Fin
 
 
 def _examine_valve(config: Config, whole: Problem, data: Data) -> Finding:
-    problem = replace(whole, target="pressure", register=False, orientation=False, runs=data.fitting)
+    problem = replace(whole, target="pressure", register=False, orientation=False, runs=data.training)
     choices = candidates(config.effects, ("valve",), whole.robot, data.check.excited)
     floor = _floor_in_bin(data.pressure_noise, data, config)
-    part = Part("command to measured pressure", problem, data.validation, data.heldout, floor, data.pressure_travel,
+    part = Part("command to measured pressure", problem, data.heldout, floor, data.pressure_travel,
                 (), tuple(choices))  # fmt: skip
-    search = replace(config.search, keep=max(config.search.keep, 6), rivals=max(config.search.rivals, 3))
-    return examine(part, search, config.thresholds, config.seed)
+    return examine(part, config.search, config.thresholds, config.seed)
 
 
 def _examine_motion(config: Config, problem: Problem, data: Data, title: str, sites: tuple[str, ...]) -> Finding:
     wanted = [name for name in config.effects if not (problem.register and name == "frame")]
     choices = candidates(wanted, sites, problem.robot, data.check.excited)
-    floor = _floor_in_bin(data.noise, data, config) * (np.sqrt(2.0) if problem.orientation else 1.0)
-    part = Part(title, problem.on(data.fitting), data.validation, data.heldout, floor, data.travel,
+    turned = ORIENTATION_LEVER * problem.robot.length_m * data.turn_noise if problem.orientation else 0.0
+    floor = _floor_in_bin(float(np.hypot(data.noise, turned)), data, config)
+    part = Part(title, problem.on(data.training), data.heldout, floor, data.travel,
                 tuple(problem.simulator.parameters), tuple(choices))  # fmt: skip
     return examine(part, config.search, config.thresholds, config.seed)
 
@@ -180,23 +214,71 @@ def _competitors(config: Config, training: Problem, findings: list[Finding]) -> 
     tuned = tuple(training.simulator.parameters)
     motion = findings[-1]
     start = motion.base.fit.point
-    retuned = fit_trials(training, training, [(Hypothesis((), tuned), [start])], config.search)[0]
+    retuned = fit_trials(training, None, [(Hypothesis((), tuned), [start])], config.search)[0]
     parts = [finding.final for finding in findings]
     effects = tuple(choice for trial in parts for choice in trial.hypothesis.effects)
     point = np.concatenate([trial.fit.point for trial in parts])
     if not effects:
         point = retuned.fit.point
+    elif motion.joint is not None:
+        point = motion.joint
+    lag = one_lag(training, retuned.fit.point, config.search)
     return {
         "nominal": model_of(training, empty, np.zeros(0)),
         "retuned": model_of(training, retuned.hypothesis, retuned.fit.point),
         "corrected": model_of(training, Hypothesis(effects, tuned), point),
+    } | ({"one_lag": lag} if lag else {})
+
+
+def _judge(whole: Problem, data: Data, models: dict[str, Model]) -> dict[str, dict[str, Traces]]:
+    """Return what every competitor predicts, with physics and without: split -> name -> traces."""
+    splits = {split: whole.on(runs) for split, runs in data.splits.items()}
+    plain = without_physics(whole.on(data.training), splits, models["corrected"].placed)
+    return {
+        split: {name: traces(problem, model) for name, model in models.items()} | plain[split]
+        for split, problem in splits.items()
     }
 
 
-def _locate(finding: Finding, config: Config) -> list[Any]:
-    problem = finding.part.training
+def _add_calibrated(
+    whole: Problem,
+    data: Data,
+    calibration: Calibration,
+    retuned: Model,
+    judged: dict[str, dict[str, Traces]],
+    config: Config,
+) -> None:
+    """Add what the retuned simulator behind the calibrated map predicts to ``judged``."""
+    training = behind(whole.on(data.training), calibration)
+    fitted = fit_trials(training, None, [(retuned.hypothesis, [retuned.point])], config.search)
+    if fitted:
+        model = model_of(training, retuned.hypothesis, fitted[0].fit.point)
+        for split, runs in data.splits.items():
+            judged[split]["calibrated"] = traces(behind(whole.on(runs), calibration), model)
+
+
+def _with_map(diagnosis: Diagnosis, calibration: Calibration) -> Diagnosis:
+    """Return the diagnosis with what the calibrated map has absorbed, and whether physics replaces it."""
+    rows, held = read_map(calibration), diagnosis.errors_mm["heldout"]
+    lines = in_words(rows)
+    if "calibrated" in held:
+        replaces = bool(diagnosis.effects) and held["corrected"] <= held["calibrated"]
+        lines.append(
+            f"Behind the calibrated map the retuned simulator errs by {held['calibrated']:.3g} mm on held-out runs; "
+            + (
+                f"the physics named here, without the map, by {held['corrected']:.3g} mm, and replaces it."
+                if replaces
+                else f"without it the corrected one by {held['corrected']:.3g} mm: the map stays."
+            )
+        )
+    data = diagnosis.data | {"calibrated_map": rows}
+    return replace(diagnosis, sentences=[*diagnosis.sentences, *lines], data=data)
+
+
+def _locate(finding: Finding) -> list[Any]:
+    problem = finding.part.problem
     residual = problem.residual(finding.base.hypothesis, finding.base.fit.point, finding.base.placed)
-    return locate(problem, residual, finding.part.floor, finding.part.title, config.thresholds.block_s)
+    return locate(problem, residual, finding.part.floor, finding.part.title)
 
 
 def _conclude(
@@ -226,9 +308,9 @@ def _conclude(
         errors_mm={split: in_mm(values, robot.length_m, angle) for split, values in plain.items()},
         errors_deg={s: {n: float(np.degrees(e)) for n, e in v.items()} for s, v in plain.items()} if angle else {},
         unexplained=unexplained(findings),
-        next_experiment=next_experiment(findings, verdict, robot),
+        next_experiment=next_experiment(findings, verdict, robot, data.noise),
         data={
-            "warnings": list(data.check.warnings),
+            "warnings": _warnings(data, whole),
             "training_runs": [r.name for r in data.training],
             "heldout_runs": [r.name for r in data.heldout],
             "sessions_placed_separately": whole.register,
@@ -239,6 +321,17 @@ def _conclude(
     )
     read = responses.sentence()
     return replace(made, sentences=sentences(made, findings) + ([read] if read else []))
+
+
+def _warnings(data: Data, whole: Problem) -> list[str]:
+    """Return what is odd about the recordings, one line each."""
+    lines = list(data.check.warnings)
+    if whole.register:
+        lines.append(
+            "the recorded frame differs from the robot's base frame, or between sessions: every session is placed by "
+            "the rigid motion that fits best, so that a tilt or an offset of the frame cannot be told"
+        )
+    return lines
 
 
 def _report(

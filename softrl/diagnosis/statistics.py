@@ -6,6 +6,10 @@ import numpy as np
 from scipy import stats
 
 UNSEEN = 1e-6  # eigenvalue of the normalised normal matrix below which a direction counts as unseen
+AT_END = 1e-6  # scaled distance from a bound below which a parameter sits on it
+MIN_FREQUENCIES = 32  # fewer do not show whether a spectrum is smooth
+EULER = 0.5772  # mean of minus the logarithm of an exponential variable
+MAX_ORDER = 8  # of an autoregression
 MIN_BLOCKS = 6  # fewer independent blocks say nothing about a spread
 
 
@@ -116,6 +120,11 @@ def sandwich(jacobian: np.ndarray, residual: np.ndarray, blocks: np.ndarray) -> 
     residual : (rows,)
     blocks : (rows,) block number of every row
     """
+    alive = np.linalg.norm(jacobian, axis=0) > 0.0
+    if not alive.all():
+        covariance = np.diag(np.where(alive, 0.0, np.inf))
+        covariance[np.ix_(alive, alive)] = sandwich(jacobian[:, alive], residual, blocks) if alive.any() else 0.0
+        return covariance
     count = int(blocks.max()) + 1
     score = block_sums(jacobian * residual[:, None], blocks)
     size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
@@ -126,3 +135,137 @@ def sandwich(jacobian: np.ndarray, residual: np.ndarray, blocks: np.ndarray) -> 
     # directions that the data hardly see get the variance of independent errors as well, which is huge there
     covariance += np.diag(np.where(seen < UNSEEN, float(np.mean(residual**2)) / seen, 0.0))
     return np.asarray(basis @ covariance @ basis.T / np.outer(size, size))
+
+
+def left_out(
+    jacobian: np.ndarray, residual: np.ndarray, folds: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> np.ndarray:
+    """Return the residual (rows,) of every fold as a fit to the other folds would leave it, to first order.
+
+    Parameters
+    ----------
+    jacobian, residual : (rows, p), (rows,) at the fit to all folds
+    folds : (rows,) number of the fold of every row
+    low, high : (p,) how far the parameters may move
+
+    Notes
+    -----
+    One Gauss-Newton step on the other folds: with ``H_k = J_k' J_k`` and ``g_k = J_k' r_k`` the parameters move by
+    ``(H - H_k)^-1 g_k``, the gradient ``g`` of the fit to all folds being taken as zero; ``H`` holds a prior of unit
+    variance in the scaled parameters, so that those which nothing determines stay near.
+    """
+    found = residual.copy()
+    slope = jacobian.T @ residual
+    stuck = ((low > -AT_END) & (slope > 0.0)) | ((high < AT_END) & (slope < 0.0))
+    seen = np.linalg.norm(jacobian, axis=0) > 0.0
+    free: np.ndarray = np.flatnonzero(~stuck & seen)
+    if not len(free):
+        return found
+    size = np.linalg.norm(jacobian[:, free], axis=0)
+    scaled, low, high = jacobian[:, free] / size, low[free] * size, high[free] * size
+    held = np.diag(float(np.mean(residual**2)) / size**2)
+    for k in range(int(folds.max()) + 1):
+        mine = folds == k
+        rest = scaled[~mine]
+        moved = _bounded_step(rest.T @ rest + held, -scaled[mine].T @ residual[mine], low, high)
+        found[mine] = residual[mine] + scaled[mine] @ moved
+    return found
+
+
+def _bounded_step(normal: np.ndarray, slope: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return the step (p,) of least squares; parameters that would leave their bounds stop there, one set at a time."""
+    step, held = np.zeros(len(slope)), np.zeros(len(slope), dtype=bool)
+    for _ in range(len(slope)):
+        free = ~held
+        push = slope[free] + normal[np.ix_(free, held)] @ step[held]
+        step[free] = -np.linalg.pinv(normal[np.ix_(free, free)], rcond=UNSEEN, hermitian=True) @ push
+        outside = free & ((step < low) | (step > high))
+        step = np.clip(step, low, high)
+        if not outside.any():
+            break
+        held |= outside
+    return step
+
+
+def spectral_line(runs: Sequence[np.ndarray]) -> float:
+    """Return the chance that noise with a smooth spectrum shows a peak as high as the highest in ``runs`` (steps, n).
+
+    Notes
+    -----
+    The logarithm of each periodogram, along the direction of largest power, is fitted by a cubic in the logarithm of
+    the frequency; about a smooth spectrum the ratio to it is exponential. The chance is corrected for the number of
+    frequencies and runs looked at (textbook form, no equation number checked).
+    """
+    chances, count = [1.0], 0
+    for run in runs:
+        centred = run - run.mean(axis=0)
+        main = centred @ np.linalg.svd(centred.T @ centred)[0][:, 0]
+        power = np.maximum(np.abs(np.fft.rfft(main * np.hanning(len(main)))[2:-1]) ** 2, 1e-300)
+        if len(power) < MIN_FREQUENCIES:
+            continue
+        place = np.log(np.arange(2, len(power) + 2))
+        smooth = np.polynomial.Polynomial.fit(place, np.log(power), 3, w=np.sqrt(1.0 / np.arange(2, len(power) + 2)))
+        ratio = np.log(power) - smooth(place) - EULER
+        chances.append(float(np.exp(-np.exp(min(float(ratio.max()), 6.0)))))
+        count += len(power)
+    return min(1.0, min(chances) * max(count, 1))
+
+
+def follows(target: Sequence[np.ndarray], regressor: Sequence[np.ndarray], length: int) -> tuple[float, float]:
+    """Return (correlation, p-value) of series with a regressor, runs of (steps,) each.
+
+    Notes
+    -----
+    Both are whitened by an autoregression fitted to the target, so that noise with a memory does not seem to follow a
+    slow regressor; then ``slope_test`` in blocks of ``length`` samples (feasible generalised least squares, textbook
+    form, no equation number checked).
+    """
+    centred = [y - y.mean() for y in target]
+    memory = autoregression(centred)
+    level = float(np.concatenate(list(regressor)).mean())
+    white = [whitened(y, memory) for y in centred]
+    drive = [whitened(x - level, memory) for x in regressor]
+    runs = np.repeat(np.arange(len(white)), [len(y) for y in white])
+    _, p_value = slope_test(np.concatenate(white), np.concatenate(drive), blocks_of(runs, length))
+    y, x = np.concatenate(centred), np.concatenate([x - level for x in regressor])
+    size = float(x @ y) / max(float(np.linalg.norm(x) * np.linalg.norm(y)), 1e-300)
+    return size, p_value
+
+
+def autoregression(runs: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the coefficients (order,) of the series' own past, the order chosen by Schwarz's criterion."""
+    count = sum(max(len(run) - MAX_ORDER, 0) for run in runs)
+    if count < 4 * MAX_ORDER:
+        return np.zeros(0)
+    past = [
+        np.stack([run[MAX_ORDER - k : len(run) - k] for k in range(1, MAX_ORDER + 1)], axis=1)
+        for run in runs
+        if len(run) > MAX_ORDER
+    ]
+    x, y = np.concatenate(past), np.concatenate([run[MAX_ORDER:] for run in runs if len(run) > MAX_ORDER])
+    best: tuple[float, np.ndarray] = (count * np.log(max(float(y @ y) / count, 1e-300)), np.zeros(0))
+    for order in range(1, MAX_ORDER + 1):
+        found = np.linalg.lstsq(x[:, :order], y, rcond=None)[0]
+        left = y - x[:, :order] @ found
+        score = count * np.log(max(float(left @ left) / count, 1e-300)) + order * np.log(count)
+        if score < best[0]:
+            best = (score, found)
+    return best[1]
+
+
+def whitened(series: np.ndarray, memory: np.ndarray) -> np.ndarray:
+    """Return ``series`` (steps,) less what ``memory`` predicts from its past; the first samples are left out."""
+    left = series[len(memory) :].copy()
+    for k, share in enumerate(memory, start=1):
+        left -= share * series[len(memory) - k : len(series) - k]
+    return left
+
+
+def phase_randomised(values: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return a series (steps, n) of the same mean, spectra and cross-spectra as ``values``, with random phases."""
+    spectrum = np.fft.rfft(values, axis=0)
+    turn = np.exp(2j * np.pi * rng.uniform(size=len(spectrum)))
+    turn[0] = 1.0
+    if len(values) % 2 == 0:
+        turn[-1] = 1.0
+    return np.asarray(np.fft.irfft(spectrum * turn[:, None], len(values), axis=0))

@@ -1,27 +1,16 @@
 """Effects in the physical order of their sites, and the plant they make with a body."""
 
 from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
-import numba as nb
 import numpy as np
-from numba.typed import List
 
 from softrl.core.simulator import Hook, Motion, Simulator
-from softrl.effects.effect import SIGNAL_KERNEL, SITES, Effect
+from softrl.effects.call import pack, run_signals
+from softrl.effects.effect import SITES, Effect
 from softrl.robots.robot import Robot
-
-_SIGNAL = nb.types.FunctionType(SIGNAL_KERNEL)
-
-
-@nb.njit(cache=True)
-def _filter(kernels: Any, parameters: Any, states: Any, values: np.ndarray, dt: float) -> None:
-    """Run every kernel over each row of ``values`` (steps, n), in order, in place."""
-    for step in range(len(values)):
-        for k in range(len(kernels)):
-            kernels[k](parameters[k], states[k], values[step], dt)
 
 
 @dataclass(frozen=True)
@@ -40,6 +29,15 @@ class EffectChain:
         """Return the effects that act at any of ``sites``."""
         return tuple(e for e in self.ordered if e.site in sites)
 
+    @property
+    def gauges(self) -> tuple[Effect, ...]:
+        """The effects on the reported pressures; ``filter(["sensor"], ..)`` runs the others, on the pose."""
+        return tuple(e for e in self.at("sensor") if e.channel == "pressure")
+
+    def reported(self, pressure: np.ndarray, dt_s: float) -> np.ndarray:
+        """Return what the pressure sensors report of ``pressure`` (steps, chambers) Pa, from rest."""
+        return SignalFilter(self, "gauge").advance(pressure, dt_s)
+
     def hooks(self, site: str) -> list[Hook]:
         """Return fresh hooks of the port effects at ``site``, for a body's kernel."""
         return [Hook(type(e).kernel, e.pack(self.robot), e.reset(self.robot)) for e in self.at(site)]
@@ -50,24 +48,22 @@ class EffectChain:
 
 
 class SignalFilter:
-    """The running state of the signal effects at some sites, for stepwise use; ``advance`` continues where it was."""
+    """The running state of the signal effects at some sites, for stepwise use; ``advance`` continues where it was.
+
+    The site "sensor" means effects on the pose; "gauge" those on the reported pressures.
+    """
 
     def __init__(self, chain: EffectChain, *sites: str) -> None:
-        effects = chain.at(*sites)
+        effects = [e for e in chain.at(*sites) if e.channel == "pose"]
+        effects += chain.gauges if "gauge" in sites else ()
         self._empty = not effects
-        self._kernels = List.empty_list(_SIGNAL)
-        self._parameters = List.empty_list(nb.float64[::1])
-        self._states = List.empty_list(nb.float64[::1])
-        for effect in effects:
-            self._kernels.append(type(effect).kernel)
-            self._parameters.append(effect.pack(chain.robot))
-            self._states.append(effect.reset(chain.robot))
+        self._calls = pack([Hook(type(e).kernel, e.pack(chain.robot), e.reset(chain.robot)) for e in effects])
 
     def advance(self, values: np.ndarray, dt_s: float) -> np.ndarray:
         """Return the filtered rows (steps, n)."""
         filtered = np.array(values, dtype=float, order="C")
         if not self._empty:
-            _filter(self._kernels, self._parameters, self._states, filtered, dt_s)
+            run_signals(self._calls, filtered, dt_s)
         return filtered
 
 
@@ -85,12 +81,60 @@ class Plant:
         """
         dt_s = float(time[1] - time[0])
         supplied = self.chain.filter(["valve"], command, dt_s)
-        acting = self.chain.filter(["chamber"], supplied, dt_s)
-        motion = self.simulator.simulate(
-            time, acting, tip_force, self.chain.hooks("body"), self.chain.hooks("load")
-        )
-        pose = self.chain.filter(["sensor"], np.hstack([motion.position, motion.quaternion]), dt_s)
-        return replace(motion, position=pose[:, :3], quaternion=pose[:, 3:], pressure=supplied)
+        return self._behind_valve(time, supplied, self.chain.filter(["chamber"], supplied, dt_s), tip_force)
+
+    def _behind_valve(
+        self, time: np.ndarray, supplied: np.ndarray, acting: np.ndarray, tip_force: np.ndarray | None
+    ) -> Motion:
+        """Return what the sensors report of a body on which ``acting`` acts."""
+        motion = self.simulator.simulate(time, acting, tip_force, self.chain.hooks("body"), self.chain.hooks("load"))
+        shown = self.chain.reported(supplied, float(time[1] - time[0]))
+        pose = np.hstack([motion.position, motion.quaternion])
+        pose = self.chain.filter(["sensor"], pose, float(time[1] - time[0]))
+        return replace(motion, position=pose[:, :3], quaternion=pose[:, 3:], pressure=shown)
+
+
+def simulate_batch(
+    plants: Sequence[Plant],
+    time: np.ndarray,
+    command: np.ndarray,
+    tip_force: np.ndarray | None = None,
+    workers: int = 1,
+) -> list[Motion]:
+    """Return what ``plant.simulate(time, command, tip_force)`` returns for every plant, to the last bit.
+
+    Parameters
+    ----------
+    plants : of one robot; parameters of body and effects vary, as the columns of a Jacobian or the points of a
+        search do. The effects may differ too.
+    time : (steps,) s, uniform
+    command : (steps, chambers) Pa
+    tip_force : (steps, 3) N or None
+    workers : threads; they share the work only while the simulator's kernel runs without the interpreter's lock, as
+        that of the lumped body does
+
+    Notes
+    -----
+    Plants whose effects at valve and chamber are equal share one filtering of the command, so that varying the body
+    costs nothing there. The bodies run one after the other in compiled code.
+    """
+    dt_s = float(time[1] - time[0])
+    supply: dict[tuple[Effect, ...], np.ndarray] = {}
+    for plant in plants:
+        valve, both = plant.chain.at("valve"), plant.chain.at("valve", "chamber")
+        if valve not in supply:
+            supply[valve] = plant.chain.filter(["valve"], command, dt_s)
+        if both not in supply:
+            supply[both] = plant.chain.filter(["chamber"], supply[valve], dt_s)
+
+    def simulated(plant: Plant) -> Motion:
+        supplied = supply[plant.chain.at("valve")]
+        return plant._behind_valve(time, supplied, supply[plant.chain.at("valve", "chamber")], tip_force)
+
+    if workers < 2 or len(plants) < 2:
+        return [simulated(plant) for plant in plants]
+    with ThreadPoolExecutor(workers) as pool:
+        return list(pool.map(simulated, plants))
 
 
 def chain_of(robot: Robot, effects: Iterable[Effect]) -> EffectChain:

@@ -18,19 +18,22 @@ def viscoelasticity_kernel(
     """Advance each branch's overstress exactly for a resistance that changes linearly over the step."""
     n = port.shape[1]
     chamber = int(parameters[4])
-    for i in range(n):
-        if chamber >= 0 and chamber != i:
+    for branch in range(2):
+        share, tau = parameters[2 * branch], parameters[2 * branch + 1]
+        if share == 0.0:
             continue
-        change = port[ELASTIC, i] - state[2 * n + i]
-        for branch in range(2):
-            share, tau = parameters[2 * branch], parameters[2 * branch + 1]
-            kept = -tau / dt * math.expm1(-dt / tau)
-            overstress = math.exp(-dt / tau) * state[branch * n + i] + kept * change
-            port[ADDED, i] += share * overstress
-            port[ADDED_SLOPE, i] += share * kept * port[ELASTIC_SLOPE, i]
-            if commit:
-                state[branch * n + i] = overstress
-        if commit:
+        faded = math.expm1(-dt / tau)
+        kept = -tau / dt * faded
+        for i in range(n):
+            if chamber < 0 or chamber == i:
+                change = port[ELASTIC, i] - state[2 * n + i]
+                overstress = (1.0 + faded) * state[branch * n + i] + kept * change
+                port[ADDED, i] += share * overstress
+                port[ADDED_SLOPE, i] += share * kept * port[ELASTIC_SLOPE, i]
+                if commit:
+                    state[branch * n + i] = overstress
+    if commit:
+        for i in range(n):
             state[2 * n + i] = port[ELASTIC, i]
 
 

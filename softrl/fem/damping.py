@@ -10,9 +10,16 @@ import numpy as np
 from softrl.fem.material import LAW, TANGENT, Material, lame
 
 
-def viscous_moduli(material: Material) -> np.ndarray:
-    """Return the parameters of ``viscous``: the Lame constants (lambda, mu) in Pa of ``material`` at rest."""
-    return np.array(lame(material.youngs_modulus_pa, material.poisson))
+def viscous_moduli(material: Material, mean_volume: bool) -> tuple[np.ndarray, float]:
+    """Return ((lambda, mu), bulk) in Pa: what ``viscous`` takes, and what an element's mean rate of volume is weighed by.
+
+    Together they are the elastic moduli of ``material`` at rest. With ``mean_volume`` the second is the bulk modulus and
+    what is left resists changes of shape alone, as in the elastic energy of such elements; else it is zero.
+    """
+    lam, mu = lame(material.youngs_modulus_pa, material.poisson)
+    if mean_volume:
+        return np.array([-2.0 / 3.0 * mu, mu]), lam + 2.0 / 3.0 * mu
+    return np.array([lam, mu]), 0.0
 
 
 @nb.njit(LAW, cache=True)

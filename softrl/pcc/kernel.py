@@ -11,6 +11,7 @@ from typing import Any
 import numba as nb
 import numpy as np
 
+from softrl.effects.call import borrowing, run_ports
 from softrl.effects.effect import (
     ADDED,
     BODY_PORT_ROWS,
@@ -30,7 +31,8 @@ from softrl.effects.effect import (
 TOLERANCE = 1e-10  # rad or strain: a tenth of a nanometre at the tip of most robots
 ACCEPTED = 1e-7  # at a kink of friction or contact: 20 nm at the tip of a robot of 0.2 m
 MAX_ITERATIONS = 60
-SERIES_BELOW = 0.25  # squared bend angle under which the series beat the closed forms
+QUICK = 8  # steps with a Jacobian that is corrected on the way, before a careful search begins
+SERIES_BELOW = 4.0  # squared bend angle under which nine terms of the series are exact to the last digit
 NUDGE = 1e-7  # of a coordinate, for the Jacobian by differences
 SLOW = 0.2  # a Newton step that shrinks less than to this share asks for a new Jacobian
 SHORTEST = 1e-4  # share of a Newton step below which it is taken as it is
@@ -39,40 +41,89 @@ SHORTEST = 1e-4  # share of a Newton step below which it is taken as it is
 _LAST, _VELOCITY, _TRIAL, _RESIDUAL, _STEP, _OTHER, _NEXT = range(7)
 
 
-@nb.njit(cache=True)
+@borrowing
+def _remainders(x: float) -> tuple[float, float]:
+    """Return ``(f - 1/2) / x`` and ``(F - 1/6) / x`` at ``x = b^2``, see ``shape_functions``."""
+    if x < SERIES_BELOW:  # 1 / 4! ... 1 / 20! and 1 / 5! ... 1 / 21!, with alternating signs
+        f = 1 / 6402373705728000 - x * (1 / 2432902008176640000)
+        f = -1 / 479001600 + x * (1 / 87178291200 + x * (-1 / 20922789888000 + x * f))
+        f = -1 / 24 + x * (1 / 720 + x * (-1 / 40320 + x * (1 / 3628800 + x * f)))
+        h = 1 / 121645100408832000 - x * (1 / 51090942171709440000)
+        h = -1 / 6227020800 + x * (1 / 1307674368000 + x * (-1 / 355687428096000 + x * h))
+        h = -1 / 120 + x * (1 / 5040 + x * (-1 / 362880 + x * (1 / 39916800 + x * h)))
+        return f, h
+    b = math.sqrt(x)
+    return ((1.0 - math.cos(b)) / x - 0.5) / x, ((b - math.sin(b)) / (b * x) - 1 / 6) / x
+
+
+@borrowing
 def shape_functions(x: float) -> tuple[float, float, float, float, float, float]:
     """Return f, g, F and their derivatives by the bend angle b, over b, at ``x = b^2``.
 
     ``f = (1 - cos b) / b^2``, ``g = sin b / b``, ``F = (b - sin b) / b^3``: all are entire functions of
-    ``b^2``, which the power series show; the closed forms lose digits near zero.
+    ``b^2``. With ``f = 1/2 + x u`` and ``F = 1/6 + x v`` the other four follow from u and v without a loss of digits.
     """
-    if x < SERIES_BELOW:
-        f = 0.5 + x * (-1 / 24 + x * (1 / 720 + x * (-1 / 40320 + x * (1 / 3628800 - x / 479001600))))
-        g = 1.0 + x * (-1 / 6 + x * (1 / 120 + x * (-1 / 5040 + x * (1 / 362880 - x / 39916800))))
-        h = 1 / 6 + x * (-1 / 120 + x * (1 / 5040 + x * (-1 / 362880 + x * (1 / 39916800 - x / 6227020800))))
-        df = 2.0 * (-1 / 24 + x * (2 / 720 + x * (-3 / 40320 + x * (4 / 3628800 - 5 * x / 479001600))))
-        dg = 2.0 * (-1 / 6 + x * (2 / 120 + x * (-3 / 5040 + x * (4 / 362880 - 5 * x / 39916800))))
-        dh = 2.0 * (-1 / 120 + x * (2 / 5040 + x * (-3 / 362880 + x * (4 / 39916800 - 5 * x / 6227020800))))
-        return f, g, h, df, dg, dh
-    b = math.sqrt(x)
-    sine, cosine = math.sin(b), math.cos(b)
-    f, g, h = (1.0 - cosine) / x, sine / b, (b - sine) / (b * x)
-    return f, g, h, (g - 2.0 * f) / x, (cosine - g) / x, (f - 3.0 * h) / x
+    u, v = _remainders(x)
+    f, h = 0.5 + x * u, 1 / 6 + x * v
+    return f, 1.0 - x * h, h, -2.0 * u - h, h - f, u - 3.0 * v
 
 
-@nb.njit(cache=True)
+@borrowing
 def tip_pose(body: np.ndarray, length: float, position: np.ndarray, quaternion: np.ndarray) -> None:
     """Fill the tip's position (3,) m and orientation (4,) w x y z of a body bent by ``body`` (3,)."""
     x = body[0] * body[0] + body[1] * body[1]
-    f, g, _, _, _, _ = shape_functions(x)
+    u, v = _remainders(x)
+    f, g = 0.5 + x * u, 1.0 - x * (1 / 6 + x * v)
     stretched = length * (1.0 + body[2])
     position[0], position[1], position[2] = stretched * f * body[0], stretched * f * body[1], stretched * g
-    _, half, _, _, _, _ = shape_functions(0.25 * x)
-    quaternion[0] = math.cos(0.5 * math.sqrt(x))
-    quaternion[1], quaternion[2], quaternion[3] = -0.5 * half * body[1], 0.5 * half * body[0], 0.0
+    x *= 0.25
+    u, v = _remainders(x)
+    half = 0.5 - 0.5 * x * (1 / 6 + x * v)
+    quaternion[0] = 1.0 - x * (0.5 + x * u)
+    quaternion[1], quaternion[2], quaternion[3] = -half * body[1], half * body[0], 0.0
 
 
-@nb.njit(cache=True)
+@borrowing
+def _load_effects(hook: Any, port: np.ndarray, gravity: np.ndarray, tips: np.ndarray, dt: float, commit: bool) -> None:
+    """Fill the load port at the tip ``tips[1]`` and run the effects on it."""
+    for k in range(3):
+        port[TIP, k] = tips[1, k]
+        port[TIP_VELOCITY, k] = (tips[1, k] - tips[0, k]) / dt
+        port[GRAVITY, k] = gravity[k]
+        for row in range(FORCE, LOAD_PORT_ROWS):
+            port[row, k] = 0.0
+    run_ports(hook, port, dt, commit)
+
+
+@borrowing
+def _body_effects(
+    hook: Any,
+    port: np.ndarray,
+    y: np.ndarray,
+    model: Any,
+    pressure: np.ndarray,
+    strains: np.ndarray,
+    dt: float,
+    commit: bool,
+) -> None:
+    """Fill the body port at ``y`` and run the effects on it."""
+    to_strain, to_elastic, slope, rest = model[5], model[6], model[7], model[8]
+    for c in range(len(pressure)):
+        strain = elastic = 0.0
+        for j in range(len(y)):
+            moved = y[j] - rest[j]
+            strain += to_strain[c, j] * moved
+            elastic += to_elastic[c, j] * moved
+        strains[1, c] = strain
+        port[STRAIN, c], port[RATE, c] = strain, (strain - strains[0, c]) / dt
+        port[ELASTIC, c], port[ELASTIC_SLOPE, c] = elastic, slope[c]
+        port[PRESSURE, c], port[REST, c] = pressure[c], slope[c]
+        for row in range(ADDED, BODY_PORT_ROWS):
+            port[row, c] = 0.0
+    run_ports(hook, port, dt, commit)
+
+
+@borrowing
 def _residual(
     y: np.ndarray,
     out: np.ndarray,
@@ -85,12 +136,10 @@ def _residual(
     ports: Any,
     strains: np.ndarray,
     tips: np.ndarray,
-    commit: bool,
 ) -> None:
     """Fill ``out`` (m,) with inertia + damping + elasticity + effects - pressure - loads at ``y``, in J."""
-    basis, stiffness, damping, mass, push, to_strain, to_elastic, slope, rest, scalars, gravity = model
-    body_kernels, body_parameters, body_states, load_kernels, load_parameters, load_states = hooks
-    body_port, load_port = ports
+    basis, stiffness, damping, mass, push, _, _, _, _, scalars, gravity = model
+    body_hook, load_hook = hooks
     bx = by = eps = 0.0
     m = len(y)
     for j in range(m):
@@ -102,19 +151,12 @@ def _residual(
     stretched = length * (1.0 + eps)
     g0, g1, g2 = gravity[0], gravity[1], gravity[2]
     f0, f1, f2 = tip_force[0], tip_force[1], tip_force[2]
-    if len(load_kernels) > 0:
+    if len(load_hook[0]) > 0:
+        port = ports[1]
         tips[1, 0], tips[1, 1], tips[1, 2] = stretched * f * bx, stretched * f * by, stretched * g
-        for k in range(3):
-            load_port[TIP, k] = tips[1, k]
-            load_port[TIP_VELOCITY, k] = (tips[1, k] - tips[0, k]) / dt
-            load_port[GRAVITY, k] = gravity[k]
-            load_port[FORCE, k] = 0.0
-            for row in range(FORCE + 1, LOAD_PORT_ROWS):
-                load_port[row, k] = 0.0
-        for k in range(len(load_kernels)):
-            load_kernels[k](load_parameters[k], load_states[k], load_port, dt, commit)
-        g0, g1, g2 = load_port[GRAVITY, 0], load_port[GRAVITY, 1], load_port[GRAVITY, 2]
-        f0, f1, f2 = f0 + load_port[FORCE, 0], f1 + load_port[FORCE, 1], f2 + load_port[FORCE, 2]
+        _load_effects(load_hook, port, gravity, tips, dt, False)
+        g0, g1, g2 = port[GRAVITY, 0], port[GRAVITY, 1], port[GRAVITY, 2]
+        f0, f1, f2 = f0 + port[FORCE, 0], f1 + port[FORCE, 1], f2 + port[FORCE, 2]
     weight = scalars[1]
     # generalised loads: weight at the centre of mass (L F b, L f), force at the tip (L f b, L g)
     across, along = weight * (g0 * bx + g1 * by), weight * g2
@@ -123,39 +165,29 @@ def _residual(
     q0 = common * bx + stretched * (h * weight * g0 + f * f0)
     q1 = common * by + stretched * (h * weight * g1 + f * f1)
     q2 = length * (h * across + f * along + f * across_tip + g * along_tip) - scalars[2]
+    per_s = 1.0 / dt
     for i in range(m):
-        moved = y[i] - work[_LAST, i]
+        rate = (y[i] - work[_LAST, i]) * per_s
         out[i] = (
             stiffness[i] * y[i]
-            + damping[i] * moved / dt
-            + mass[i] * (moved / dt - work[_VELOCITY, i]) / dt
+            + damping[i] * rate
+            + mass[i] * (rate - work[_VELOCITY, i]) * per_s
             - basis[0, i] * q0
             - basis[1, i] * q1
             - basis[2, i] * q2
         )
-        for c in range(len(pressure)):
-            out[i] -= push[i, c] * pressure[c]
-    if len(body_kernels) == 0:
+    if len(body_hook[0]) == 0:
+        for i in range(m):
+            for c in range(len(pressure)):
+                out[i] -= push[i, c] * pressure[c]
         return
-    for c in range(len(pressure)):
-        strain = elastic = 0.0
-        for j in range(m):
-            strain += to_strain[c, j] * (y[j] - rest[j])
-            elastic += to_elastic[c, j] * (y[j] - rest[j])
-        strains[1, c] = strain
-        body_port[STRAIN, c], body_port[RATE, c] = strain, (strain - strains[0, c]) / dt
-        body_port[ELASTIC, c], body_port[ELASTIC_SLOPE, c] = elastic, slope[c]
-        body_port[PRESSURE, c], body_port[REST, c] = pressure[c], slope[c]
-        for row in range(ADDED, BODY_PORT_ROWS):
-            body_port[row, c] = 0.0
-    for k in range(len(body_kernels)):
-        body_kernels[k](body_parameters[k], body_states[k], body_port, dt, commit)
+    _body_effects(body_hook, ports[0], y, model, pressure, strains, dt, False)
     for i in range(m):
         for c in range(len(pressure)):
-            out[i] += push[i, c] * body_port[ADDED, c]
+            out[i] += push[i, c] * (ports[0][ADDED, c] - pressure[c])
 
 
-@nb.njit(cache=True)
+@borrowing
 def _invert(matrix: np.ndarray, inverse: np.ndarray) -> None:
     """Fill the inverse of a matrix of order 1 or 3."""
     if len(matrix) == 1:
@@ -172,7 +204,7 @@ def _invert(matrix: np.ndarray, inverse: np.ndarray) -> None:
             inverse[i, j] /= determinant
 
 
-@nb.njit(cache=True)
+@borrowing
 def _newton_step(inverse: np.ndarray, residual: np.ndarray, step: np.ndarray) -> float:
     """Fill ``step = -inverse residual`` and return its largest entry."""
     size = 0.0
@@ -184,7 +216,66 @@ def _newton_step(inverse: np.ndarray, residual: np.ndarray, step: np.ndarray) ->
     return size
 
 
-@nb.njit(cache=True)
+@borrowing
+def _quick(
+    work: np.ndarray,
+    inverse: np.ndarray,
+    dt: float,
+    pressure: np.ndarray,
+    tip_force: np.ndarray,
+    model: Any,
+    hooks: Any,
+    ports: Any,
+    strains: np.ndarray,
+    tips: np.ndarray,
+) -> bool:
+    """Try to solve one step with Broyden's corrections of the ``inverse`` Jacobian; return whether it converged.
+
+    The search stops once the steps shrink fast enough for the sum of all further ones to stay below the tolerance.
+    ``work[_RESIDUAL]`` belongs to ``work[_TRIAL]`` before and, without success, after it.
+    """
+    trial, residual, step, following = work[_TRIAL], work[_RESIDUAL], work[_STEP], work[_NEXT]
+    m = len(trial)
+    size = _newton_step(inverse, residual, step)
+    for _ in range(QUICK):
+        for i in range(m):
+            trial[i] += step[i]
+        if size < 0.01 * TOLERANCE:
+            return True
+        _residual(trial, residual, work, dt, pressure, tip_force, model, hooks, ports, strains, tips)
+        after = _newton_step(inverse, residual, following)
+        if not after < 0.5 * size and after >= TOLERANCE:
+            return False
+        if after < TOLERANCE or after * after < TOLERANCE * (size - after):
+            for i in range(m):
+                trial[i] += following[i]
+            return True
+        _correct(inverse, step, following)
+        size = _newton_step(inverse, residual, step)
+    return False
+
+
+@borrowing
+def _correct(inverse: np.ndarray, step: np.ndarray, following: np.ndarray) -> None:
+    """Correct the ``inverse`` Jacobian such that it maps the change of the residual over ``step`` to ``step``.
+
+    Broyden's first update in the form of Sherman and Morrison; ``following`` is what the old inverse proposes next.
+    """
+    m = len(step)
+    scale = 0.0
+    for i in range(m):
+        scale += step[i] * (step[i] - following[i])
+    if scale <= 0.0:
+        return
+    for j in range(m):
+        along = 0.0
+        for i in range(m):
+            along += step[i] * inverse[i, j]
+        for i in range(m):
+            inverse[i, j] += following[i] * along / scale
+
+
+@borrowing
 def solve_step(
     work: np.ndarray,
     jacobian: np.ndarray,
@@ -200,21 +291,22 @@ def solve_step(
 ) -> bool:
     """Solve one implicit step for ``work[_TRIAL]``; return whether it converged.
 
-    Newton with a Jacobian by differences that is kept from step to step and made anew when it converges
-    slowly; a fresh one that overshoots (friction and contact have kinks) is followed over a shorter way,
-    until the next step is smaller.
+    Where corrections of the kept Jacobian do not do, Newton with one by differences: a fresh one that overshoots
+    (friction and contact have kinks) is followed over a shorter way, until the next step is smaller.
     """
     trial, residual, step, other = work[_TRIAL], work[_RESIDUAL], work[_STEP], work[_OTHER]
     m = len(trial)
-    _residual(trial, residual, work, dt, pressure, tip_force, model, hooks, ports, strains, tips, False)
-    stale, size = inverse[0, 0] == 0.0, np.inf
+    _residual(trial, residual, work, dt, pressure, tip_force, model, hooks, ports, strains, tips)
+    if inverse[0, 0] != 0.0 and _quick(work, inverse, dt, pressure, tip_force, model, hooks, ports, strains, tips):
+        return True
+    stale, size = True, np.inf
     for _ in range(MAX_ITERATIONS):
         fresh = stale
         if stale:
             for j in range(m):
                 kept = trial[j]
                 trial[j] = kept + NUDGE
-                _residual(trial, other, work, dt, pressure, tip_force, model, hooks, ports, strains, tips, False)
+                _residual(trial, other, work, dt, pressure, tip_force, model, hooks, ports, strains, tips)
                 trial[j] = kept
                 for i in range(m):
                     jacobian[i, j] = (other[i] - residual[i]) / NUDGE
@@ -227,7 +319,7 @@ def solve_step(
             return True
         share = 1.0
         while True:
-            _residual(trial, other, work, dt, pressure, tip_force, model, hooks, ports, strains, tips, False)
+            _residual(trial, other, work, dt, pressure, tip_force, model, hooks, ports, strains, tips)
             after = _newton_step(inverse, other, work[_NEXT])
             if after < (1.0 - 0.25 * share) * size or after < TOLERANCE or share < SHORTEST:
                 break
@@ -250,7 +342,7 @@ def solve_step(
     return size < ACCEPTED
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, nogil=True)
 def run_kernel(
     y: np.ndarray,
     velocity: np.ndarray,
@@ -282,7 +374,7 @@ def run_kernel(
         for j in range(m):
             strains[0, c] += to_strain[c, j] * (y[j] - rest[j])
     failed = 0
-    with_effects = len(hooks[0]) + len(hooks[3]) > 0
+    body_hook, load_hook = hooks
     for k in range(len(pressure)):
         for i in range(m):
             work[_LAST, i], work[_VELOCITY, i] = y[i], velocity[i]
@@ -293,26 +385,16 @@ def run_kernel(
         for i in range(m):
             velocity[i] = (work[_TRIAL, i] - y[i]) / dt
             y[i] = work[_TRIAL, i]
-        if with_effects:
-            _residual(
-                y,
-                work[_RESIDUAL],
-                work,
-                dt,
-                pressure[k],
-                tip_force[k],
-                model,
-                hooks,
-                ports,
-                strains,
-                tips,
-                True,
-            )
-            strains[0] = strains[1]
-            tips[0] = tips[1]
         for i in range(3):
             body[i] = 0.0
             for j in range(m):
                 body[i] += basis[i, j] * y[j]
         tip_pose(body, length, position[k], quaternion[k])
+        if len(load_hook[0]) > 0:
+            tips[1] = position[k]
+            _load_effects(load_hook, ports[1], model[10], tips, dt, True)
+            tips[0] = tips[1]
+        if len(body_hook[0]) > 0:
+            _body_effects(body_hook, ports[0], y, model, pressure[k], strains, dt, True)
+            strains[0] = strains[1]
     return failed

@@ -2,21 +2,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, NamedTuple
 
-import numba as nb
 import numpy as np
-from numba.typed import List
 
 from softrl.core.errors import ConfigError, SolverError
 from softrl.core.simulator import Hook, Motion
-from softrl.effects.effect import PORT_KERNEL
+from softrl.effects.call import Calls, pack, unpack
 from softrl.pcc.kernel import run_kernel, tip_pose
 from softrl.robots.robot import Robot
 
 QUASI_STATIC_S = 1e12  # one implicit step of this length is an equilibrium
-_PORT = nb.types.FunctionType(PORT_KERNEL)
+_NONE = pack(())
 
 
 class PccState(NamedTuple):
@@ -104,27 +102,29 @@ class PccSimulator:
             self.axial_stiffness_scale,
         ]
 
-    @cached_property
+    @property
     def strain_map(self) -> np.ndarray:
         """(chambers, 3): chamber elongation per coordinate (b_x, b_y, epsilon)."""
-        lever = self.robot.chamber_radius_m / self.robot.length_m
-        return np.hstack([-lever * self.robot.chamber_direction, np.ones((self.robot.chambers, 1))])
+        return self._maps[0]
+
+    @property
+    def _maps(self) -> tuple[np.ndarray, ...]:
+        return _maps_of(tuple(self.robot.chamber_angle_deg), self.robot.chamber_radius_m / self.robot.length_m)
 
     @cached_property
     def _model(self) -> tuple[Any, ...]:
         """The arrays that the kernel reads, in its order; ``rest`` is the equilibrium under gravity alone."""
-        return self._model_about(self._equilibrium(_no_hooks()))
+        return self._model_about(self._equilibrium((_NONE, _NONE)))
 
     def _model_about(self, rest: np.ndarray) -> tuple[Any, ...]:
         r, length = self.robot, self.robot.length_m
-        basis = np.eye(3) if r.chambers > 1 else np.vstack([-r.chamber_direction.T, [[0.0]]])
+        _, basis, to_strain, to_coordinates = self._maps
         mass = self.mass_scale * r.mass_kg
         stiffness = basis.T**2 @ self.stiffness
         inertia = basis.T**2 @ (mass * length**2 * np.array([1 / 20, 1 / 20, 1 / 3]))
-        to_strain = np.ascontiguousarray(self.strain_map @ basis)
-        push = r.chamber_area_m2 * length * to_strain.T
-        to_elastic = np.ascontiguousarray(np.linalg.pinv(push) @ np.diag(stiffness))
-        slope = np.ascontiguousarray(np.diag(to_elastic @ np.linalg.pinv(to_strain)))
+        work = r.chamber_area_m2 * length  # of a pascal over a strain of 1
+        to_elastic = np.ascontiguousarray(to_coordinates.T * stiffness / work)
+        slope = np.sum(to_elastic * to_coordinates.T, axis=1)
         gravity = np.array(r.gravity_m_s2, dtype=float)
         axial_weight = mass * gravity[2] * length / 2.0
         scalars = np.array([length, mass, axial_weight])
@@ -133,7 +133,7 @@ class PccSimulator:
             stiffness,
             self.damping_s * stiffness,
             inertia,
-            np.ascontiguousarray(push),
+            np.ascontiguousarray(work * to_strain.T),
             to_strain,
             to_elastic,
             slope,
@@ -142,10 +142,10 @@ class PccSimulator:
             gravity,
         )
 
-    def _equilibrium(self, hooks: tuple[Any, ...], pressure: np.ndarray | None = None) -> np.ndarray:
+    def _equilibrium(self, hooks: tuple[Calls, Calls], pressure: np.ndarray | None = None) -> np.ndarray:
         """Return the coordinates (m,) at rest under gravity, load effects and ``pressure`` (chambers,)."""
         order = 1 if self.robot.chambers == 1 else 3
-        loads_only = (*_no_hooks()[:3], *hooks[3:])
+        loads_only = (_NONE, hooks[1])
         y = np.zeros(order)
         held = np.zeros((1, self.robot.chambers)) if pressure is None else np.atleast_2d(pressure).astype(float)
         self._run(
@@ -167,7 +167,7 @@ class PccSimulator:
         pressure: np.ndarray,
         tip_force: np.ndarray,
         model: tuple[Any, ...],
-        hooks: tuple[Any, ...],
+        hooks: tuple[Calls, Calls],
     ) -> tuple[np.ndarray, np.ndarray]:
         """Advance ``y`` and ``velocity`` in place; return positions (steps, 3) and quaternions (steps, 4)."""
         position, quaternion = np.empty((len(pressure), 3)), np.empty((len(pressure), 4))
@@ -181,7 +181,7 @@ class PccSimulator:
 
     def equilibrium(self, pressure: np.ndarray) -> PccState:
         """Return the state at rest under ``pressure`` (chambers,) Pa and gravity."""
-        y = self._equilibrium(_no_hooks(), np.asarray(pressure, dtype=float))
+        y = self._equilibrium((_NONE, _NONE), np.asarray(pressure, dtype=float))
         return PccState(y, np.zeros_like(y))
 
     def reset(self, rng: np.random.Generator | None = None) -> PccState:
@@ -205,7 +205,10 @@ class PccSimulator:
         y, velocity = state.coordinates.copy(), state.velocity.copy()
         force = np.zeros((1, 3)) if tip_force is None else np.array(tip_force, dtype=float).reshape(1, 3)
         held = np.array(pressure, dtype=float).reshape(1, self.robot.chambers)
-        self._run(y, velocity, float(dt_s), held, force, self._model, _running(body, load))
+        hooks = pack(body), pack(load)
+        self._run(y, velocity, float(dt_s), held, force, self._model, hooks)
+        unpack(hooks[0], body)
+        unpack(hooks[1], load)
         return PccState(y, velocity)
 
     def observe(self, state: PccState) -> tuple[np.ndarray, np.ndarray]:
@@ -227,46 +230,27 @@ class PccSimulator:
         Rest is the equilibrium under gravity and the load effects; strains that body effects see count from
         there.
         """
-        hooks = _typed(body, load) if body or load else _no_hooks()
+        hooks = pack(body), pack(load)
         model = self._model_about(self._equilibrium(hooks)) if load else self._model
         y, velocity = model[8].copy(), np.zeros_like(model[8])
         held = np.ascontiguousarray(pressure, dtype=float)
         force = np.zeros((len(time), 3)) if tip_force is None else np.ascontiguousarray(tip_force, dtype=float)
         position, quaternion = self._run(y, velocity, float(time[1] - time[0]), held, force, model, hooks)
+        unpack(hooks[0], body)
+        unpack(hooks[1], load)
         return Motion(np.asarray(time, dtype=float), position, quaternion, held)
 
 
-def _typed(body: Sequence[Hook], load: Sequence[Hook]) -> tuple[Any, ...]:
-    """Return kernels, parameters, states of the body's, then the load's hooks, as compiled code takes them."""
-    lists: list[Any] = []
-    for hooks in (body, load):
-        kernels = List.empty_list(_PORT)
-        parameters, states = List.empty_list(nb.float64[::1]), List.empty_list(nb.float64[::1])
-        for hook in hooks:
-            kernels.append(hook.kernel)
-            parameters.append(hook.parameters)
-            states.append(hook.state)
-        lists += [kernels, parameters, states]
-    return tuple(lists)
+@cache
+def _maps_of(angles_deg: tuple[float, ...], lever: float) -> tuple[np.ndarray, ...]:
+    """Return what depends on the chambers' places alone, ``lever`` being their radius over the length.
 
-
-_RUNNING: list[Any] = []
-
-
-def _running(body: Sequence[Hook], load: Sequence[Hook]) -> tuple[Any, ...]:
-    """Return the typed hooks of a caller who steps: the same sequences as before are typed once."""
-    if not (body or load):
-        return _no_hooks()
-    if not _RUNNING or _RUNNING[0] is not body or _RUNNING[1] is not load:
-        _RUNNING[:] = [body, load, _typed(body, load)]
-    return _RUNNING[2]
-
-
-_NO_HOOKS: list[tuple[Any, ...]] = []
-
-
-def _no_hooks() -> tuple[Any, ...]:
-    """Return the empty hooks, made once: typed lists are slow to build."""
-    if not _NO_HOOKS:
-        _NO_HOOKS.append(_typed((), ()))
-    return _NO_HOOKS[0]
+    Strains of the coordinates (b_x, b_y, epsilon): (chambers, 3); the columns in which the robot moves: (3, m); strains
+    of those: (chambers, m); and the pseudo-inverse of that: (m, chambers).
+    """
+    angle = np.deg2rad(angles_deg)
+    direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    strain = np.hstack([-lever * direction, np.ones((len(angle), 1))])
+    basis = np.eye(3) if len(angle) > 1 else np.vstack([-direction.T, [[0.0]]])
+    to_strain = np.ascontiguousarray(strain @ basis)
+    return strain, basis, to_strain, np.linalg.pinv(to_strain)

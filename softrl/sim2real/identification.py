@@ -1,61 +1,16 @@
 """Pressure programs sent straight to the robot, so that a diagnosis can tell effects apart."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from softrl.core.driver import Driver
-from softrl.core.errors import ConfigError
-from softrl.recordings.program import Program, limited, multisine, random_steps, record, staircase, triangles
+from softrl.recordings.program import record
 from softrl.recordings.recording import Recording
+from softrl.recordings.session import Identification, session_program
 from softrl.robots.robot import Robot
 
-
-@dataclass(frozen=True)
-class Identification:
-    """Sessions of steps, multisine, triangles and a staircase, from rest and with rests between.
-
-    Attributes
-    ----------
-    sessions : number of sessions; each draws its own steps and phases and takes the next chamber for its triangles
-    dt_s : time between commands
-    rest_s : vented time before, between and after the parts
-    step_count, step_hold_s : random holds of all chambers, first and last at rest
-    multisine_s, multisine_band_hz, multisine_share : duration, lowest and highest tone, share of the pressure range
-    triangle_periods_s, triangle_cycles : the same path at several rates, and how often each; a loop that stays when the
-        rate falls is hysteresis
-    staircase_levels, staircase_repeats, staircase_period_s : rising maxima, each repeated: shows softening
-    """
-
-    sessions: int
-    dt_s: float
-    rest_s: float
-    step_count: int
-    step_hold_s: float
-    multisine_s: float
-    multisine_band_hz: tuple[float, float]
-    multisine_share: float
-    triangle_periods_s: tuple[float, ...]
-    triangle_cycles: int
-    staircase_levels: int
-    staircase_repeats: int
-    staircase_period_s: float
-
-    def __post_init__(self) -> None:
-        if self.sessions < 2:
-            raise ConfigError(
-                f"stage.identification.sessions={self.sessions}; expected 2 or more, so that one can be held out"
-            )
-        positive = (
-            "dt_s", "step_count", "step_hold_s", "multisine_s", "triangle_cycles", "staircase_levels",
-            "staircase_repeats", "staircase_period_s",
-        )  # fmt: skip
-        for name in positive:
-            if getattr(self, name) <= 0:
-                raise ConfigError(f"stage.identification.{name}={getattr(self, name):g} must be positive")
-        if not self.triangle_periods_s:
-            raise ConfigError("stage.identification.triangle_periods_s=[] is empty; expected one period or more")
+__all__ = ["Identification", "record_sessions", "session_program"]
 
 
 def record_sessions(
@@ -67,20 +22,3 @@ def record_sessions(
         name = f"identification_{number + 1}"
         with driver:
             yield record(driver, robot, time, pressure, name, name)
-
-
-def session_program(robot: Robot, settings: Identification, number: int, rng: np.random.Generator) -> Program:
-    """Return the program of session ``number``: its parts one after the other, with rests."""
-    s, dt_s = settings, settings.dt_s
-    chamber, next_one = number % robot.chambers, (number + 1) % robot.chambers
-    parts = [
-        random_steps(robot, s.step_count, s.step_hold_s, dt_s, rng),
-        multisine(robot, s.multisine_s, s.multisine_band_hz, s.multisine_share, dt_s, rng),
-        triangles(robot, chamber, robot.pressure_max_pa, s.triangle_periods_s, s.triangle_cycles, dt_s),
-        staircase(robot, next_one, s.staircase_levels, s.staircase_repeats, s.staircase_period_s, dt_s),
-    ]
-    rest = np.zeros((round(s.rest_s / dt_s), robot.chambers))
-    rows = [rest, *(block for _, pressure in parts for block in (pressure, rest))]
-    # the multisine ends away from rest: the way back keeps the slew as well
-    pressure = limited(robot, np.concatenate(rows), dt_s)
-    return dt_s * np.arange(1, len(pressure) + 1), pressure

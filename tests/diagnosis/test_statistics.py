@@ -8,9 +8,13 @@ from softrl.diagnosis.statistics import (
     blocks_of,
     bootstrap_means,
     correlation_time,
+    follows,
     holm,
+    left_out,
+    phase_randomised,
     sandwich,
     slope_test,
+    spectral_line,
     whiteness,
 )
 
@@ -95,3 +99,48 @@ def test_sandwich_calls_an_unseen_parameter_unknown() -> None:
     covariance = sandwich(jacobian, rng.standard_normal(300), blocks_of(np.zeros(300, int), 10))
     alone = sandwich(jacobian[:, :1], rng.standard_normal(300), blocks_of(np.zeros(300, int), 10))
     assert covariance[0, 0] > 100.0 * alone[0, 0]
+
+
+def test_left_out_is_exact_for_a_linear_fit() -> None:
+    rng = np.random.default_rng(9)
+    jacobian, target, folds = 1e3 * rng.standard_normal((60, 3)), rng.standard_normal(60), np.arange(60) // 20
+    point = np.linalg.lstsq(jacobian, target, rcond=None)[0]
+    far = np.full(3, 100.0)
+    found = left_out(jacobian, jacobian @ point - target, folds, -far, far)
+    for fold in range(3):
+        mine = folds == fold
+        alone = np.linalg.lstsq(jacobian[~mine], target[~mine], rcond=None)[0]
+        np.testing.assert_allclose(found[mine], jacobian[mine] @ alone - target[mine], atol=1e-5)
+
+
+def test_left_out_stays_within_bounds() -> None:
+    jacobian, residual = np.array([[1.0], [1e-3]]), np.array([0.0, 1.0])
+    found = left_out(jacobian, residual, np.array([0, 1]), np.array([-0.1]), np.array([0.1]))
+    assert np.abs(found - residual).max() <= 0.1 + 1e-9
+
+
+def test_what_follows_the_drive_is_found_and_noise_with_a_memory_is_not() -> None:
+    rng, alarms = np.random.default_rng(10), 0
+    for _ in range(200):
+        target, drive = ([coloured(rng, 300, 0.95) for _ in range(3)] for _ in range(2))
+        alarms += follows(target, drive, 10)[1] < 0.05
+    assert alarms <= 22, f"{alarms} of 200 false alarms at 5 %"
+    drive = [coloured(rng, 300, 0.9) for _ in range(3)]
+    assert follows([0.3 * x + coloured(rng, 300, 0.9) for x in drive], drive, 10)[1] < 1e-6
+
+
+def test_a_line_in_the_spectrum_is_told_from_a_smooth_one() -> None:
+    rng, clock = np.random.default_rng(11), 0.1 * np.arange(400)
+    alarms = sum(spectral_line([coloured(rng, 400, m)[:, None]]) < 1e-8 for m in (0.0, 0.5, 0.9) for _ in range(50))
+    assert alarms == 0
+    line = np.sin(2.0 * np.pi * 0.5 * clock) + 0.3 * coloured(rng, 400, 0.5)
+    assert spectral_line([line[:, None]]) < 1e-8
+
+
+def test_random_phases_keep_the_spectra() -> None:
+    rng = np.random.default_rng(12)
+    values = np.stack([coloured(rng, 301, 0.9), coloured(rng, 301, 0.2)], axis=1)
+    turned = phase_randomised(values, rng)
+    np.testing.assert_allclose(np.abs(np.fft.rfft(turned, axis=0)), np.abs(np.fft.rfft(values, axis=0)), atol=1e-9)
+    np.testing.assert_allclose(turned.mean(axis=0), values.mean(axis=0), atol=1e-12)
+    assert abs(np.corrcoef(turned[:, 0], values[:, 0])[0, 1]) < 0.5

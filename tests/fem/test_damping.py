@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from softrl.fem.damping import viscous, viscous_moduli
 from softrl.fem.material import TANGENT, material_of
+from tests.fem.bodies import hollow_box, model_of
 
 LAWS = {
     "stable_neo_hookean": (1e6,),
@@ -25,12 +26,13 @@ def tangent(kernel: object, parameters: np.ndarray, f: np.ndarray) -> np.ndarray
 def test_at_rest_it_is_the_elastic_tangent(law: str) -> None:
     material = material_of(law, LAWS[law], 0.45)
     elastic = tangent(type(material).kernel, material.pack(), np.eye(3))
-    assert np.abs(tangent(viscous, viscous_moduli(material), np.eye(3)) - elastic).max() < 1e-6 * np.abs(elastic).max()
+    moduli, _ = viscous_moduli(material, mean_volume=False)
+    assert np.abs(tangent(viscous, moduli, np.eye(3)) - elastic).max() < 1e-6 * np.abs(elastic).max()
 
 
 def test_it_damps_every_motion_and_no_rigid_turn() -> None:
     rng = np.random.default_rng(3)
-    moduli = viscous_moduli(material_of("stable_neo_hookean", (1e6,), 0.45))
+    moduli = viscous_moduli(material_of("stable_neo_hookean", (1e6,), 0.45), mean_volume=False)[0]
     for _ in range(20):
         f = np.eye(3) + 0.4 * rng.standard_normal((3, 3))
         a = tangent(viscous, moduli, f)
@@ -40,3 +42,10 @@ def test_it_damps_every_motion_and_no_rigid_turn() -> None:
         turn = np.kron(Rotation.from_rotvec(rng.standard_normal(3)).as_matrix(), np.eye(3))
         turned = tangent(viscous, moduli, (turn @ f.ravel()).reshape(3, 3))
         assert np.abs(turned - turn @ a @ turn.T).max() < 1e-9 * np.abs(a).max()
+
+
+@pytest.mark.parametrize("mean_dilatation", [True, False])
+def test_the_body_at_rest_is_damped_by_its_elastic_stiffness(mean_dilatation: bool) -> None:
+    model = model_of(hollow_box(), mean_dilatation=mean_dilatation)
+    elastic = model._elastic(model.rest(), TANGENT).blocks
+    assert np.abs(model.viscous(model.rest()) - elastic).max() < 1e-9 * np.abs(elastic).max()

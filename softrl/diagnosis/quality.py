@@ -1,0 +1,112 @@
+"""Data that cannot tell anything, each with its evidence in one line: too short, clipped, torn, in wrong units, mixed."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from softrl.recordings.check import CLIPPED_SHARE, DataCheck
+from softrl.recordings.recording import Recording
+from softrl.robots.robot import Robot
+
+MIN_TOTAL_S = 12.0  # recordings of less than this together say nothing about dynamics
+MAX_GAP_SHARE = 0.3  # of the time: more than this without samples
+MAX_CLIPPED_SHARE = 0.25  # of the samples of a channel that sit at one extreme while the command moves
+PRESSURE_FACTOR = 20.0  # times the robot's largest pressure, or that part of it: another unit
+MIN_PRESSURE_SHARE = 1.0 / 200.0
+MAX_TRAVEL = 5.0  # lengths of the robot
+MIN_TRAVEL = 1e-3
+MAX_TURN_RAD = 4.0 * np.pi
+MIXED_FACTOR = 3.0  # by which two sessions may differ in their response to the same pressures
+
+
+def unusable(runs: Sequence[Recording], check: DataCheck, robot: Robot) -> str | None:
+    """Return why ``runs`` cannot tell anything, or None."""
+    total = sum(float(np.ptp(run.time)) for run in runs)
+    if total < MIN_TOTAL_S:
+        return f"the recordings last {total:.1f} s together, expected {MIN_TOTAL_S:g} s or more; record longer"
+    return _torn(runs, check) or _clipped(runs) or _wrong_pressure(runs, robot) or _wrong_motion(runs, robot)
+
+
+def mixed(runs: Sequence[Recording], simulated: Sequence[Recording], robot: Robot) -> str | None:
+    """Return why ``runs`` cannot be of one robot: sessions that respond to pressure much more than others; or None."""
+    scales = {}
+    for session in dict.fromkeys(run.session for run in runs):
+        mine = [k for k, run in enumerate(runs) if run.session == session]
+        size = [_size(np.concatenate([_motion(side[k], robot) for k in mine])) for side in (runs, simulated)]
+        if size[1] > 0.0:
+            scales[session] = size[0] / size[1]
+    if len(scales) < 2:
+        return None
+    most, least = max(scales, key=lambda s: scales[s]), min(scales, key=lambda s: scales[s])
+    if scales[most] <= MIXED_FACTOR * scales[least]:
+        return None
+    return (
+        f"session {most} moves {scales[most]:.3g} times as far as the simulator and session {least} "
+        f"{scales[least]:.3g} times, which no one robot does: mixed robots, or mixed units"
+    )
+
+
+def _torn(runs: Sequence[Recording], check: DataCheck) -> str | None:
+    names = {run.name for run in runs}
+    missing = sum(length for run in check.runs if run.name in names for _, length in run.gaps)
+    total = sum(float(np.ptp(run.time)) for run in runs)
+    if missing <= MAX_GAP_SHARE * total:
+        return None
+    return f"samples are missing during {missing:.1f} s of {total:.1f} s ({missing / total:.0%}); record without gaps"
+
+
+def _clipped(runs: Sequence[Recording]) -> str | None:
+    shares: dict[str, list[float]] = {}
+    for run in runs:
+        moves = np.any(np.diff(run.pressure_cmd, axis=0, prepend=run.pressure_cmd[:1]) != 0.0, axis=1)
+        for channel, values in _seen(run):
+            for k, series in enumerate(values.T):
+                if np.ptp(series) > 0.0 and np.count_nonzero(moves) > 1.0 / CLIPPED_SHARE:
+                    ends = [float(np.mean((series == end)[moves])) for end in (series.max(), series.min())]
+                    shares.setdefault(f"{channel}[{k}]", []).append(max(ends))
+    for channel, found in shares.items():
+        if np.mean(found) > MAX_CLIPPED_SHARE:
+            return f"{channel} sits at its largest or smallest value in {np.mean(found):.0%} of the samples: clipped"
+    return None
+
+
+def _wrong_pressure(runs: Sequence[Recording], robot: Robot) -> str | None:
+    limit = max(abs(robot.pressure_max_pa), abs(robot.pressure_min_pa))
+    for name in ("pressure_cmd", "pressure_meas"):
+        found = [np.abs(values).max() for run in runs if (values := getattr(run, name)) is not None]
+        top = max(found, default=limit)
+        if not MIN_PRESSURE_SHARE * limit <= top <= PRESSURE_FACTOR * limit:
+            return (
+                f"{name} reaches {1e-3 * top:.3g} kPa where robot {robot.name} takes {1e-3 * limit:.3g} kPa: "
+                "a wrong unit (Pa, kPa, bar or psi)?"
+            )
+    return None
+
+
+def _wrong_motion(runs: Sequence[Recording], robot: Robot) -> str | None:
+    motion = np.concatenate([_motion(run, robot) for run in runs])
+    travel = float(np.ptp(motion, axis=0).max())
+    if robot.output == "bend_angle":
+        turn = travel / robot.length_m
+        return f"the bend angle spans {turn:.3g} rad: degrees taken for rad?" if turn > MAX_TURN_RAD else None
+    if MIN_TRAVEL * robot.length_m <= travel <= MAX_TRAVEL * robot.length_m:
+        return None
+    return (
+        f"the tip travels {1e3 * travel:.3g} mm where robot {robot.name} is {1e3 * robot.length_m:.3g} mm long: "
+        "a wrong unit (m, mm or um)?"
+    )
+
+
+def _seen(run: Recording) -> list[tuple[str, np.ndarray]]:
+    found = [("position", run.position), ("bend_angle", run.bend_angle), ("pressure_meas", run.pressure_meas)]
+    return [(name, values.reshape(len(values), -1)) for name, values in found if values is not None]
+
+
+def _motion(run: Recording, robot: Robot) -> np.ndarray:
+    if robot.output == "bend_angle":
+        return robot.length_m * np.asarray(run.bend_angle)[:, None]
+    return np.asarray(run.position)
+
+
+def _size(motion: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.sum((motion - motion.mean(axis=0)) ** 2, axis=1))))

@@ -1,0 +1,196 @@
+"""A hypothesis whose parameters are free: what a program shall tell from another one."""
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from softrl.artifacts.diagnosis import Diagnosis
+from softrl.core.errors import ConfigError
+from softrl.core.simulator import Simulator
+from softrl.effects.chain import Plant, chain_of
+from softrl.effects.effect import Effect
+from softrl.effects.library import effect_class
+from softrl.robots.robot import Robot
+
+NOTHING = "nothing"  # the hypothesis that only the simulator's parameters are off
+
+
+class Axis(NamedTuple):
+    """One free parameter: ``effect`` is its place in the rival's list, or -1 for the simulator's own."""
+
+    effect: int
+    name: str
+    low: float
+    high: float
+    zero: float
+    scale: float
+    log: bool
+
+    def scaled(self, value: float) -> float:
+        """Return the coordinate u of a value, about 1 where the effect is plain to see."""
+        return math.log(value / self.zero) / self.scale if self.log else (value - self.zero) / self.scale
+
+    def physical(self, u: float) -> float:
+        """Return the value at u, within the bounds."""
+        value = self.zero * math.exp(self.scale * u) if self.log else self.zero + self.scale * u
+        return min(max(value, self.low), self.high)
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Effects on a simulator, all parameters of both free.
+
+    Attributes
+    ----------
+    label : how the rival is called in results
+    simulator : at its nominal parameters
+    effects : at the parameters from which searches begin
+    tuned_factor : the simulator's parameters may change by this factor either way
+    """
+
+    label: str
+    robot: Robot
+    simulator: Simulator
+    effects: tuple[Effect, ...]
+    tuned_factor: float
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        """The free parameters: effects' in order, then the simulator's."""
+        found = [axis for k, effect in enumerate(self.effects) for axis in _axes_of(k, effect)]
+        spread = math.log(self.tuned_factor)
+        for name, value in self.simulator.parameters.items():
+            found.append(
+                Axis(-1, name, value / self.tuned_factor, value * self.tuned_factor, value, 0.5 * spread, True)
+            )
+        return tuple(found)
+
+    @property
+    def point(self) -> np.ndarray:
+        """The scaled parameters (p,) at which the rival stands."""
+        values = {-1: self.simulator.parameters}
+        return np.array(
+            [
+                axis.scaled(values[-1][axis.name] if axis.effect < 0 else getattr(self.effects[axis.effect], axis.name))
+                for axis in self.axes
+            ]
+        )
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest scaled point (p,)."""
+        ends = np.array([sorted((a.scaled(a.low), a.scaled(a.high))) for a in self.axes])
+        return ends[:, 0], ends[:, 1]
+
+    def at(self, point: np.ndarray) -> Plant:
+        """Return the plant at a scaled point (p,)."""
+        tuned: dict[str, float] = {}
+        changed: list[dict[str, float]] = [{} for _ in self.effects]
+        for axis, u in zip(self.axes, point, strict=True):
+            (tuned if axis.effect < 0 else changed[axis.effect])[axis.name] = axis.physical(float(u))
+        effects = [replace(e, **c) for e, c in zip(self.effects, changed, strict=True)]
+        return Plant(self.simulator.with_parameters(**tuned), chain_of(self.robot, effects))
+
+
+def _axes_of(number: int, effect: Effect) -> list[Axis]:
+    found = []
+    for field in effect.parameter_fields():
+        m = field.metadata
+        log = bool(m["log"])
+        scale = 1.0 if log else abs(m["typical"] - m["neutral"]) or 0.1 * (m["high"] - m["low"])
+        zero = m["typical"] if log else m["neutral"]
+        found.append(Axis(number, field.name, m["low"], m["high"], zero, scale, log))
+    return found
+
+
+def parse(text: str, robot: Robot, size: float = 1.0) -> tuple[Effect, ...]:
+    """Return the typical effects of a hypothesis such as ``lag+payload``, ``gain@2`` (chamber 2) or ``nothing``.
+
+    Raises
+    ------
+    ConfigError
+        If an effect is unknown, or has no such chamber.
+    """
+    return tuple(typical(name, robot, size) for name in text.split("+") if name.strip() != NOTHING)
+
+
+def typical(name: str, robot: Robot, size: float = 1.0) -> Effect:
+    """Return the effect ``name``, or ``name@chamber`` counted from 1, at ``size`` of its typical strength."""
+    match = re.fullmatch(r"\s*(\w+?)\s*(?:@\s*(\d+)|\(chamber (\d+)\))?\s*", name)
+    if match is None:
+        raise ConfigError(
+            f"stage.hypotheses: '{name}' cannot be read; expected an effect's name, with @ and a chamber's number if "
+            "it acts in one alone, and + between effects that act together"
+        )
+    cls, number = effect_class(match[1]), match[2] or match[3]
+    values: dict[str, Any] = {}
+    for f in cls.parameter_fields():
+        neutral, shown = f.metadata["neutral"], f.metadata["typical"]
+        values[f.name] = shown if f.metadata["log"] else neutral + size * (shown - neutral)
+    if number is not None:
+        if not any(field.name == "chamber" for field in fields(cls)) or not 1 <= int(number) <= robot.chambers:
+            raise ConfigError(
+                f"stage.hypotheses: '{name}' does not exist; robot {robot.name} has chambers 1..{robot.chambers}, "
+                "and not every effect can act in one alone"
+            )
+        values["chamber"] = int(number) - 1
+    return cls(**values)
+
+
+def rivals_of(
+    hypotheses: Sequence[str],
+    diagnosis: Diagnosis | None,
+    robot: Robot,
+    simulator: Simulator,
+    tuned_factor: float,
+    size: float = 1.0,
+) -> list[Rival]:
+    """Return the rivals that were listed, or else those that a diagnosis left open.
+
+    Raises
+    ------
+    ConfigError
+        If there are fewer than two.
+    """
+    if hypotheses:
+        found = [Rival(text, robot, simulator, parse(text, robot, size), tuned_factor) for text in hypotheses]
+    elif diagnosis is not None:
+        found = _open_in(diagnosis, robot, simulator, tuned_factor)
+    else:
+        raise ConfigError(
+            "stage.hypotheses=[] and there is no diagnosis; expected two effects or more, such as "
+            "stage.hypotheses=[hysteresis,viscoelasticity], or inputs.diagnosis=run:<id>"
+        )
+    if len({rival.label for rival in found}) < 2:
+        raise ConfigError(
+            f"stage.hypotheses={[rival.label for rival in found]}: nothing to tell apart; expected two or more that differ"
+        )
+    return list({rival.label: rival for rival in found}.values())
+
+
+def _open_in(diagnosis: Diagnosis, robot: Robot, simulator: Simulator, factor: float) -> list[Rival]:
+    """Return the hypothesis that a diagnosis named, and it with each effect replaced by an equivalent rival."""
+    tuned = diagnosis.simulator_parameters
+    body = simulator.with_parameters(**{k: v for k, v in tuned.items() if k in simulator.parameters})
+    named: dict[str, Effect] = {}
+    for found in diagnosis.corrections():
+        cls = effect_class(found["name"])
+        alone = {"chamber": found["chamber"]} if any(f.name == "chamber" for f in fields(cls)) else {}
+        label = found["name"] if alone.get("chamber", -1) < 0 else f"{found['name']} (chamber {alone['chamber'] + 1})"
+        named[label] = cls(**found["parameters"], **alone)
+    rivals = [Rival("+".join(named) or NOTHING, robot, body, tuple(named.values()), factor)]
+    for row in diagnosis.rivals:
+        if row["equivalent"] and row["instead_of"] in named:
+            swapped = {row["name"] if k == row["instead_of"] else k: v for k, v in named.items()}
+            swapped[row["name"]] = typical(row["name"], robot)
+            rivals.append(Rival("+".join(swapped), robot, body, tuple(swapped.values()), factor))
+    if len(rivals) < 2:
+        raise ConfigError(
+            f"inputs.diagnosis ({diagnosis.verdict}) leaves no two hypotheses open; list them, for example "
+            f"stage.hypotheses=[{rivals[0].label},{NOTHING}]"
+        )
+    return rivals

@@ -1,0 +1,81 @@
+"""Recordings that cannot tell anything are refused in one line with the evidence."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softrl.core.tracking import NullTracker
+from softrl.diagnosis.stage import run
+from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.recording import Recording, RecordingSet
+from tests.diagnosis.conftest import configured, made
+
+
+@pytest.fixture(scope="module")
+def good(body: PccSimulator) -> RecordingSet:
+    return made(body, sessions=3)
+
+
+def short(r: Recording) -> Recording:
+    return thinned(r, np.arange(len(r.time)) < 180)
+
+
+def clipped(r: Recording) -> Recording:
+    assert r.position is not None
+    low, high = np.quantile(r.position, [0.3, 0.7], axis=0)
+    return replace(r, position=np.clip(r.position, low, high))
+
+
+def torn(r: Recording) -> Recording:
+    return thinned(r, (r.time % 5.0) < 2.5)
+
+
+def thinned(r: Recording, keep: np.ndarray) -> Recording:
+    changed = {name: values[keep] for name, values in r.channels()}
+    return replace(r, **changed)
+
+
+def in_pascal(r: Recording) -> Recording:
+    return replace(r, pressure_cmd=1e3 * r.pressure_cmd)
+
+
+def in_metres(r: Recording) -> Recording:
+    assert r.position is not None
+    return replace(r, position=1e-3 * r.position)
+
+
+def another_robot(r: Recording) -> Recording:
+    assert r.position is not None
+    rest = r.position[0]
+    return replace(r, position=rest + (6.0 if r.name == "run_1" else 1.0) * (r.position - rest))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "evidence"),
+    [
+        (short, "last 10.7 s together"),
+        (clipped, "clipped"),
+        (torn, "samples are missing"),
+        (in_pascal, "3.5e+04 kPa"),
+        (in_metres, "mm long: a wrong unit"),
+        (another_robot, "mixed robots"),
+    ],
+)
+def test_bad_recordings_cannot_tell(
+    body: PccSimulator, good: RecordingSet, spoil: Callable[[Recording], Recording], evidence: str
+) -> None:
+    spoiled = replace(good, recordings=tuple(spoil(r) for r in good.recordings))
+    found = run(configured(), body.robot, spoiled, body, tracker=NullTracker())
+    assert found.verdict == "unknown" and found.effects == []
+    assert found.sentences[0].startswith("Cannot tell:") and evidence in found.sentences[0]
+    assert found.unexplained["cannot_tell"] in found.sentences[0]
+
+
+def test_a_turned_frame_is_seen_and_does_not_become_physics(body: PccSimulator, good: RecordingSet) -> None:
+    turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    runs = tuple(replace(r, position=r.position @ turn.T, quaternion=None) for r in good.recordings)
+    found = run(configured(), body.robot, replace(good, recordings=runs), body, tracker=NullTracker())
+    assert found.verdict == "nothing missing", found.sentences
+    assert any("frame" in line for line in found.data["warnings"])
