@@ -1,5 +1,6 @@
 """What to record next: the program under which hypotheses that fit alike would part most, beside the noise."""
 
+from collections import Counter
 from typing import Any
 
 from softrl.core.errors import SolverError
@@ -39,8 +40,9 @@ def separating_program(problem: Problem, first: Trial, second: Trial, noise_m: f
         reached = sum(separation(sums(pair, block.pressure, sensing)) for block in chosen)
     except SolverError:
         return None
+    counted = Counter(block.label for block in chosen)
     return {
-        "program": "; then ".join(block.label for block in chosen),
+        "program": "; ".join(f"{label} ({n} times)" if n > 1 else label for label, n in counted.items()),
         "duration_s": STEP_S * sum(len(block.pressure) for block in chosen),
         "separation": float(reached),
     }
