@@ -39,7 +39,8 @@ def run(cfg: DictConfig) -> None:
 
 def main() -> None:
     """Run the command line; a user's mistake is one line and exit status 2."""
-    sys.argv[1:] = [word for given in sys.argv[1:] for word in _spell_out(given)]
+    sweep = bool({"-m", "--multirun"} & set(sys.argv[1:]))
+    sys.argv[1:] = [word for given in sys.argv[1:] for word in _spell_out(given, sweep)]
     signal.signal(signal.SIGTERM, _stop)
     error: BaseException | None = None
     try:
@@ -61,10 +62,21 @@ def main() -> None:
         close_parents(error)
 
 
-def _spell_out(word: str) -> list[str]:
-    """Turn ``effect=run:<id>`` into the two overrides that it is short for."""
+def _spell_out(word: str, sweep: bool = False) -> list[str]:
+    """Turn what is short for an override of Hydra's own grammar into it.
+
+    ``effect=run:<id>`` stands for two overrides, ``launcher=slurm`` for a key of Hydra's, and ``bench=fem,rom`` for a
+    list: with commas alone Hydra takes it for a sweep, which it is in a ``sweep``. ``proof.<key>`` is a key of that
+    stage.
+    """
     if word.startswith("effect=run:"):
         return ["effect=identified", f"inputs.diagnosis={word.removeprefix('effect=')}"]
+    if word.startswith("launcher="):
+        return [f"hydra/{word}"]
+    if word.startswith("bench=") and "," in word and "[" not in word and not sweep:
+        return [f"bench=[{word.removeprefix('bench=')}]"]
+    if word.startswith("proof."):
+        return [f"stage.{word.removeprefix('proof.')}"]
     return [word]
 
 
@@ -74,6 +86,8 @@ def _one_line(error: Exception) -> str:
         whole = not any(word.startswith("stage=") and word != "stage=all" for word in sys.argv)
         hint = "a key of one stage needs that stage alone: stage=<name>" if whole else "`--cfg job` prints every key"
         return f"{lines[0].rstrip('.')}: there is no such key; {hint}"
+    if "Could not load 'hydra/launcher/submitit" in str(error):
+        return "launcher=slurm needs a launcher that is not installed; pip install 'softrl[slurm]'"
     shown = [line for line in lines if not line.startswith(NOISE)]
     return " ".join(shown)
 

@@ -12,6 +12,7 @@ from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core import fingerprint
 from softrl.core.config import TARGET, UNFILLED, build, build_target, constructor_hints, target_class
 from softrl.core.errors import ArtifactError, ConfigError
+from softrl.core.parallel import Parallel
 from softrl.core.store import Store
 from softrl.effects.chain import EffectChain
 from softrl.effects.library import effect_class
@@ -20,7 +21,7 @@ from softrl.recordings.recording import RecordingSet
 from softrl.robots.robot import Robot
 
 # parameters of a stage that are built from the configuration group of the same name
-OBJECTS = ("simulator", "task", "agent", "driver")
+OBJECTS = ("simulator", "task", "agent", "driver", "bench")
 
 
 class Assembly:
@@ -65,6 +66,8 @@ class Assembly:
             return self.robot
         if hint is EffectChain:
             return self._chain()
+        if hint is Parallel:  # not in ``used``: no result depends on where it was computed
+            return build(self.cfg["parallel"], Parallel, "parallel")
         if isinstance(hint, type) and issubclass(hint, Artifact):
             return self._artifact(hint)
         return UNFILLED
@@ -73,6 +76,8 @@ class Assembly:
         node = self.cfg[name]
         self.used[name] = node
         self.modules += _targets(node, name)
+        if TARGET not in node:  # several, by name
+            return {key: build_target(value, f"{name}.{key}", self._fill) for key, value in node.items()}
         made = build_target(node, name, self._fill)
         parameters = self._identified_parameters() if name == "simulator" else {}
         return made.with_parameters(**parameters) if parameters else made
@@ -101,6 +106,11 @@ class Assembly:
             found = read_recordings(path, self.robot)
             self.used["recordings"] = self.inputs["recordings"] = f"{path}:{fingerprint.of_folder(path)}"
             return found
+        if not optional and self._absent(RecordingSet):
+            raise ArtifactError(
+                f"there are no recordings of robot {self.robot.name}: name a dataset folder with recordings=<folder>, or "
+                "record some with stage=sim2real (stage=excite out=<folder> plans commands that stage=simulate can replay)"
+            )
         return None if optional else self._artifact(RecordingSet)
 
     def _artifact(self, kind: type[Artifact]) -> Any:

@@ -24,7 +24,7 @@ log = logging.getLogger(__name__)
 # the loop, in order; the word is the room's folder, the value of `stage`, and the tag in MLflow
 STAGES = ("mesh", "fem", "pod", "calibration", "dynamics", "surrogate", "rl", "sim2real", "diagnosis")
 # stages beside the loop
-EXTRA = ("simulate", "excite")
+EXTRA = ("simulate", "bench", "excite", "proof")
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,12 @@ class Snapshots(Artifact):
     coordinate : (samples, n + 3) m^3 and m
     energy : (samples,) J, elastic energy above rest
     compliance : (samples, n + 3, n + 3) d coordinate / d load
-    tangent_stiffness : (samples, n + 3, n + 3) T' K_elastic T with T = dx / d load
+    tangent_stiffness : (samples, n + 3, n + 3) T' K T with T = dx / d load and K what stiffness-proportional
+        damping multiplies
     tangent_mass : (samples, n + 3, n + 3) T' M T with T = dx / d load
+    lag_stiffness, lag_viscosity : (samples, n + 3, n + 3) of the lags' shapes, see ``fem.lag``, in the tangent stiffness
+        and in what stiffness-proportional damping multiplies
+    lag_spin : (samples, 3, n + 3) rad, rotation of the plate by the lags
     centre_of_mass : (samples, 3) m, displacement of the centre of mass
     tip_quaternion : (samples, 4) w x y z of the plate relative to rest
     displacement : (samples, nodes, 3) m, float32, on the mesh's corner nodes
@@ -40,6 +44,7 @@ class Snapshots(Artifact):
     robot_name : the robot
     """
 
+    schema: ClassVar[int] = 2
     stage: ClassVar[str] = "fem"
 
     loads: np.ndarray
@@ -48,6 +53,9 @@ class Snapshots(Artifact):
     compliance: np.ndarray
     tangent_stiffness: np.ndarray
     tangent_mass: np.ndarray
+    lag_stiffness: np.ndarray
+    lag_viscosity: np.ndarray
+    lag_spin: np.ndarray
     centre_of_mass: np.ndarray
     tip_quaternion: np.ndarray
     displacement: np.ndarray

@@ -1,6 +1,6 @@
 """The rigid-link stand-in of a soft robot: links, joints, stiffness and the maps between pressures and joints."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -25,7 +25,7 @@ class Surrogate(Artifact):
     neck_radius : m, smallest radius of the body
     tip_height : m, height of the tip at rest
     joint_low, joint_high : (3,) rad, rad, m: range of motion of the grouped command
-    joint_stiffness : (3,) N m/rad, N m/rad, N/m of every single joint
+    joint_stiffness : (3,) N m/rad, N m/rad, N/m of the joints of a mean gap at rest, the others being free
     contact_stiffness_n_per_m, contact_damping_n_s_per_m : of the tip against a surface
     mass : kg, of all links
     sample_pressure : (samples, n) Pa, sampled at equilibrium
@@ -39,6 +39,9 @@ class Surrogate(Artifact):
     pressure_low, pressure_high : (n,) Pa, range that was sampled
     metrics : the numbers that the stage measured
     robot_name : the robot
+    softness_coefficients : (terms, 6), how a mean gap yields to loads by the commanded pose: see ``surrogate.springs``;
+        none where every pose has ``joint_stiffness``
+    gap_share : (gaps,), by which each gap is softer than the mean gap
     """
 
     stage: ClassVar[str] = "surrogate"
@@ -69,6 +72,8 @@ class Surrogate(Artifact):
     pressure_high: np.ndarray
     metrics: dict[str, Any]
     robot_name: str
+    softness_coefficients: np.ndarray = field(default_factory=lambda: np.empty((0, 6)))
+    gap_share: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     @property
     def gaps(self) -> int:
@@ -95,6 +100,10 @@ class Surrogate(Artifact):
         if (self.joint_stiffness <= 0).any():
             raise ArtifactError(
                 f"surrogate of {self.robot_name}: joint stiffness {self.joint_stiffness} is not positive"
+            )
+        if self.softness_coefficients.size and len(self.gap_share) != self.gaps:
+            raise ArtifactError(
+                f"surrogate of {self.robot_name}: gap_share has {len(self.gap_share)} values for {self.gaps} gaps"
             )
         for name in ("sample_tip", "sample_joints", "heldout"):
             if len(getattr(self, name)) != len(self.sample_pressure):

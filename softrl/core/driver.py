@@ -29,7 +29,14 @@ class Sample:
 
 
 class Driver(Protocol):
-    """A robot that takes pressures. Used as a context manager: it vents on exit, on an exception, on a lost link."""
+    """A robot that takes pressures. Used as a context manager: it vents on exit, on an exception, on a lost link.
+
+    Attributes
+    ----------
+    samples : all that arrived since the last entry; they outlive a lost link
+    """
+
+    samples: list[Sample]
 
     def __enter__(self) -> Self:
         """Connect; the robot is vented and its samples start."""
@@ -45,4 +52,12 @@ class Driver(Protocol):
 
     def advance(self, dt_s: float) -> list[Sample]:
         """Let ``dt_s`` pass on the device's clock and return the samples that arrived."""
+        ...
+
+    def stop(self) -> None:
+        """Stop in an emergency, from any thread: vent, and refuse commands and entries until ``release``."""
+        ...
+
+    def release(self) -> None:
+        """End an emergency stop; not while connected."""
         ...

@@ -5,8 +5,11 @@ import functools
 import hashlib
 import importlib.util
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 PACKAGE = "softrl"
 
@@ -14,6 +17,16 @@ PACKAGE = "softrl"
 def of_values(values: Any) -> str:
     """Return a hash of plain nested values, independent of the order of keys."""
     return hashlib.sha256(json.dumps(values, sort_keys=True, default=str).encode()).hexdigest()[:16]
+
+
+def of_arrays(arrays: Mapping[str, Any]) -> str:
+    """Return a hash over the names, types, shapes and bytes of arrays and plain values."""
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()[:16]
 
 
 def of_folder(folder: Path) -> str:

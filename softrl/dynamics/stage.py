@@ -1,7 +1,8 @@
 """Learned dynamics: random loads through the reduced model -> f_S with a physics loss, and its inverse."""
 
 import logging
-from dataclasses import dataclass
+import time
+from dataclasses import asdict, dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -10,12 +11,16 @@ import torch
 from softrl.artifacts.dynamics import ForwardDynamics, InverseDynamics
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
+from softrl.core import fingerprint
 from softrl.core.errors import ConfigError
+from softrl.core.parallel import LOCAL, Parallel
+from softrl.core.resume import Kept
 from softrl.core.tracking import Tracker
 from softrl.dynamics.body import ReducedBody
 from softrl.dynamics.dataset import Body, Trajectories, Windows, full_order, random_loads, rolled
 from softrl.dynamics.evaluate import Predictor, onestep_errors, predictors, rollout, rollout_errors
 from softrl.dynamics.figures import draw_losses, draw_rollout, table
+from softrl.dynamics.generate import Recipe, StoredWindows, generate_chunks
 from softrl.dynamics.inverse import InverseNet, InverseSettings, inverse_errors, train_inverse
 from softrl.dynamics.physics_residual import PhysicsResidual
 from softrl.dynamics.training import History, TrainingSettings, fit_linear, train_forward
@@ -25,6 +30,10 @@ from softrl.robots.robot import Robot
 log = logging.getLogger(__name__)
 
 
+# settings that the motion depends on
+MOTION_KEYS = ("training_runs", "runs_per_chunk", "run_s", "dt_s", "weight", "window", "seed")
+
+
 @dataclass(frozen=True)
 class Config:
     """f_S by a Transformer over a window of states and loads, and its inverse.
@@ -32,6 +41,8 @@ class Config:
     Attributes
     ----------
     training_runs, validation_runs, heldout_runs, run_s, dt_s : random runs of the reduced model
+    runs_per_chunk : more training runs than this are kept in chunks on disk and read window by window
+    processes : that make chunks
     weight : whether the robot's weight acts; the full model's trajectories are without it, so f_S is compared with them
         only if it is off
     window : rows that the Transformer sees;  width, heads, layers, feedforward : its size
@@ -47,6 +58,8 @@ class Config:
     training_runs: int
     validation_runs: int
     heldout_runs: int
+    runs_per_chunk: int
+    processes: int
     run_s: float
     dt_s: float
     weight: bool
@@ -73,7 +86,8 @@ class Config:
     seed: int
 
     def __post_init__(self) -> None:
-        positive = ("training_runs", "validation_runs", "heldout_runs", "run_s", "dt_s", "heads", "layers",
+        positive = ("training_runs", "validation_runs", "heldout_runs", "runs_per_chunk", "processes",
+                    "run_s", "dt_s", "heads", "layers",
                     "feedforward", "linear_rows", "ridge", "onestep_updates", "rollout_steps", "learning_rate",
                     "physics_samples", "inverse_hidden", "inverse_updates", "inverse_learning_rate")  # fmt: skip
         for name in positive:
@@ -104,20 +118,25 @@ class Dynamics(NamedTuple):
 class Sets(NamedTuple):
     """Runs of the reduced model, split whole."""
 
-    train: Trajectories
+    train: Trajectories | StoredWindows
     validation: Trajectories
     heldout: Trajectories
 
 
 def run(
-    config: Config, robot: Robot, reduced_model: ReducedModel, snapshots: Snapshots, *, tracker: Tracker
+    config: Config, robot: Robot, reduced_model: ReducedModel, snapshots: Snapshots, parallel: Parallel | None = None,
+    *, tracker: Tracker,
 ) -> Dynamics:
     """Return f_S and its inverse; errors on held-out runs and on the full model's are logged beside baselines."""
     torch.set_num_threads(1)
     gravity = np.array(robot.gravity_m_s2) * config.weight
     body = ReducedBody(reduced_model, gravity)
     low, high = _load_range(robot, reduced_model)
+    kept = Kept("dynamics", _mark(config, robot, reduced_model))
     sets = generate(config, robot, body, low, high)
+    if config.training_runs > config.runs_per_chunk:
+        sets = sets._replace(train=_many(config, robot, reduced_model, body, parallel or LOCAL, kept, tracker))
+    report_data(config, sets, snapshots, tracker)
     net, history = learn_forward(config, sets, body)
     inverse, inverse_losses = learn_inverse(config, net, sets.train)
     tracker.figure("losses", draw_losses(history, inverse_losses))
@@ -131,6 +150,7 @@ def run(
     backward = InverseDynamics(
         weights_of(inverse), config.inverse_hidden, config.dt_s, config.cycle_weight, robot.chambers, robot.name
     )
+    kept.clear()
     return Dynamics(forward, backward)
 
 
@@ -143,9 +163,53 @@ def _load_range(robot: Robot, model: ReducedModel) -> tuple[np.ndarray, np.ndarr
     return np.maximum(low, model.load_low), np.minimum(high, model.load_high)
 
 
+def _mark(config: Config, robot: Robot, model: ReducedModel) -> str:
+    """Return a hash of all that the chunks of motion depend on."""
+    arrays = {field.name: getattr(model, field.name) for field in fields(model)}
+    settings = {key: value for key, value in asdict(config).items() if key in MOTION_KEYS}
+    code = fingerprint.of_code("softrl.dynamics.generate", "softrl.dynamics.body")
+    return fingerprint.of_values([settings, asdict(robot), fingerprint.of_arrays(arrays), code])
+
+
+def _many(
+    config: Config, robot: Robot, model: ReducedModel, body: Body, parallel: Parallel, kept: Kept, tracker: Tracker
+) -> StoredWindows:
+    """Return windows over training runs that are too many for the memory."""
+    steps = round(config.run_s / config.dt_s) + 1
+    known = model.frame.shape == (robot.chambers + 3, robot.chambers + 3)
+    frame = model.frame if known else None
+    recipe = Recipe(robot, body, *_load_range(robot, model), steps, config.dt_s, config.window, frame)
+    seed, began = np.random.SeedSequence(config.seed).spawn(3)[0], time.monotonic()
+    made = generate_chunks(recipe, config.training_runs, config.runs_per_chunk, seed, parallel, config.processes, kept)
+    samples = len(made.windows)
+    log.info("%d samples of motion in %.0f s", samples, time.monotonic() - began)
+    tracker.metric("chunks_resumed", made.resumed)
+    if known:
+        tracker.metric("samples_within_reach_pct", 100.0 * made.within_reach / samples)
+    return made.windows
+
+
+def report_data(config: Config, sets: Sets, snapshots: Snapshots, tracker: Tracker) -> None:
+    """Log how many samples there are, and the share that the full model made: all of them test, none of them train."""
+    steps = round(config.run_s / config.dt_s)
+    reduced = steps * (config.training_runs + config.validation_runs + config.heldout_runs)
+    full = snapshots.trajectory_load.shape[0] * snapshots.trajectory_load.shape[1]
+    tracker.metric("training_samples", steps * config.training_runs)
+    tracker.metric("reduced_model_samples", reduced)
+    tracker.metric("full_order_samples", full)
+    tracker.metric("full_order_share_pct", 100.0 * full / (full + reduced))
+
+
+def _windows(runs: Trajectories | StoredWindows, window: int) -> Windows:
+    return runs if isinstance(runs, Windows) else Windows(runs, window)
+
+
 def generate(config: Config, robot: Robot, body: Body, low: np.ndarray, high: np.ndarray) -> Sets:
-    """Return random runs of ``body``, split whole into training, validation and held-out runs."""
-    counts = (config.training_runs, config.validation_runs, config.heldout_runs)
+    """Return random runs of ``body``, split whole into training, validation and held-out runs.
+
+    More training runs than a chunk holds are left out here but for the first chunk.
+    """
+    counts = (min(config.training_runs, config.runs_per_chunk), config.validation_runs, config.heldout_runs)
     steps = round(config.run_s / config.dt_s) + 1
     seeds = np.random.SeedSequence(config.seed).spawn(3)
     sets = []
@@ -157,8 +221,8 @@ def generate(config: Config, robot: Robot, body: Body, low: np.ndarray, high: np
 
 def learn_forward(config: Config, sets: Sets, body: Body) -> tuple[ForwardNet, History]:
     """Return the trained network and how its training went."""
-    train, validation = Windows(sets.train, config.window), Windows(sets.validation, config.window)
-    states, loads = sets.train.state.shape[2], sets.train.load.shape[2]
+    train, validation = _windows(sets.train, config.window), Windows(sets.validation, config.window)
+    states, loads = sets.validation.state.shape[2], sets.validation.load.shape[2]
     torch.manual_seed(config.seed)
     net = ForwardNet(
         states, loads, config.window, config.width, config.heads, config.layers, config.feedforward, config.linear_rows
@@ -173,13 +237,13 @@ def learn_forward(config: Config, sets: Sets, body: Body) -> tuple[ForwardNet, H
     return net.eval(), history
 
 
-def learn_inverse(config: Config, net: ForwardNet, runs: Trajectories) -> tuple[InverseNet, np.ndarray]:
+def learn_inverse(config: Config, net: ForwardNet, runs: Trajectories | StoredWindows) -> tuple[InverseNet, np.ndarray]:
     """Return the trained inverse and its losses (updates, 2)."""
     settings = InverseSettings(
         config.inverse_hidden, config.inverse_updates, config.inverse_batch, config.inverse_learning_rate,
         config.cycle_weight, config.ridge, config.seed,
     )  # fmt: skip
-    return train_inverse(net, Windows(runs, config.window), settings)
+    return train_inverse(net, _windows(runs, config.window), settings)
 
 
 def report(
@@ -195,7 +259,7 @@ def report(
     windows = Windows(sets.heldout, config.window)
     tracker.metric(
         "heldout/physics_residual_share",
-        _residual_share(config, net, body, Windows(sets.train, config.window), windows),
+        _residual_share(config, net, body, _windows(sets.train, config.window), windows),
     )
     known = predictors(net, body, config.dt_s)
     _report_set("heldout", known, windows, config, tracker)

@@ -41,7 +41,7 @@ def fit_linear(net: ForwardNet, windows: Windows, ridge: float) -> None:
     ``ridge`` is relative to the mean square of a scaled feature.
     """
     states = net.states
-    scaler = Scaler.fit(windows.rows[:, windows.window - 1 :].numpy().astype(float))
+    scaler = _scaler(windows)
     net.row_mean.copy_(torch.tensor(scaler.mean))
     net.row_spread.copy_(torch.tensor(scaler.spread))
     size = len(net.linear)
@@ -57,6 +57,17 @@ def fit_linear(net: ForwardNet, windows: Windows, ridge: float) -> None:
         rows, target = windows.take(index)
         square += (net.linear_rate(rows)[:, -1] - target).double().pow(2).sum(dim=0)
     net.fine.copy_(_shared_by_kind((square / len(windows)).sqrt()))
+
+
+def _scaler(windows: Windows, runs: int = 64) -> Scaler:
+    """Return the scaler of all rows, read ``runs`` runs at a time."""
+    rows = windows.rows[:, windows.window - 1 :]
+    parts = [slice(start, start + runs) for start in range(0, len(rows), runs)]
+    count = rows.shape[0] * rows.shape[1]
+    mean = sum(rows[part].numpy().astype(float).sum(axis=(0, 1)) for part in parts) / count
+    square = sum(((rows[part].numpy() - mean) ** 2).sum(axis=(0, 1)) for part in parts) / count
+    spread = np.sqrt(square)
+    return Scaler(mean, np.where(spread > 1e-12 * (1.0 + np.abs(mean)), spread, 1.0))
 
 
 def _shared_by_kind(rms: torch.Tensor) -> torch.Tensor:

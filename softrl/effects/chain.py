@@ -29,6 +29,15 @@ class EffectChain:
         """Return the effects that act at any of ``sites``."""
         return tuple(e for e in self.ordered if e.site in sites)
 
+    @property
+    def gauges(self) -> tuple[Effect, ...]:
+        """The effects on the reported pressures; ``filter(["sensor"], ..)`` runs the others, on the pose."""
+        return tuple(e for e in self.at("sensor") if e.channel == "pressure")
+
+    def reported(self, pressure: np.ndarray, dt_s: float) -> np.ndarray:
+        """Return what the pressure sensors report of ``pressure`` (steps, chambers) Pa, from rest."""
+        return SignalFilter(self, "gauge").advance(pressure, dt_s)
+
     def hooks(self, site: str) -> list[Hook]:
         """Return fresh hooks of the port effects at ``site``, for a body's kernel."""
         return [Hook(type(e).kernel, e.pack(self.robot), e.reset(self.robot)) for e in self.at(site)]
@@ -39,10 +48,14 @@ class EffectChain:
 
 
 class SignalFilter:
-    """The running state of the signal effects at some sites, for stepwise use; ``advance`` continues where it was."""
+    """The running state of the signal effects at some sites, for stepwise use; ``advance`` continues where it was.
+
+    The site "sensor" means effects on the pose; "gauge" those on the reported pressures.
+    """
 
     def __init__(self, chain: EffectChain, *sites: str) -> None:
-        effects = chain.at(*sites)
+        effects = [e for e in chain.at(*sites) if e.channel == "pose"]
+        effects += chain.gauges if "gauge" in sites else ()
         self._empty = not effects
         self._calls = pack([Hook(type(e).kernel, e.pack(chain.robot), e.reset(chain.robot)) for e in effects])
 
@@ -75,9 +88,10 @@ class Plant:
     ) -> Motion:
         """Return what the sensors report of a body on which ``acting`` acts."""
         motion = self.simulator.simulate(time, acting, tip_force, self.chain.hooks("body"), self.chain.hooks("load"))
+        shown = self.chain.reported(supplied, float(time[1] - time[0]))
         pose = np.hstack([motion.position, motion.quaternion])
         pose = self.chain.filter(["sensor"], pose, float(time[1] - time[0]))
-        return replace(motion, position=pose[:, :3], quaternion=pose[:, 3:], pressure=supplied)
+        return replace(motion, position=pose[:, :3], quaternion=pose[:, 3:], pressure=shown)
 
 
 def simulate_batch(

@@ -31,6 +31,10 @@ class Contact(Effect):
 
     ``distance`` is that from the base's origin along the normal, in lengths of the robot; at 2 it is out of
     reach.
+
+    Notes
+    -----
+    Penalty contact, ``F = k max(depth, 0)`` against the normal (textbook form, no equation number checked).
     """
 
     site: ClassVar[str] = "load"

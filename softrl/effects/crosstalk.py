@@ -26,6 +26,10 @@ class Crosstalk(Effect):
     """Acting pressure ``p_i + share * (sum of the others)``; ``chamber`` is the one that feels the others.
 
     A robot with one chamber has none.
+
+    Notes
+    -----
+    Linear fluidic coupling in its static limit (no equation number checked).
     """
 
     site: ClassVar[str] = "chamber"

@@ -27,7 +27,12 @@ def delay_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, d
 
 @dataclass(frozen=True)
 class Delay(Effect):
-    """Pure delay of the reported pose, exact for whole steps; the step must exceed delay / 4094."""
+    """Pure delay of the reported pose, exact for whole steps; the step must exceed delay / 4094.
+
+    Notes
+    -----
+    ``x(t) = pose(t - delay)`` (textbook transport delay, no equation number checked).
+    """
 
     site: ClassVar[str] = "sensor"
     title: ClassVar[str] = "delay of the pose sensor"

@@ -13,9 +13,9 @@ from softrl.robots.robot import Robot
 
 @nb.njit(PORT_KERNEL, cache=True)
 def drift_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
-    """Scale the elastic resistance by ``exp(-rate t)``."""
-    chamber = int(parameters[1])
-    change = math.expm1(-parameters[0] * (state[0] + dt))
+    """Scale the elastic resistance by ``exp(-rate t)`` with the time t since the onset."""
+    chamber = int(parameters[2])
+    change = math.expm1(-parameters[0] * max(state[0] + dt - parameters[1], 0.0))
     for i in range(port.shape[1]):
         if chamber < 0 or chamber == i:
             port[ADDED, i] += change * port[ELASTIC, i]
@@ -30,8 +30,8 @@ class Drift(Effect):
 
     Notes
     -----
-    Stiffness over the model's is ``exp(-rate t)`` from the start of the run; nothing is carried from run to
-    run.
+    Stiffness over the model's is ``exp(-rate (t - onset))`` from ``onset_s`` after the start of the run on, and 1
+    before (an empirical form, no equation number checked); nothing is carried from run to run.
     """
 
     site: ClassVar[str] = "body"
@@ -39,6 +39,7 @@ class Drift(Effect):
     kernel: ClassVar = drift_kernel
 
     rate_per_s: float = parameter("1/s", -0.01, 0.01, 0.0, typical=0.003)
+    onset_s: float = parameter("s", 0.0, 600.0, 0.0, typical=0.0, default=0.0)
     chamber: int = -1
 
     def reset(self, robot: Robot) -> np.ndarray:

@@ -4,7 +4,7 @@ Two kinds of kernel, both numba functions without the interpreter in the loop:
 
 * a *signal* kernel (sites valve, chamber, sensor) changes a vector in place once per time step:
   ``kernel(parameters, state, value, dt)``. At valve and chamber the value is the chambers' pressure in Pa; at the
-  sensor it is the pose, position (3) m and quaternion (4) w x y z.
+  sensor it is the pose, position (3) m and quaternion (4) w x y z, or (``channel = "pressure"``) the reported pressures.
 * a *port* kernel (sites body, load) acts inside the body's implicit step:
   ``kernel(parameters, state, port, dt, commit)``. It reads the trial motion from ``port`` and *adds* its reaction and
   the derivative of that reaction; it may change ``state`` only when ``commit`` is true, once a step has converged.
@@ -45,7 +45,16 @@ TIP, TIP_VELOCITY, GRAVITY, FORCE, FORCE_SLOPE = 0, 1, 2, 3, 4
 BODY_PORT_ROWS, LOAD_PORT_ROWS = 8, 7
 
 
-def parameter(unit: str, low: float, high: float, neutral: float, *, typical: float, log: bool = False) -> Any:
+def parameter(
+    unit: str,
+    low: float,
+    high: float,
+    neutral: float,
+    *,
+    typical: float,
+    log: bool = False,
+    default: Any = dataclasses.MISSING,
+) -> Any:
     """Declare a fitted parameter of an effect.
 
     Parameters
@@ -55,10 +64,10 @@ def parameter(unit: str, low: float, high: float, neutral: float, *, typical: fl
     neutral : the value at which the effect vanishes
     typical : a value at which the effect is plain to see; the prior's scale
     log : search on a logarithmic scale (only where low > 0)
+    default : the value where none is given; must be given if this is missing
     """
-    return dataclasses.field(
-        metadata={"unit": unit, "low": low, "high": high, "neutral": neutral, "typical": typical, "log": log}
-    )
+    metadata = {"unit": unit, "low": low, "high": high, "neutral": neutral, "typical": typical, "log": log}
+    return dataclasses.field(default=default, metadata=metadata)
 
 
 @dataclass(frozen=True)
@@ -66,11 +75,19 @@ class Effect:
     """Base of all effects: a subclass adds parameters with ``parameter(...)``, a site, and a kernel.
 
     Every subclass has a field ``chamber``, or none: -1 for all chambers, else one chamber's number from 0.
+
+    Attributes
+    ----------
+    site : where it acts, one of ``SITES``
+    channel : of a sensor effect, what it changes: "pose", or "pressure" for the reported chamber pressures
+    variant_of : name of the effect whose physics this one describes by another law, or empty
     """
 
     site: ClassVar[str]
     title: ClassVar[str]
     kernel: ClassVar[Any]
+    channel: ClassVar[str] = "pose"
+    variant_of: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
         for field in self.parameter_fields():
@@ -108,6 +125,10 @@ class Effect:
     def reset(self, robot: Robot) -> np.ndarray:
         """Return the state vector at rest; one or more slots, as the kernel needs."""
         return np.zeros(max(robot.chambers, 1))
+
+    def undo(self, robot: Robot, reported: np.ndarray) -> np.ndarray:
+        """Return the pressures (steps, chambers) Pa behind what a gauge with this error ``reported``."""
+        raise NotImplementedError(f"effect {self.name()} does not act on a pressure sensor")
 
     def apply(self, robot: Robot, state: np.ndarray, value: np.ndarray, dt_s: float) -> tuple[np.ndarray, np.ndarray]:
         """Return (state, value) after one step, inputs untouched: the pure form of a kernel call."""

@@ -25,7 +25,12 @@ def frame_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, d
 
 @dataclass(frozen=True)
 class Frame(Effect):
-    """Rotation (as a vector) and shift (in lengths of the robot) of the frame in which the sensor reports."""
+    """Rotation (as a vector) and shift (in lengths of the robot) of the frame in which the sensor reports.
+
+    Notes
+    -----
+    ``p = R p_base + shift`` with ``R`` from the rotation vector (textbook form, no equation number checked).
+    """
 
     site: ClassVar[str] = "sensor"
     title: ClassVar[str] = "misregistration of the sensor's frame"

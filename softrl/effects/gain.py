@@ -20,7 +20,12 @@ def gain_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt
 
 @dataclass(frozen=True)
 class Gain(Effect):
-    """Acting pressure as a multiple of the supplied one: an effective area, or a regulator's span."""
+    """Acting pressure as a multiple of the supplied one: an effective area, or a regulator's span.
+
+    Notes
+    -----
+    ``p_acting = gain p`` (no equation number checked).
+    """
 
     site: ClassVar[str] = "chamber"
     title: ClassVar[str] = "gain of a chamber"

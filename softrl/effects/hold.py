@@ -24,7 +24,12 @@ def hold_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt
 
 @dataclass(frozen=True)
 class Hold(Effect):
-    """Sample-and-hold of the reported pose: a staircase, half a period late on average."""
+    """Sample-and-hold of the reported pose: a staircase, half a period late on average.
+
+    Notes
+    -----
+    Zero-order hold, ``x(t) = pose(period floor(t / period))`` (textbook form, no equation number checked).
+    """
 
     site: ClassVar[str] = "sensor"
     title: ClassVar[str] = "sample-and-hold of the pose sensor"

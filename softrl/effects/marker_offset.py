@@ -23,7 +23,12 @@ def marker_offset_kernel(parameters: np.ndarray, state: np.ndarray, value: np.nd
 
 @dataclass(frozen=True)
 class MarkerOffset(Effect):
-    """Marker at an offset (in lengths of the robot) in the tip's frame: it turns with the tip."""
+    """Marker at an offset (in lengths of the robot) in the tip's frame: it turns with the tip.
+
+    Notes
+    -----
+    ``p_marker = p + R(q) offset`` (rigid-body kinematics, no equation number checked).
+    """
 
     site: ClassVar[str] = "sensor"
     title: ClassVar[str] = "offset of the marker from the tip"

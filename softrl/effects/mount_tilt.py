@@ -30,6 +30,10 @@ class MountTilt(Effect):
     """Gravity turned in the base frame about x, then y: the mount is tilted, its sensor's frame with it.
 
     Its name stands before ``payload`` so that a payload's weight is tilted too.
+
+    Notes
+    -----
+    ``g = R_y R_x g_nominal`` (rigid-body kinematics, no equation number checked).
     """
 
     site: ClassVar[str] = "load"

@@ -21,7 +21,12 @@ def offset_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, 
 
 @dataclass(frozen=True)
 class Offset(Effect):
-    """Constant difference of acting from supplied pressure, as a share of the robot's largest pressure."""
+    """Constant difference of acting from supplied pressure, as a share of the robot's largest pressure.
+
+    Notes
+    -----
+    ``p_acting = p + offset p_max`` (no equation number checked).
+    """
 
     site: ClassVar[str] = "chamber"
     title: ClassVar[str] = "offset of a chamber's pressure"

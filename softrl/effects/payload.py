@@ -24,7 +24,12 @@ def payload_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, 
 
 @dataclass(frozen=True)
 class Payload(Effect):
-    """Point mass at the tip, as a share of the robot's mass: weight along gravity, and inertia."""
+    """Point mass at the tip, as a share of the robot's mass: weight along gravity, and inertia.
+
+    Notes
+    -----
+    ``F = m (g - a)`` with the acceleration of the tip over the step (Newton, no equation number checked).
+    """
 
     site: ClassVar[str] = "load"
     title: ClassVar[str] = "payload at the tip"

@@ -28,8 +28,8 @@ class RateLimit(Effect):
 
     Notes
     -----
-    A source of constant flow fills a chamber of constant volume at a constant rate (no equation number
-    checked).
+    ``-fall <= dp/dt <= rise``. A source of constant flow fills a chamber of constant volume at a constant rate (no
+    equation number checked).
     """
 
     site: ClassVar[str] = "valve"

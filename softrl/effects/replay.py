@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import groupby
 
 import numba as nb
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from softrl.core.errors import RecordingError
 from softrl.core.simulator import Motion
 from softrl.effects.chain import EffectChain, Plant, simulate_batch
+from softrl.effects.effect import Effect
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
@@ -53,8 +55,14 @@ def replay_batch(
 ) -> list[Recording]:
     """Return what ``replay`` returns for each of ``plants``, whose robot is the same; see ``simulate_batch``."""
     time, pressure, force = _drive_on_grid(recording, dt_s, drive, settle_s)
-    behind = [_behind_valve(plant, drive) for plant in plants]
-    motions = simulate_batch(behind, time, pressure, force, workers)
+    if drive == "command":
+        motions = simulate_batch(plants, time, pressure, force, workers)
+    else:
+        behind = [_behind_valve(plant) for plant in plants]
+        motions = []
+        for gauges, group in groupby(range(len(plants)), lambda k: plants[k].chain.gauges):
+            seen = _seen_by(gauges, plants[0].chain.robot, pressure)
+            motions += simulate_batch([behind[k] for k in group], time, seen, force, workers)
     return [_reported(recording, plants[0].chain.robot, time, motion) for motion in motions]
 
 
@@ -63,14 +71,26 @@ def _drive_on_grid(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Return the uniform grid (steps,) s, the pressures (steps, chambers) Pa and forces (steps, 3) N on it."""
     time, first = _grid(recording, dt_s, settle_s)
-    row = np.searchsorted(recording.time, time - 1e-3 * dt_s, side="left")  # equal times may differ in a last digit
-    row = row.clip(max=len(recording.time) - 1)
-    driving = _driving(recording, drive)
-    pressure = driving[row]
+    pressure = _mean_held(recording.time, _driving(recording, drive), time, dt_s)
     if first and recording.pressure_meas is not None:
         pressure[:first] = recording.pressure_meas[0]
-    force = None if recording.tip_force is None else recording.tip_force[row]
+    force = None if recording.tip_force is None else _mean_held(recording.time, recording.tip_force, time, dt_s)
     return time, pressure, force
+
+
+def _mean_held(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray, dt_s: float) -> np.ndarray:
+    """Return the mean over each step (time - dt, time] of ``rows`` (samples, n), each held until its stamp.
+
+    A change within a step acts on the rest of the step only: taken whole, uneven stamps would make it early by half a
+    step on average, which looks like a delay of the robot.
+    """
+    begin, end = stamps[0] - dt_s - max(stamps[0] - time[0], 0.0), stamps[-1] + dt_s
+    knots = np.r_[begin, stamps, end]
+    held = np.vstack([rows, rows[-1:]])
+    total = np.vstack([np.zeros((1, rows.shape[1])), np.cumsum(held * np.diff(knots)[:, None], axis=0)])
+    edges = np.r_[time[0] - dt_s, time]
+    gathered = np.stack([np.interp(edges, knots, column) for column in total.T], axis=1)
+    return np.asarray(np.ascontiguousarray(np.diff(gathered, axis=0) / dt_s))
 
 
 def _reported(recording: Recording, robot: Robot, time: np.ndarray, motion: Motion) -> Recording:
@@ -123,10 +143,15 @@ def _driving(recording: Recording, drive: str) -> np.ndarray:
     return recording.pressure_meas
 
 
-def _behind_valve(plant: Plant, drive: str) -> Plant:
-    if drive == "command":
-        return plant
+def _behind_valve(plant: Plant) -> Plant:
     return Plant(plant.simulator, EffectChain(plant.chain.robot, plant.chain.at("chamber", "body", "load", "sensor")))
+
+
+def _seen_by(gauges: Sequence[Effect], robot: Robot, reported: np.ndarray) -> np.ndarray:
+    """Return the pressures that acted where the gauges ``reported`` these (steps, chambers) Pa."""
+    for gauge in reversed(gauges):
+        reported = gauge.undo(robot, reported)
+    return reported
 
 
 def _sampled(wanted: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -40,10 +40,10 @@ class StiffnessScale(Effect):
 
     Notes
     -----
-    For all chambers this scales the elastic forces exactly. One chamber gets a linear spring along its own
-    elongation, ``(scale - 1)`` times its stiffness at rest, which keeps the body's stiffness symmetric: it
-    stores energy and gives it back. A scale far below 1 in one chamber can make the sum indefinite; the
-    bounds stay clear of that.
+    ``p_elastic = scale p_elastic`` (no equation number checked): for all chambers this scales the elastic forces
+    exactly. One chamber gets a linear spring along its own elongation, ``(scale - 1)`` times its stiffness at rest, which
+    keeps the body's stiffness symmetric: it stores energy and gives it back. A scale far below 1 in one chamber can make
+    the sum indefinite; the bounds stay clear of that.
     """
 
     site: ClassVar[str] = "body"

@@ -29,6 +29,10 @@ class StrainStiffening(Effect):
     """Cubic stiffening, ``added = cubic * stiffness at rest * e (e / 0.1)^2``: static, odd, without memory.
 
     ``cubic = 1`` doubles the resistance at 10 % elongation.
+
+    Notes
+    -----
+    First odd term beyond the linear one of an expansion (no equation number checked).
     """
 
     site: ClassVar[str] = "body"

@@ -24,6 +24,10 @@ class SupplyLimit(Effect):
     """Ceiling and floor of the supplied pressure, as shares of the robot's largest and smallest pressure.
 
     A robot without suction (``pressure_min_pa >= 0``) has no floor.
+
+    Notes
+    -----
+    ``p = min(max(p_cmd, floor), ceiling)`` (no equation number checked).
     """
 
     site: ClassVar[str] = "valve"

@@ -20,7 +20,12 @@ def tether_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, d
 
 @dataclass(frozen=True)
 class Tether(Effect):
-    """Pull ``F = -k (tip - anchor)`` to a point beside the tip at rest; offsets in lengths of the robot."""
+    """Pull ``F = -k (tip - anchor)`` to a point beside the tip at rest; offsets in lengths of the robot.
+
+    Notes
+    -----
+    Linear spring (no equation number checked); a hose that goes slack would pull one way only.
+    """
 
     site: ClassVar[str] = "load"
     title: ClassVar[str] = "pull of a hose or cable at the tip"

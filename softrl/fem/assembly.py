@@ -1,4 +1,4 @@
-"""Elastic energy, forces and stiffness of quadratic tetrahedra, assembled into node-pair blocks."""
+"""Elastic energy, forces and stiffness of tetrahedra, assembled into node-pair blocks."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numba as nb
 import numpy as np
 
-from softrl.fem.material import LAW, STRESS, TANGENT
+from softrl.fem.material import LAW, STRESS, TANGENT, VISCOUS, add_second_derivative_of_volume, cofactor_of
 
 _law = nb.types.FunctionType(LAW)
 _f1, _f2, _f3, _f4 = (nb.types.Array(nb.float64, d, "C") for d in (1, 2, 3, 4))
@@ -20,8 +20,8 @@ class NodePairs:
     Attributes
     ----------
     first, second : (pairs,) node numbers; the block of a pair is d2E / dx_first dx_second
-    element_slots : (elements, 10, 10) block of a local pair, ~block where its transpose is stored
-    triangle_slots : (triangles, 6, 6) likewise
+    element_slots : (elements, n, n) block of a local pair, ~block where its transpose is stored
+    triangle_slots : (triangles, m, m) likewise
     diagonal : (nodes,) block of each node with itself
     """
 
@@ -33,7 +33,7 @@ class NodePairs:
 
 
 def node_pairs(nodes: int, elements: np.ndarray, triangles: np.ndarray) -> NodePairs:
-    """Return the pairs that occur in ``elements`` (E, 10) or ``triangles`` (T, 6) of ``nodes`` nodes."""
+    """Return the pairs that occur in ``elements`` (E, n) or ``triangles`` (T, m) of ``nodes`` nodes."""
     own = np.arange(nodes, dtype=np.int64)
 
     def keys(groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -49,93 +49,124 @@ def node_pairs(nodes: int, elements: np.ndarray, triangles: np.ndarray) -> NodeP
         return np.ascontiguousarray(np.where(swap, ~found, found))
 
     return NodePairs(
-        unique // nodes,
-        unique % nodes,
-        slots(element_key, element_swap),
-        slots(triangle_key, triangle_swap),
+        unique // nodes, unique % nodes, slots(element_key, element_swap), slots(triangle_key, triangle_swap),
         np.searchsorted(unique, own * nodes + own),
     )
 
 
-@nb.njit(
-    nb.float64(_law, _f1, _f2, _i2, _f4, _f2, nb.int64, _i3, _f2, _f3),
-    cache=True,
-    fastmath={"contract", "reassoc", "nsz", "arcp"},
-)
-def assemble_elastic(
-    law: Any,
-    parameters: np.ndarray,
-    x: np.ndarray,
-    elements: np.ndarray,
-    gradients: np.ndarray,
-    weights: np.ndarray,
-    order: int,
-    slots: np.ndarray,
-    gradient: np.ndarray,
-    blocks: np.ndarray,
-) -> float:
-    """Return the elastic energy in J at nodes ``x`` (nodes, 3) m, infinite where the law ends.
+def _assembler(nodes: int, points: int) -> Any:
+    """Return the kernel for elements of so many nodes and integration points: constants make its loops fast."""
 
-    From ``order`` 1 on its gradient is added to ``gradient`` (nodes, 3) N, from 2 on its Hessian to the node-pair
-    ``blocks`` (pairs, 3, 3) N/m. ``weights`` (elements, 4) m^3 may carry a stiffness factor per element.
-    """
-    f, p, tangent = np.empty((3, 3)), np.zeros((3, 3)), np.zeros((9, 9))
-    local, part = np.empty((10, 3)), np.empty((10, 3, 9))
-    stiff = np.empty((10, 3, 3, 10))  # node, component, component, node: the last axis vectorises
-    column = np.empty((3, 10))
-    energy = 0.0
-    for e in range(len(elements)):
-        for a in range(10):
-            for i in range(3):
-                local[a, i] = x[elements[e, a], i]
-        if order >= TANGENT:
-            stiff[:] = 0.0
-        for q in range(4):
-            f[:] = 0.0
-            for a in range(10):
+    @nb.njit(
+        nb.float64(_law, _f1, nb.float64, _f2, _i2, _f4, _f2, nb.int64, _i3, _f2, _f3),
+        cache=True, fastmath={"contract", "reassoc", "nsz", "arcp"},
+    )
+    def assemble_elastic(
+        law: Any, parameters: np.ndarray, bulk: float, x: np.ndarray, elements: np.ndarray, gradients: np.ndarray,
+        weights: np.ndarray, order: int, slots: np.ndarray, gradient: np.ndarray, blocks: np.ndarray,
+    ) -> float:
+        """Return the elastic energy in J at nodes ``x`` (nodes, 3) m, infinite where the law ends.
+
+        From ``order`` 1 on its gradient is added to ``gradient`` (nodes, 3) N, from 2 on its Hessian to the node-pair
+        ``blocks`` (pairs, 3, 3) N/m. ``weights`` (elements, points) m^3 may carry a stiffness factor per element.
+
+        ``bulk`` in Pa adds bulk/2 (J - 1)^2 with J averaged over the element: one condition of volume an element
+        does not lock, one at each integration point does. At order ``VISCOUS`` only the rate of that mean is weighed.
+        """
+        cofactor, normal = np.empty((points, 3, 3)), np.empty((nodes, 3))
+        volume = push = 0.0
+        f, p, tangent = np.empty((3, 3)), np.zeros((3, 3)), np.zeros((9, 9))
+        local, part = np.empty((nodes, 3)), np.empty((nodes, 3, 9))
+        stiff = np.empty((nodes, 3, 3, nodes))  # node, component, component, node: the last axis vectorises
+        column = np.empty((3, nodes))
+        energy = 0.0
+        for e in range(len(elements)):
+            for a in range(nodes):
                 for i in range(3):
+                    local[a, i] = x[elements[e, a], i]
+            if order >= TANGENT:
+                stiff[:] = 0.0
+            if bulk > 0.0:
+                volume = swept = 0.0
+                for q in range(points):
+                    f[:] = 0.0
+                    for a in range(nodes):
+                        for i in range(3):
+                            for j in range(3):
+                                f[i, j] += local[a, i] * gradients[e, q, a, j]
+                    volume += weights[e, q]
+                    swept += weights[e, q] * cofactor_of(f, cofactor[q])
+                push = bulk * (swept / volume - 1.0) if order < VISCOUS else 0.0
+                energy += 0.5 * push * (swept - volume)
+                normal[:] = 0.0
+            for q in range(points):
+                f[:] = 0.0
+                for a in range(nodes):
+                    for i in range(3):
+                        for j in range(3):
+                            f[i, j] += local[a, i] * gradients[e, q, a, j]
+                weight = weights[e, q]
+                density = law(parameters, f, p, tangent, order)
+                if density == np.inf:
+                    return np.inf
+                energy += weight * density
+                if order < STRESS:
+                    continue
+                if bulk > 0.0:
+                    for a in range(nodes):
+                        for i in range(3):
+                            for j in range(3):
+                                normal[a, i] += weight * cofactor[q, i, j] * gradients[e, q, a, j]
+                    for i in range(3):
+                        for j in range(3):
+                            p[i, j] += push * cofactor[q, i, j]
+                    if order >= TANGENT:
+                        add_second_derivative_of_volume(push, f, tangent)
+                for a in range(nodes):
+                    for i in range(3):
+                        force = 0.0
+                        for j in range(3):
+                            force += p[i, j] * gradients[e, q, a, j]
+                        gradient[elements[e, a], i] += weight * force
+                if order < TANGENT:
+                    continue
+                for a in range(nodes):
                     for j in range(3):
-                        f[i, j] += local[a, i] * gradients[e, q, a, j]
-            weight = weights[e, q]
-            density = law(parameters, f, p, tangent, order)
-            if density == np.inf:
-                return np.inf
-            energy += weight * density
-            if order < STRESS:
-                continue
-            for a in range(10):
-                for i in range(3):
-                    force = 0.0
-                    for j in range(3):
-                        force += p[i, j] * gradients[e, q, a, j]
-                    gradient[elements[e, a], i] += weight * force
-            if order < TANGENT:
-                continue
-            for a in range(10):
-                for j in range(3):
-                    column[j, a] = gradients[e, q, a, j]
-                for i in range(3):
-                    for n in range(9):
-                        part[a, i, n] = 0.0
-                    for j in range(3):
-                        g = weight * gradients[e, q, a, j]
+                        column[j, a] = gradients[e, q, a, j]
+                    for i in range(3):
                         for n in range(9):
-                            part[a, i, n] += g * tangent[3 * i + j, n]
-            for a in range(10):
-                for i in range(3):
-                    for k in range(3):
-                        t0, t1, t2 = part[a, i, 3 * k], part[a, i, 3 * k + 1], part[a, i, 3 * k + 2]
-                        for b in range(10):
-                            stiff[a, i, k, b] += t0 * column[0, b] + t1 * column[1, b] + t2 * column[2, b]
-        if order >= TANGENT:
-            for a in range(10):
-                for b in range(10):
-                    slot = slots[e, a, b]
-                    if slot >= 0:
+                            part[a, i, n] = 0.0
+                        for j in range(3):
+                            g = weight * gradients[e, q, a, j]
+                            for n in range(9):
+                                part[a, i, n] += g * tangent[3 * i + j, n]
+                for a in range(nodes):
+                    for i in range(3):
+                        for k in range(3):
+                            t0, t1, t2 = part[a, i, 3 * k], part[a, i, 3 * k + 1], part[a, i, 3 * k + 2]
+                            for b in range(nodes):
+                                stiff[a, i, k, b] += t0 * column[0, b] + t1 * column[1, b] + t2 * column[2, b]
+            if order >= TANGENT:
+                if bulk > 0.0:
+                    for a in range(nodes):
                         for i in range(3):
                             for k in range(3):
-                                blocks[slot, i, k] += stiff[a, i, k, b]
-    return energy
+                                for b in range(nodes):
+                                    stiff[a, i, k, b] += bulk / volume * normal[a, i] * normal[b, k]
+                for a in range(nodes):
+                    for b in range(nodes):
+                        slot = slots[e, a, b]
+                        if slot >= 0:
+                            for i in range(3):
+                                for k in range(3):
+                                    blocks[slot, i, k] += stiff[a, i, k, b]
+        return energy
+
+    return assemble_elastic
+
+
+ASSEMBLERS = {4: _assembler(4, 1), 10: _assembler(10, 4)}  # by the number of nodes of an element
+assemble_elastic = ASSEMBLERS[10]
 
 
 @nb.njit(cache=True)

@@ -49,7 +49,9 @@ class Equilibrium:
     cost: Cost
 
 
-def follow(model: FemModel, loads: np.ndarray, scale: np.ndarray, largest_step: float) -> Iterator[Equilibrium | None]:
+def follow(
+    model: FemModel, loads: np.ndarray, scale: np.ndarray, largest_step: float
+) -> Iterator[Equilibrium | None]:
     """Yield the equilibrium of each row of ``loads`` (samples, chambers + 3), or None where it is not found.
 
     A change of load longer than ``largest_step`` (in units of ``scale``) is divided. After a failure the path

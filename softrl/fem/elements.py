@@ -1,34 +1,35 @@
-"""Quadratic tetrahedra with straight edges: mid-edge nodes, shape gradients, integration weights."""
+"""Tetrahedra with straight edges, quadratic or linear: nodes, shape gradients, integration weights."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from softrl.artifacts.mesh import BASE, FREE, PLATE, Mesh, tetrahedron_volumes
-from softrl.core.errors import MeshError
+from softrl.core.errors import ConfigError, MeshError
 
 EDGES = np.array([[0, 1], [1, 2], [2, 0], [0, 3], [1, 3], [2, 3]])  # node 4 + k lies on edge k
 FACE_EDGES = np.array([[0, 1], [1, 2], [2, 0]])  # node 3 + k of a surface triangle lies on edge k
 _INNER, _OUTER = (5.0 - np.sqrt(5.0)) / 20.0, (5.0 + 3.0 * np.sqrt(5.0)) / 20.0
 GAUSS = np.where(np.eye(4, dtype=bool), _OUTER, _INNER)  # (4 points, 4) barycentric; exact for quadratics
-CORNER_SHARE, EDGE_SHARE = 1.0 / 36.0, 4.0 / 27.0  # HRZ lumping of a straight quadratic tetrahedron
+# share of an element's mass that each of its nodes carries; the quadratic ones by HRZ lumping
+MASS_SHARE = {4: np.full(4, 1.0 / 4.0), 10: np.r_[np.full(4, 1.0 / 36.0), np.full(6, 4.0 / 27.0)]}
 
 
 @dataclass(frozen=True)
-class QuadraticMesh:
-    """A mesh of 10-node tetrahedra and 6-node cavity triangles.
+class Solid:
+    """The elements of a body: 10-node tetrahedra and 6-node cavity triangles, or linear ones of 4 and 3 nodes.
 
     Attributes
     ----------
     points : (nodes, 3) m; the mesh's own corner nodes come first
     corners : number of corner nodes
     edge_ends : (nodes - corners, 2) the corner nodes on whose edge each mid-edge node lies
-    elements : (elements, 10)
+    elements : (elements, 10 or 4)
     region : (nodes,) as in ``Mesh.node_region``; a mid-edge node belongs where both ends of its edge do
-    cavity_triangles : (triangles, 6) three corners, then the nodes on edges 01, 12, 20
+    cavity_triangles : (triangles, 6 or 3) three corners, then the nodes on edges 01, 12, 20
     cavity_of_triangle : (triangles,) chamber number
-    gradients : (elements, 4, 10, 3) 1/m, shape gradients at the Gauss points
-    weights : (elements, 4) m^3
+    gradients : (elements, 4 or 1, 10 or 4, 3) 1/m, shape gradients at the Gauss points
+    weights : (elements, 4 or 1) m^3
     """
 
     points: np.ndarray
@@ -46,8 +47,8 @@ class QuadraticMesh:
         return self.weights.sum(axis=1)
 
     def lumped_mass(self, density: float) -> np.ndarray:
-        """Return nodal masses (nodes,) in kg, row-sum-free lumping (HRZ) so that all are positive."""
-        share = np.r_[np.full(4, CORNER_SHARE), np.full(6, EDGE_SHARE)]
+        """Return nodal masses (nodes,) in kg, all positive."""
+        share = MASS_SHARE[self.elements.shape[1]]
         mass = np.zeros(len(self.points))
         np.add.at(mass, self.elements, density * self.volumes()[:, None] * share)
         return mass
@@ -65,7 +66,27 @@ class QuadraticMesh:
         return np.average(centre, axis=0, weights=self.volumes()[inside])
 
 
-def quadratic_mesh(mesh: Mesh) -> QuadraticMesh:
+def solid_of(mesh: Mesh, order: int) -> Solid:
+    """Return the elements of ``order`` 1 or 2 on ``mesh``."""
+    orders = {1: linear_mesh, 2: quadratic_mesh}
+    if order not in orders:
+        raise ConfigError(f"element_order={order} is unknown; expected 2 (quadratic tetrahedra) or 1 (linear, they lock)")
+    return orders[order](mesh)
+
+
+def linear_mesh(mesh: Mesh) -> Solid:
+    """Return ``mesh`` as it is; cavity triangles may lie on any of its nodes."""
+    tetrahedra = mesh.tetrahedra.astype(np.int64)
+    gradients = _barycentric_gradients(mesh.points, tetrahedra)[:, None]
+    weights = tetrahedron_volumes(mesh.points, tetrahedra)[:, None]
+    return Solid(
+        np.array(mesh.points, dtype=float), len(mesh.points), np.zeros((0, 2), dtype=np.int64), tetrahedra,
+        np.asarray(mesh.node_region), mesh.cavity_triangles.astype(np.int64), mesh.cavity_of_triangle.astype(np.int64),
+        np.ascontiguousarray(gradients), weights,
+    )
+
+
+def quadratic_mesh(mesh: Mesh) -> Solid:
     """Return ``mesh`` with a node added at the middle of every edge."""
     tetrahedra = mesh.tetrahedra.astype(np.int64)
     corners = len(mesh.points)
@@ -88,24 +109,15 @@ def quadratic_mesh(mesh: Mesh) -> QuadraticMesh:
         )
     middle = corners + np.searchsorted(key, side_key)
     gradients, weights = shape_gradients(mesh.points, tetrahedra)
-    return QuadraticMesh(
-        points,
-        corners,
-        edge,
-        elements,
-        region,
-        np.hstack([triangles, middle.reshape(-1, 3)]),
-        mesh.cavity_of_triangle.astype(np.int64),
-        gradients,
-        weights,
+    return Solid(
+        points, corners, edge, elements, region, np.hstack([triangles, middle.reshape(-1, 3)]),
+        mesh.cavity_of_triangle.astype(np.int64), gradients, weights,
     )
 
 
 def shape_gradients(points: np.ndarray, tetrahedra: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return gradients (elements, 4, 10, 3) in 1/m and weights (elements, 4) in m^3 at the Gauss points."""
-    corner = points[tetrahedra]
-    inverse = np.linalg.inv(np.swapaxes(corner[:, 1:] - corner[:, :1], 1, 2))
-    barycentric = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)  # (elements, 4, 3)
+    barycentric = _barycentric_gradients(points, tetrahedra)
     gradients = np.empty((len(tetrahedra), 4, 10, 3))
     for q, share in enumerate(GAUSS):
         gradients[:, q, :4] = (4.0 * share[:, None] - 1.0) * barycentric
@@ -113,6 +125,13 @@ def shape_gradients(points: np.ndarray, tetrahedra: np.ndarray) -> tuple[np.ndar
             gradients[:, q, 4 + k] = 4.0 * (share[i] * barycentric[:, j] + share[j] * barycentric[:, i])
     volume = tetrahedron_volumes(points, tetrahedra)
     return gradients, np.repeat(volume[:, None] / 4.0, 4, axis=1)
+
+
+def _barycentric_gradients(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
+    """Return the gradients (elements, 4, 3) in 1/m of the barycentric coordinates."""
+    corner = points[tetrahedra]
+    inverse = np.linalg.inv(np.swapaxes(corner[:, 1:] - corner[:, :1], 1, 2))
+    return np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
 
 
 def rigid_bodies(region: np.ndarray) -> list[int]:

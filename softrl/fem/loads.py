@@ -40,13 +40,15 @@ def _triple_weights() -> np.ndarray:
 _ALL = _triple_weights()
 _USED = np.abs(_ALL) > 1e-14
 USED_TRIPLES, WEIGHTS = np.ascontiguousarray(TRIPLES[_USED]), np.ascontiguousarray(_ALL[_USED])
+# (triples, weights) of a triangle with so many nodes; a flat one is a sixth of the determinant of its corners
+VOLUME_RULE = {3: (np.array([[0, 1, 2]]), np.array([1.0 / 6.0])), 6: (USED_TRIPLES, WEIGHTS)}
 
 
 @nb.njit(cache=True)
 def enclosed_volumes(
     x: np.ndarray, triangles: np.ndarray, cavity: np.ndarray, triples: np.ndarray, weights: np.ndarray, count: int
 ) -> np.ndarray:
-    """Return the volumes (count,) m^3 enclosed by quadratic triangles whose normals point inward."""
+    """Return the volumes (count,) m^3 enclosed by triangles whose normals point inward; the rule is theirs."""
     volume = np.zeros(count)
     for e in range(len(triangles)):
         total = 0.0
@@ -63,13 +65,8 @@ def enclosed_volumes(
 
 @nb.njit(cache=True)
 def add_volume_gradient(
-    x: np.ndarray,
-    triangles: np.ndarray,
-    cavity: np.ndarray,
-    triples: np.ndarray,
-    weights: np.ndarray,
-    pressure: np.ndarray,
-    gradient: np.ndarray,
+    x: np.ndarray, triangles: np.ndarray, cavity: np.ndarray, triples: np.ndarray, weights: np.ndarray,
+    pressure: np.ndarray, gradient: np.ndarray,
 ) -> None:
     """Add sum_i pressure_i dV_i/dx to ``gradient`` (nodes, 3); with pressure in Pa this is the force in N."""
     for e in range(len(triangles)):
@@ -89,18 +86,12 @@ def add_volume_gradient(
 
 @nb.njit(cache=True)
 def add_volume_stiffness(
-    x: np.ndarray,
-    triangles: np.ndarray,
-    cavity: np.ndarray,
-    triples: np.ndarray,
-    weights: np.ndarray,
-    pressure: np.ndarray,
-    slots: np.ndarray,
-    blocks: np.ndarray,
+    x: np.ndarray, triangles: np.ndarray, cavity: np.ndarray, triples: np.ndarray, weights: np.ndarray,
+    pressure: np.ndarray, slots: np.ndarray, blocks: np.ndarray,
 ) -> None:
     """Add the Hessian of - sum_i pressure_i V_i to the node-pair ``blocks`` (pairs, 3, 3), N/m.
 
-    ``slots`` (triangles, 6, 6) gives the block of a node pair, or ~block where the transpose is what is stored.
+    ``slots`` (triangles, nodes, nodes) gives the block of a node pair, or ~block where the transpose is what is stored.
     """
     for e in range(len(triangles)):
         p = pressure[cavity[e]]

@@ -10,6 +10,8 @@ import numpy as np
 from softrl.core.errors import ConfigError
 
 ENERGY, STRESS, TANGENT = 0, 1, 2  # orders: what a kernel must fill
+VISCOUS = 3  # the tangent alone, of a stress that has no energy
+POLAR_ITERATIONS, POLAR_TOLERANCE = 40, 1e-15
 
 _vector = nb.types.Array(nb.float64, 1, "C")
 _matrix = nb.types.Array(nb.float64, 2, "C")
@@ -36,6 +38,13 @@ class Material(Protocol):
         """Return the parameter vector that the kernel reads."""
         ...
 
+    def split(self) -> tuple[np.ndarray, float]:
+        """Return (parameters, k) such that W is the kernel's energy under ``parameters`` plus k/2 (J - 1)^2.
+
+        k is zero where the law has no such part.
+        """
+        ...
+
 
 def lame(youngs_modulus: float, poisson: float) -> tuple[float, float]:
     """Return the Lame constants (lambda, mu) in the unit of ``youngs_modulus``."""
@@ -57,7 +66,7 @@ def _check(material: Any) -> None:
 
 
 @nb.njit(cache=True)
-def _cofactor(f: np.ndarray, c: np.ndarray) -> float:
+def cofactor_of(f: np.ndarray, c: np.ndarray) -> float:
     """Fill ``c`` with the cofactor of ``f`` and return the determinant."""
     for i in range(3):
         i1, i2 = (i + 1) % 3, (i + 2) % 3
@@ -86,6 +95,20 @@ def _second_invariant(f: np.ndarray, i1: float) -> float:
             entry = f[0, i] * f[0, j] + f[1, i] * f[1, j] + f[2, i] * f[2, j]
             total += entry * entry
     return 0.5 * (i1 * i1 - total)
+
+
+@nb.njit(cache=True)
+def add_second_derivative_of_volume(factor: float, f: np.ndarray, a: np.ndarray) -> None:
+    """Add ``factor`` d2J/dF dF to ``a`` (9, 9): e_ikn e_jmq F_nq."""
+    for i in range(3):
+        i1_, i2_ = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            j1_, j2_ = (j + 1) % 3, (j + 2) % 3
+            row = 3 * i + j
+            a[row, 3 * i1_ + j1_] += factor * f[i2_, j2_]
+            a[row, 3 * i2_ + j2_] += factor * f[i1_, j1_]
+            a[row, 3 * i1_ + j2_] -= factor * f[i2_, j1_]
+            a[row, 3 * i2_ + j1_] -= factor * f[i1_, j2_]
 
 
 @nb.njit(cache=True)
@@ -136,15 +159,7 @@ def _assemble(
                 for m in range(3):
                     a[row, 3 * k + m] = u1 * 2.0 * f[k, m] + u2 * h[k, m] + u3 * c[k, m]
             a[row, row] += 2.0 * w1
-    for i in range(3):  # second derivative of J: e_ikn e_jmq F_nq
-        i1_, i2_ = (i + 1) % 3, (i + 2) % 3
-        for j in range(3):
-            j1_, j2_ = (j + 1) % 3, (j + 2) % 3
-            row = 3 * i + j
-            a[row, 3 * i1_ + j1_] += wj * f[i2_, j2_]
-            a[row, 3 * i2_ + j2_] += wj * f[i1_, j1_]
-            a[row, 3 * i1_ + j2_] -= wj * f[i2_, j1_]
-            a[row, 3 * i2_ + j1_] -= wj * f[i1_, j2_]
+    add_second_derivative_of_volume(wj, f, a)
     if with_i2:
         for i in range(3):
             for j in range(3):
@@ -162,7 +177,7 @@ def stable_neo_hookean(parameters: np.ndarray, f: np.ndarray, p: np.ndarray, a: 
     """W = mu/2 (I1 - 3) - mu (J - 1) + (lambda + mu)/2 (J - 1)^2; finite for any F."""
     lam, mu = parameters[0], parameters[1]
     c = np.empty((3, 3))
-    j = _cofactor(f, c)
+    j = cofactor_of(f, c)
     i1 = _squared_norm(f)
     if order >= STRESS:
         first = (0.5 * mu, 0.0, (lam + mu) * (j - 1.0) - mu)
@@ -175,7 +190,7 @@ def yeoh(parameters: np.ndarray, f: np.ndarray, p: np.ndarray, a: np.ndarray, or
     """W = sum_i c_i (I1 J^-2/3 - 3)^i + kappa/2 (J - 1)^2, infinite where J <= 0."""
     c1, c2, c3, kappa = parameters[0], parameters[1], parameters[2], parameters[3]
     c = np.empty((3, 3))
-    j = _cofactor(f, c)
+    j = cofactor_of(f, c)
     if j <= 0.0:
         return np.inf
     i1 = _squared_norm(f)
@@ -198,7 +213,7 @@ def mooney_rivlin(parameters: np.ndarray, f: np.ndarray, p: np.ndarray, a: np.nd
     """W = c10 (I1 J^-2/3 - 3) + c01 (I2 J^-4/3 - 3) + kappa/2 (J - 1)^2, infinite where J <= 0."""
     c10, c01, kappa = parameters[0], parameters[1], parameters[2]
     c = np.empty((3, 3))
-    j = _cofactor(f, c)
+    j = cofactor_of(f, c)
     if j <= 0.0:
         return np.inf
     i1 = _squared_norm(f)
@@ -217,13 +232,83 @@ def st_venant_kirchhoff(parameters: np.ndarray, f: np.ndarray, p: np.ndarray, a:
     """W = lambda/2 tr(E)^2 + mu E:E with E = (F'F - I)/2."""
     lam, mu = parameters[0], parameters[1]
     c = np.empty((3, 3))
-    _cofactor(f, c)
+    cofactor_of(f, c)
     i1 = _squared_norm(f)
     i2 = _second_invariant(f, i1)
     if order >= STRESS:
         first = (0.25 * lam * (i1 - 3.0) + 0.5 * mu * (i1 - 1.0), -0.5 * mu, 0.0)
         _assemble(f, c, first, (0.25 * lam + 0.5 * mu, 0.0, 0.0, 0.0, 0.0, 0.0), p, a, order)
     return 0.125 * lam * (i1 - 3.0) ** 2 + 0.25 * mu * (i1 * i1 - 2.0 * i2 - 2.0 * i1 + 3.0)
+
+
+@nb.njit(cache=True)
+def _rotation_of(f: np.ndarray, j: float, r: np.ndarray) -> None:
+    """Fill ``r`` with the rotation of F = R S, by Newton's iteration on R = (R + R^-T) / 2; ``j`` = det F > 0."""
+    c = np.empty((3, 3))
+    r[:] = f
+    for _ in range(POLAR_ITERATIONS):
+        scale = j ** (-1.0 / 3.0)  # of unit determinant: far fewer iterations where F is far from a rotation
+        cofactor_of(r, c)
+        change = 0.0
+        for a in range(3):
+            for b in range(3):
+                new = 0.5 * (scale * r[a, b] + c[a, b] / (j * scale))
+                change = max(change, abs(new - r[a, b]))
+                r[a, b] = new
+        if change < POLAR_TOLERANCE:
+            return
+        j = cofactor_of(r, c)
+
+
+@nb.njit(LAW, cache=True)
+def corotational(parameters: np.ndarray, f: np.ndarray, p: np.ndarray, a: np.ndarray, order: int) -> float:
+    """W = mu |F - R|^2 + lambda/2 (tr S - 3)^2 with F = R S, infinite where J <= 0."""
+    lam, mu = parameters[0], parameters[1]
+    r, s, g = np.empty((3, 3)), np.zeros((3, 3)), np.empty((3, 3))
+    j = cofactor_of(f, g)
+    if j <= 0.0:
+        return np.inf
+    _rotation_of(f, j, r)
+    for i in range(3):
+        for k in range(3):
+            for n in range(3):
+                s[i, k] += 0.5 * (r[n, i] * f[n, k] + r[n, k] * f[n, i])
+    trace = s[0, 0] + s[1, 1] + s[2, 2]
+    energy = 0.5 * lam * (trace - 3.0) ** 2
+    for i in range(3):
+        for k in range(3):
+            energy += mu * (f[i, k] - r[i, k]) ** 2
+    if order < STRESS:
+        return energy
+    pull = lam * (trace - 3.0) - 2.0 * mu  # W depends on R through tr S alone, and d tr S / dF = R
+    for i in range(3):
+        for k in range(3):
+            p[i, k] = 2.0 * mu * f[i, k] + pull * r[i, k]
+    if order < TANGENT:
+        return energy
+    # dR = R [w]x with (tr S I - S) w = axial vector of R'dF - dF'R
+    for i in range(3):
+        for k in range(3):
+            g[i, k] = -s[i, k]
+        g[i, i] += trace
+    inverse = np.empty((3, 3))
+    determinant = cofactor_of(g, inverse)  # g is symmetric, so its inverse is its cofactor over its determinant
+    turn = np.empty((9, 3))  # column m: R [e_m]x
+    for i in range(3):
+        for m in range(3):
+            m1, m2 = (m + 1) % 3, (m + 2) % 3
+            turn[3 * i + m, m] = 0.0
+            turn[3 * i + m1, m] = r[i, m2]
+            turn[3 * i + m2, m] = -r[i, m1]
+    for row in range(9):
+        for column in range(9):
+            value = lam * r[row // 3, row % 3] * r[column // 3, column % 3]
+            for m in range(3):
+                for n in range(3):
+                    value += pull / determinant * turn[row, m] * inverse[m, n] * turn[column, n]
+            a[row, column] = value
+        a[row, row] += 2.0 * mu
+    return energy
 
 
 @dataclass(frozen=True)
@@ -241,6 +326,11 @@ class StableNeoHookean:
         """Return (lambda, mu) in Pa."""
         return np.array(lame(self.youngs_modulus_pa, self.poisson))
 
+    def split(self) -> tuple[np.ndarray, float]:
+        """Return ((-2/3 mu, mu), bulk modulus) in Pa: what stays behind must not gain from a change of volume."""
+        lam, mu = self.pack()
+        return np.array([-2.0 / 3.0 * mu, mu]), float(lam + 2.0 / 3.0 * mu)
+
 
 @dataclass(frozen=True)
 class StVenantKirchhoff:
@@ -256,6 +346,30 @@ class StVenantKirchhoff:
     def pack(self) -> np.ndarray:
         """Return (lambda, mu) in Pa."""
         return np.array(lame(self.youngs_modulus_pa, self.poisson))
+
+    def split(self) -> tuple[np.ndarray, float]:
+        """Return (parameters, 0 Pa): this law weighs the trace of its strain, not J."""
+        return self.pack(), 0.0
+
+
+@dataclass(frozen=True)
+class Corotational:
+    """Hooke's law in the frame of the polar decomposition of each F: large rotations, small strains."""
+
+    kernel: ClassVar = corotational
+    youngs_modulus_pa: float
+    poisson: float
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+    def pack(self) -> np.ndarray:
+        """Return (lambda, mu) in Pa."""
+        return np.array(lame(self.youngs_modulus_pa, self.poisson))
+
+    def split(self) -> tuple[np.ndarray, float]:
+        """Return (parameters, 0 Pa): this law weighs the trace of its strain, not J."""
+        return self.pack(), 0.0
 
 
 @dataclass(frozen=True)
@@ -280,6 +394,11 @@ class Yeoh:
         """Return (c1, c2, c3, kappa) in Pa."""
         return np.array([self.c1_pa, self.c2_pa, self.c3_pa, bulk_modulus(2.0 * self.c1_pa, self.poisson)])
 
+    def split(self) -> tuple[np.ndarray, float]:
+        """Return ((c1, c2, c3, 0), kappa) in Pa."""
+        *moduli, kappa = self.pack()
+        return np.array([*moduli, 0.0]), float(kappa)
+
 
 @dataclass(frozen=True)
 class MooneyRivlin:
@@ -302,6 +421,12 @@ class MooneyRivlin:
         """Return (c10, c01, kappa) in Pa."""
         return np.array([self.c10_pa, self.c01_pa, bulk_modulus(2.0 * (self.c10_pa + self.c01_pa), self.poisson)])
 
+    def split(self) -> tuple[np.ndarray, float]:
+        """Return ((c10, c01, 0), kappa) in Pa."""
+        *moduli, kappa = self.pack()
+        return np.array([*moduli, 0.0]), float(kappa)
+
+
 
 def bulk_modulus(shear_modulus: float, poisson: float) -> float:
     """Return kappa in the unit of ``shear_modulus``."""
@@ -311,6 +436,7 @@ def bulk_modulus(shear_modulus: float, poisson: float) -> float:
 LAWS: dict[str, type] = {
     "stable_neo_hookean": StableNeoHookean,
     "st_venant_kirchhoff": StVenantKirchhoff,
+    "corotational": Corotational,
     "yeoh": Yeoh,
     "mooney_rivlin": MooneyRivlin,
 }

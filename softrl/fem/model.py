@@ -7,17 +7,12 @@ import numpy as np
 
 from softrl.artifacts.mesh import PLATE, Mesh
 from softrl.core.errors import ConfigError, MeshError, SolverError
-from softrl.fem.assembly import assemble_elastic, multiply_blocks, node_pairs
+from softrl.fem.assembly import ASSEMBLERS, multiply_blocks, node_pairs
 from softrl.fem.coupling import Coupling, Pose, quaternion_of
-from softrl.fem.elements import quadratic_mesh, rigid_bodies
-from softrl.fem.loads import (
-    USED_TRIPLES,
-    WEIGHTS,
-    add_volume_gradient,
-    add_volume_stiffness,
-    enclosed_volumes,
-)
-from softrl.fem.material import ENERGY, STRESS, TANGENT, Material
+from softrl.fem.damping import viscous, viscous_moduli
+from softrl.fem.elements import Solid, rigid_bodies, solid_of
+from softrl.fem.loads import VOLUME_RULE, add_volume_gradient, add_volume_stiffness, enclosed_volumes
+from softrl.fem.material import ENERGY, STRESS, TANGENT, VISCOUS, Material
 from softrl.fem.newton import NewtonSettings, Objective, Solve, Value, factorise, minimise
 from softrl.fem.solver import LinearSolver, linear_solver
 
@@ -53,7 +48,7 @@ class Tangent:
     ----------
     change : (unknowns, n + 3) d unknowns / d load
     compliance : (n + 3, n + 3) d (volumes, tip) / d load, symmetric up to round-off
-    stiffness : (n + 3, n + 3) T' K_elastic T with T = d nodes / d load
+    stiffness : (n + 3, n + 3) T' K_viscous T with T = d nodes / d load, what stiffness-proportional damping multiplies
     mass : (n + 3, n + 3) T' M T
     """
 
@@ -64,58 +59,65 @@ class Tangent:
 
 
 class FemModel:
-    """Quadratic tetrahedra of one material with rigid plate and ribs, fixed base, pressure in the cavities.
+    """Tetrahedra of one material with rigid plate and ribs, fixed base, pressure in the cavities.
 
     A load is ``(p_1 .. p_n, F_x, F_y, F_z)``: gauge pressures in Pa, and a force in N on the tip, which is the
     volume centroid of the plate. The mesh is the stress-free shape.
 
     Parameters
     ----------
-    mesh : linear tetrahedra; mid-edge nodes are added here
+    mesh : tetrahedra; their mid-edge nodes are added here
     material : the hyperelastic law
     density_kg_m3 : of the whole mesh, ribs and plate too
-    rayleigh_mass_per_s, rayleigh_stiffness_s : damping force (a M + b K_elastic(x)) v; K is taken at the last step
+    rayleigh_mass_per_s, rayleigh_stiffness_s : damping force (a M + b K(x)) v; K is that of ``fem.damping``, the
+        elastic stiffness at rest carried along with the deformation, taken at the last step
     newton : settings of the iteration
     gravity_m_s2 : (3,) zero unless given
     stiffness_scale : factor on the elastic energy
     solver : linear solver; the best one installed if None
+    mean_dilatation : changes of volume are weighed by their mean over an element, where the law weighs them by J;
+        else at each integration point: stiffer where the material is nearly incompressible, but exact in bending
+    element_order : 2, or 1 for linear tetrahedra, which are far too stiff and serve comparisons
     """
 
     def __init__(
-        self,
-        mesh: Mesh,
-        material: Material,
-        density_kg_m3: float,
-        rayleigh_mass_per_s: float,
-        rayleigh_stiffness_s: float,
-        newton: NewtonSettings,
-        gravity_m_s2: tuple[float, ...] = (0.0, 0.0, 0.0),
-        stiffness_scale: float = 1.0,
-        solver: LinearSolver | None = None,
+        self, mesh: Mesh, material: Material, density_kg_m3: float, rayleigh_mass_per_s: float,
+        rayleigh_stiffness_s: float, newton: NewtonSettings, gravity_m_s2: tuple[float, ...] = (0.0, 0.0, 0.0),
+        stiffness_scale: float = 1.0, solver: LinearSolver | None = None, element_order: int = 2,
+        mean_dilatation: bool = True,
     ) -> None:
         if density_kg_m3 <= 0:
             raise ConfigError(f"density {density_kg_m3:g} kg/m^3 must be positive")
         if not (mesh.node_region == PLATE).any():
             raise MeshError(f"mesh of {mesh.robot_name} has no plate (node region {PLATE}), so it has no tip")
-        self.quadratic = quadratic = quadratic_mesh(mesh)
+        self.solid = solid = solid_of(mesh, element_order)
         self.chambers, self.newton = mesh.chambers, newton
         self.rayleigh_mass_per_s, self.rayleigh_stiffness_s = rayleigh_mass_per_s, rayleigh_stiffness_s
-        self.nodal_mass = quadratic.lumped_mass(density_kg_m3)
+        self.nodal_mass = solid.lumped_mass(density_kg_m3)
         self.gravity_m_s2 = np.array(gravity_m_s2, dtype=float)
-        self._material, self._parameters = material, material.pack()
+        self._material = material
+        self._parameters, self._bulk_pa = material.split() if mean_dilatation else (material.pack(), 0.0)
+        self._viscous_moduli, self._viscous_bulk = viscous_moduli(material, mean_volume=self._bulk_pa > 0.0)
 
-        region = quadratic.region[quadratic.elements]
+        region = solid.region[solid.elements]
         deformable = ~((region == region[:, :1]).all(axis=1) & (region[:, 0] != 0))
-        self._elements = np.ascontiguousarray(quadratic.elements[deformable])
-        self._gradients = np.ascontiguousarray(quadratic.gradients[deformable])
-        self._weights = np.ascontiguousarray(quadratic.weights[deformable]) * stiffness_scale
-        self.pairs = node_pairs(len(quadratic.points), self._elements, quadratic.cavity_triangles)
+        self._elements = np.ascontiguousarray(solid.elements[deformable])
+        self._gradients = np.ascontiguousarray(solid.gradients[deformable])
+        self._weights = np.ascontiguousarray(solid.weights[deformable]) * stiffness_scale
+        self.pairs = node_pairs(len(solid.points), self._elements, solid.cavity_triangles)
         self.coupling = self._couple()
         self._tip_share = self.coupling.spread(0)[:, None]
         self._solver = solver if solver is not None else linear_solver()
+        self._surface = (solid.cavity_triangles, solid.cavity_of_triangle, *VOLUME_RULE[solid.cavity_triangles.shape[1]])
+        self._assemble = ASSEMBLERS[solid.elements.shape[1]]
         self._stepping = 0.0  # the time step whose factors the solver holds, s
-        self.rest_tip = quadratic.plate_centroid()
+        self.rest_tip = solid.plate_centroid()
         self.rest_volume = self.volumes(self.rest())
+
+    @property
+    def quadratic(self) -> Solid:
+        """The elements, which are quadratic by default."""
+        return self.solid
 
     # what a pose means
 
@@ -125,10 +127,7 @@ class FemModel:
 
     def volumes(self, pose: Pose) -> np.ndarray:
         """Return the cavity volumes (chambers,) in m^3."""
-        q = self.quadratic
-        return enclosed_volumes(
-            pose.position, q.cavity_triangles, q.cavity_of_triangle, USED_TRIPLES, WEIGHTS, self.chambers
-        )
+        return enclosed_volumes(pose.position, *self._surface, self.chambers)
 
     def tip(self, pose: Pose) -> np.ndarray:
         """Return the tip position (3,) in m."""
@@ -144,7 +143,7 @@ class FemModel:
 
     def centre_of_mass(self, pose: Pose) -> np.ndarray:
         """Return the displacement (3,) in m of the centre of mass."""
-        moved = self.nodal_mass @ (pose.position - self.quadratic.points)
+        moved = self.nodal_mass @ (pose.position - self.solid.points)
         return moved / self.nodal_mass.sum()
 
     def elastic_energy(self, pose: Pose) -> float:
@@ -172,30 +171,33 @@ class FemModel:
             raise SolverError("the equilibrium is not stable: its stiffness has a negative pivot")
         forces = self.load_directions(pose)
         change = self._solver.solve(forces)
-        elastic = self._elastic(pose, TANGENT)
-        assert elastic.blocks is not None
+        blocks = self.viscous(pose)
         shapes = np.stack([self.coupling.expand(column, pose) for column in change.T])
-        stiff = np.stack([multiply_blocks(elastic.blocks, self.pairs.first, self.pairs.second, t) for t in shapes])
+        stiff = np.stack([multiply_blocks(blocks, self.pairs.first, self.pairs.second, t) for t in shapes])
         return Tangent(
-            change,
-            forces.T @ change,
-            np.einsum("ani,bni->ab", shapes, stiff),
+            change, forces.T @ change, np.einsum("ani,bni->ab", shapes, stiff),
             np.einsum("ani,n,bni->ab", shapes, self.nodal_mass, shapes),
         )
+
+    def solve(self, forces: np.ndarray) -> np.ndarray:
+        """Return the answer (unknowns, k) to ``forces`` (unknowns, k) by the factors that the last solve left."""
+        return self._solver.solve(forces)
 
     def predict(self, pose: Pose, load_change: np.ndarray) -> Pose:
         """Return where ``pose`` moves under a small ``load_change``, by the factors that the last solve left."""
         return self.coupling.move(pose, self._solver.solve(self.load_directions(pose) @ load_change))
 
+    def response(self, pose: Pose) -> np.ndarray:
+        """Return d (volumes, tip) / d load (n + 3, n + 3) near ``pose``, by the factors that the last solve left."""
+        forces = self.load_directions(pose)
+        return forces.T @ self._solver.solve(forces)
+
     def load_directions(self, pose: Pose) -> np.ndarray:
         """Return the generalised force (unknowns, chambers + 3) of each unit load."""
-        q = self.quadratic
         columns = np.zeros((self.coupling.unknowns, self.chambers + 3))
         for chamber, unit in enumerate(np.eye(self.chambers)):
             force = np.zeros_like(pose.position)
-            add_volume_gradient(
-                pose.position, q.cavity_triangles, q.cavity_of_triangle, USED_TRIPLES, WEIGHTS, unit, force
-            )
+            add_volume_gradient(pose.position, *self._surface, unit, force)
             columns[:, chamber] = self.coupling.reduce(force, pose)
         plate = self.coupling.body_slice(0)
         columns[plate.start : plate.start + 3, self.chambers :] = np.eye(3)
@@ -203,24 +205,34 @@ class FemModel:
 
     # motion
 
+    def forget(self) -> None:
+        """Let the next step begin with factors of its own, so that it does not depend on the steps before."""
+        self._stepping = 0.0
+
     def state(self, pose: Pose | None = None) -> State:
         """Return the state at rest in ``pose`` (the stress-free one if None)."""
         pose = pose if pose is not None else self.rest()
         return State(pose, np.zeros_like(pose.position), np.zeros(self.coupling.unknowns))
 
-    def step(self, state: State, load: np.ndarray, dt: float, gravity_m_s2: np.ndarray | None = None) -> Step:
-        """Return the state ``dt`` seconds later under ``load``, by implicit Euler.
+    def step(
+        self, state: State, load: np.ndarray, dt: float, gravity_m_s2: np.ndarray | None = None,
+        start: Pose | None = None,
+    ) -> Step:
+        """Return the state ``dt`` seconds later under ``load``, by implicit Euler; Newton begins at ``start``.
 
         Notes
         -----
         The new nodes x minimise  |x - x_n - dt v_n|_M^2 / (2 dt^2) + |x - x_n|_(aM + bK_n)^2 / (2 dt) + W(x) - p.V(x)
-        - F.tip - m g.x, with K_n the elastic Hessian at x_n: the variational form of implicit Euler with Rayleigh
-        damping. First order in ``dt``; it damps motions faster than about 2 pi dt.
+        - F.tip - m g.x, with K_n the viscous stiffness at x_n + dt v_n / 2: the variational form of implicit Euler with
+        Rayleigh damping. Halfway K_n sees a turning part as it is; at x_n it would take the turn, in second order,
+        for a strain, and resist bending by a fifth too much at 0.01 s. First order in ``dt``; it damps motions
+        faster than about 2 pi dt.
         """
         before, extrapolated = state.pose.position, self.coupling.move(state.pose, state.change)
         damping = None
         if self.rayleigh_stiffness_s > 0:
-            damping = self._elastic(state.pose, TANGENT).blocks
+            halfway = before + 0.5 * dt * state.velocity
+            damping = self.viscous(Pose(halfway, state.pose.centre, state.pose.rotation))
         free_flight = before + dt * state.velocity
         static = self._potential(load, gravity_m_s2)
         inertia = self.nodal_mass[:, None] / dt**2
@@ -243,15 +255,25 @@ class FemModel:
             return Value(energy, gradient + push, blocks)
 
         ready, self._stepping = self._stepping == dt, dt
-        first = min(extrapolated, state.pose, key=lambda pose: objective(pose, ENERGY).energy)
+        guesses = (extrapolated, state.pose) if start is None else (start,)
+        first = min(guesses, key=lambda pose: objective(pose, ENERGY).energy)
         solve = minimise(objective, first, self.coupling, self._solver, self.newton, ready)
         velocity = (solve.pose.position - before) / dt
         return Step(State(solve.pose, velocity, self.coupling.difference(state.pose, solve.pose)), solve)
 
+    def viscous(self, pose: Pose) -> np.ndarray:
+        """Return the node-pair blocks of what stiffness-proportional damping multiplies, N/m."""
+        blocks = np.zeros((len(self.pairs.first), 3, 3))
+        self._assemble(
+            viscous, self._viscous_moduli, self._viscous_bulk, pose.position, self._elements, self._gradients,
+            self._weights, VISCOUS, self.pairs.element_slots, np.zeros_like(pose.position), blocks,
+        )
+        return blocks
+
     # energies
 
     def _couple(self) -> Coupling:
-        q = self.quadratic
+        q = self.solid
         bodies = rigid_bodies(q.region)
         centres = [q.points[q.region == number].mean(axis=0) for number in bodies]
         centres[0] = q.plate_centroid()  # so that a force on the tip makes no moment
@@ -261,39 +283,29 @@ class FemModel:
         """Return the elastic energy with as many derivatives as ``order`` asks."""
         gradient = np.zeros_like(pose.position)
         blocks = np.zeros((len(self.pairs.first) if order >= TANGENT else 1, 3, 3))
-        energy = assemble_elastic(
-            type(self._material).kernel,
-            self._parameters,
-            pose.position,
-            self._elements,
-            self._gradients,
-            self._weights,
-            order,
-            self.pairs.element_slots,
-            gradient,
-            blocks,
+        energy = self._assemble(
+            type(self._material).kernel, self._parameters, self._bulk_pa, pose.position, self._elements, self._gradients,
+            self._weights, order, self.pairs.element_slots, gradient, blocks,
         )
         return Value(energy, gradient, blocks if order >= TANGENT else None)
 
     def _potential(self, load: np.ndarray, gravity_m_s2: np.ndarray | None = None) -> Objective:
         """Return W(x) - p.V(x) - F.tip - m g.x as a function of the pose."""
-        q = self.quadratic
         pressure = np.ascontiguousarray(load[: self.chambers], dtype=float)
         force = np.asarray(load[self.chambers :], dtype=float)
         gravity = self.gravity_m_s2 if gravity_m_s2 is None else gravity_m_s2
         weight = self.nodal_mass[:, None] * gravity
         spread = self._tip_share
-        surface = (q.cavity_triangles, q.cavity_of_triangle, USED_TRIPLES, WEIGHTS)
 
         def objective(pose: Pose, order: int) -> Value:
             energy, gradient, blocks = self._elastic(pose, order)
             energy -= float(pressure @ self.volumes(pose) + force @ pose.centre[0] + (weight * pose.position).sum())
             if order >= STRESS:
                 push = np.zeros_like(gradient)
-                add_volume_gradient(pose.position, *surface, pressure, push)
+                add_volume_gradient(pose.position, *self._surface, pressure, push)
                 gradient -= push + weight + spread * force
             if blocks is not None:
-                add_volume_stiffness(pose.position, *surface, pressure, self.pairs.triangle_slots, blocks)
+                add_volume_stiffness(pose.position, *self._surface, pressure, self.pairs.triangle_slots, blocks)
             return Value(energy, gradient, blocks)
 
         return objective

@@ -2,19 +2,23 @@
 
 import logging
 import time
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+from typing import Any, NamedTuple
 
 import numpy as np
-from joblib import Parallel, delayed, parallel_config
 
 from softrl.artifacts.mesh import Mesh
 from softrl.artifacts.snapshots import Snapshots
+from softrl.core import fingerprint
 from softrl.core.errors import ConfigError, SolverError
+from softrl.core.parallel import LOCAL, Parallel
 from softrl.core.progress import progress
+from softrl.core.resume import Kept, pack, unpack
 from softrl.core.tracking import Tracker
 from softrl.fem.continuation import Cost, Equilibrium, follow
 from softrl.fem.figures import draw_newton, draw_shapes, draw_tips, draw_trajectories
+from softrl.fem.lag import lag_at
 from softrl.fem.material import Material, material_of
 from softrl.fem.model import FemModel
 from softrl.fem.newton import NewtonSettings
@@ -74,13 +78,16 @@ class Body(NamedTuple):
     material: Material
 
 
-def run(config: Config, robot: Robot, mesh: Mesh, *, tracker: Tracker) -> Snapshots:
+def run(
+    config: Config, robot: Robot, mesh: Mesh, parallel: Parallel | None = None, *, tracker: Tracker
+) -> Snapshots:
     """Return equilibria over the robot's loads, with tangents, and trajectories of the full model.
 
     Notes
     -----
     Gravity is left out: the mesh is the stress-free shape, and a reduced model adds gravity through the map of the
-    centre of mass. Loads whose equilibrium is not found are counted in ``failed`` and left out.
+    centre of mass. Loads whose equilibrium is not found are counted in ``failed`` and left out. Finished chains and
+    trajectories are kept under the working directory until the stage ends, so that a killed run goes on.
     """
     body = Body(config, robot, mesh, material_of(config.law, config.moduli_pa, config.poisson))
     loads = sobol_loads(robot, config.equilibria, config.faces_share, config.seed)
@@ -91,8 +98,11 @@ def run(config: Config, robot: Robot, mesh: Mesh, *, tracker: Tracker) -> Snapsh
         for rng in np.random.default_rng(config.seed).spawn(config.trajectories)
     ]
     began = time.monotonic()
-    samples, trajectories = _compute(body, loads, chains, programs)
+    kept = Kept("fem", _mark(body))
+    samples, trajectories, reused = _compute(body, loads, chains, programs, parallel or LOCAL, kept)
+    tracker.metric("parts_resumed", reused)
     log.info("%d equilibria and %d trajectories in %.0f s", len(samples), len(trajectories), time.monotonic() - began)
+    _record_failures(loads, samples, tracker)
     _refuse_failures(len(loads) - len(samples), config)
     snapshots = _collect(body, loads, samples, clock, trajectories)
     _report(snapshots, samples, config.trajectories, tracker)
@@ -100,6 +110,7 @@ def run(config: Config, robot: Robot, mesh: Mesh, *, tracker: Tracker) -> Snapsh
     tracker.figure("sampled_tips", draw_tips(snapshots))
     tracker.figure("newton_convergence", draw_newton([cost.steps_m for _, _, cost in samples], config.tolerance_m))
     tracker.figure("trajectories", draw_trajectories(snapshots))
+    kept.clear()
     return snapshots
 
 
@@ -108,12 +119,8 @@ def build_model(body: Body) -> FemModel:
     config = body.config
     newton = NewtonSettings(config.tolerance_m, config.max_iterations, config.reuse_below)
     return FemModel(
-        body.mesh,
-        body.material,
-        body.robot.mass_kg / body.mesh.volume(),
-        config.rayleigh_mass_per_s,
-        config.rayleigh_stiffness_s,
-        newton,
+        body.mesh, body.material, body.robot.mass_kg / body.mesh.volume(), config.rayleigh_mass_per_s,
+        config.rayleigh_stiffness_s, newton,
     )
 
 
@@ -125,6 +132,9 @@ class Row(NamedTuple):
     compliance: np.ndarray
     tangent_stiffness: np.ndarray
     tangent_mass: np.ndarray
+    lag_stiffness: np.ndarray
+    lag_viscosity: np.ndarray
+    lag_spin: np.ndarray
     centre_of_mass: np.ndarray
     tip_quaternion: np.ndarray
     displacement: np.ndarray
@@ -134,21 +144,53 @@ Found = tuple[int, Row, Cost]
 
 
 def _compute(
-    body: Body, loads: np.ndarray, chains: list[np.ndarray], programs: list[np.ndarray]
-) -> tuple[list[Found], list[Trajectory]]:
-    """Work off all chains and programs in parallel processes; the result does not depend on how many."""
-    tasks = [delayed(_trace)(body, loads, chain) for chain in chains]
-    tasks += [delayed(_move)(body, program) for program in programs]
-    samples: list[Found] = []
-    trajectories: list[Trajectory] = []
-    with parallel_config(backend="loky", inner_max_num_threads=1):
-        results = Parallel(n_jobs=body.config.processes, return_as="generator")(tasks)
-        for result in progress(results, "FEM: chains of equilibria, then trajectories", total=len(tasks)):
-            if isinstance(result, list):
-                samples += result
-            elif result is not None:
-                trajectories.append(result)
-    return sorted(samples, key=lambda found: found[0]), trajectories
+    body: Body, loads: np.ndarray, chains: list[np.ndarray], programs: list[np.ndarray], parallel: Parallel, kept: Kept
+) -> tuple[list[Found], list[Trajectory], int]:
+    """Work off all chains and programs in parallel; the result does not depend on where, or after how many kills.
+
+    Returns equilibria in the order of ``loads``, trajectories in that of ``programs``, and how many parts an earlier
+    run had kept.
+    """
+    tasks = {f"chain_{k}": (_trace, body, loads, chain) for k, chain in enumerate(chains)}
+    tasks |= {f"trajectory_{k}": (_move, body, program) for k, program in enumerate(programs)}
+    waiting = [name for name in tasks if name not in kept]
+    reused = len(tasks) - len(waiting)
+    if reused:
+        log.info("%d of %d chains and trajectories were finished by an earlier run and are kept", reused, len(tasks))
+    results = parallel.map(_part, [tasks[name] for name in waiting], body.config.processes)
+    for number, arrays in progress(results, "FEM: chains of equilibria, then trajectories", len(waiting)):
+        kept.save(waiting[number], arrays)
+    samples = [found for k in range(len(chains)) for found in _chain_of(kept.load(f"chain_{k}"))]
+    moved = [kept.load(f"trajectory_{k}") for k in range(len(programs))]
+    return sorted(samples, key=lambda f: f[0]), [unpack(Trajectory, arrays) for arrays in moved if arrays], reused
+
+
+def _mark(body: Body) -> str:
+    """Return a hash of what the samples depend on: settings, robot, mesh and code, not the number of processes."""
+    config = asdict(body.config) | {"processes": None}
+    arrays = {field.name: getattr(body.mesh, field.name) for field in fields(body.mesh)}
+    code = fingerprint.of_code(__name__)
+    return fingerprint.of_values([config, asdict(body.robot), fingerprint.of_arrays(arrays), code])
+
+
+def _part(compute: Callable[..., list[Found] | Trajectory | None], *arguments: Any) -> dict[str, np.ndarray]:
+    """Return one chain or trajectory as arrays; none where a trajectory failed."""
+    made = compute(*arguments)
+    if made is None:
+        return {}
+    if isinstance(made, list):
+        rows = [{"number": np.asarray(n)} | pack(row, "row/") | pack(cost, "cost/") for n, row, cost in made]
+        return {f"{k}/{name}": array for k, row in enumerate(rows) for name, array in row.items()}
+    return pack(made)
+
+
+def _chain_of(arrays: dict[str, np.ndarray]) -> list[Found]:
+    """Return the equilibria that ``_part`` turned into arrays."""
+    count = 1 + max((int(name.split("/")[0]) for name in arrays), default=-1)
+    return [
+        (int(arrays[f"{k}/number"]), unpack(Row, arrays, f"{k}/row/"), unpack(Cost, arrays, f"{k}/cost/"))
+        for k in range(count)
+    ]
 
 
 def _trace(body: Body, loads: np.ndarray, chain: np.ndarray) -> list[Found]:
@@ -164,13 +206,16 @@ def _trace(body: Body, loads: np.ndarray, chain: np.ndarray) -> list[Found]:
 
 def _row(model: FemModel, equilibrium: Equilibrium) -> Row:
     pose, tangent = equilibrium.pose, equilibrium.tangent
-    corners = model.quadratic.corners
+    corners, lag = model.quadratic.corners, lag_at(model, pose, tangent)
     return Row(
         coordinate=model.coordinate(pose),
         energy=model.elastic_energy(pose),
         compliance=0.5 * (tangent.compliance + tangent.compliance.T),
         tangent_stiffness=tangent.stiffness,
         tangent_mass=tangent.mass,
+        lag_stiffness=lag.stiffness,
+        lag_viscosity=lag.viscosity,
+        lag_spin=lag.spin,
         centre_of_mass=model.centre_of_mass(pose),
         tip_quaternion=model.tip_quaternion(pose),
         displacement=(pose.position - model.quadratic.points)[:corners].astype(np.float32),
@@ -184,6 +229,16 @@ def _move(body: Body, program: np.ndarray) -> Trajectory | None:
     except SolverError as failure:
         log.warning("a trajectory is left out: %s", failure)
         return None
+
+
+def _record_failures(loads: np.ndarray, samples: list[Found], tracker: Tracker) -> None:
+    """Keep the loads that found no equilibrium with the run, one a line."""
+    missing = np.setdiff1d(np.arange(len(loads)), [number for number, _, _ in samples])
+    if len(missing):
+        n = loads.shape[1] - 3
+        names = ["sample", *(f"p{k + 1}_pa" for k in range(n)), "force_x_n", "force_y_n", "force_z_n"]
+        rows = [",".join([str(number), *(f"{value:.9g}" for value in loads[number])]) for number in missing]
+        tracker.text("failed_loads.csv", "\n".join([",".join(names), *rows]) + "\n")
 
 
 def _refuse_failures(failed: int, config: Config) -> None:
@@ -233,7 +288,9 @@ def corner_mass(model: FemModel) -> np.ndarray:
     return mass
 
 
-def _report(snapshots: Snapshots, samples: list[Found], trajectories: int, tracker: Tracker) -> None:
+def _report(
+    snapshots: Snapshots, samples: list[Found], trajectories: int, tracker: Tracker
+) -> None:
     tip = snapshots.coordinate[:, -3:]
     tracker.metric("equilibria", len(samples))
     tracker.metric("failed", snapshots.failed)

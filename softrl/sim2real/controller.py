@@ -1,4 +1,4 @@
-"""From a reading of the tip to pressures: by the policy with the calibration, or by the model alone."""
+"""From a reading of the tip to pressures: by the policy with the calibration, or by a model alone."""
 
 import numpy as np
 
@@ -8,8 +8,11 @@ from softrl.artifacts.surrogate import Surrogate
 from softrl.calibration.pressure_map import PressureMap
 from softrl.core.errors import ArtifactError
 from softrl.rl.policy import act, joints, observation
+from softrl.rl.tasks.task import Task
+from softrl.rl.workspace import Workspace
+from softrl.sim2real.course import Course
+from softrl.sim2real.rollout import Controller
 from softrl.surrogate.maps import PressureToJoints
-from softrl.surrogate.twin import Twin
 
 
 class PolicyController:
@@ -17,20 +20,22 @@ class PolicyController:
 
     Parameters
     ----------
-    target : (steps, 3) m, a closed curve, so that the targets after the last are the first
+    course : what it follows
     """
 
-    def __init__(self, policy: Policy, surrogate: Surrogate, calibration: Calibration, target: np.ndarray) -> None:
+    def __init__(self, policy: Policy, surrogate: Surrogate, calibration: Calibration, course: Course) -> None:
         require_chambers(surrogate, calibration)
-        self._act, self._policy, self._target = act(policy, surrogate.robot_name), policy, target
+        self._act, self._policy, self._course = act(policy, surrogate.robot_name), policy, course
         self._maps, self._calibrated = PressureToJoints(surrogate), PressureMap(calibration)
         self._theta = self._maps.joints(np.zeros((1, surrogate.chambers)))
-        self._no_force = np.zeros((1, policy.horizon))
 
-    def pressure(self, position: np.ndarray, step: int) -> np.ndarray:
+    def pressure(self, position: np.ndarray, step: int, tip_force: np.ndarray | None = None) -> np.ndarray:
         """Return P_R (chambers,) Pa for the target of ``step``, the tip being at ``position`` (3,) m."""
-        ahead = self._target[None, (step + np.arange(self._policy.horizon)) % len(self._target)]
-        seen = observation(self._policy, position[None], self._theta, self._no_force[:, 0], ahead, self._no_force)
+        course = self._course
+        ahead = (max(step, 0) + np.arange(self._policy.horizon)) % len(course.position)
+        pressed = np.atleast_1d(course.pressed(tip_force))
+        targets = course.position[None, ahead], course.force[None, ahead]
+        seen = observation(self._policy, position[None], self._theta, pressed, *targets)
         self._theta = joints(self._policy, self._act(seen))
         return np.asarray(self._calibrated.sim_to_real(self._maps.pressure(self._theta))[0])
 
@@ -38,12 +43,29 @@ class PolicyController:
 class ModelController:
     """The surrogate's inverse for each target, sent as if the robot were the simulator: no feedback, no calibration."""
 
-    def __init__(self, surrogate: Surrogate, target: np.ndarray) -> None:
-        self._pressure = PressureToJoints(surrogate).pressure(Twin(surrogate).joints_for_tip(target))
+    def __init__(self, space: Workspace, task: Task, course: Course) -> None:
+        theta = task.expert(course.position, course.force, space)
+        self._pressure = PressureToJoints(space.surrogate).pressure(theta)
 
-    def pressure(self, position: np.ndarray, step: int) -> np.ndarray:
+    @property
+    def pressures(self) -> np.ndarray:
+        """All pressures P_S (steps, chambers) Pa."""
+        return self._pressure
+
+    def pressure(self, position: np.ndarray, step: int, tip_force: np.ndarray | None = None) -> np.ndarray:
         """Return P_S (chambers,) Pa for the target of ``step``; ``position`` is not looked at."""
-        return np.asarray(self._pressure[step])
+        return np.asarray(self._pressure[max(step, 0)])
+
+
+class Calibrated:
+    """Another controller's P_S, sent as P_R by the inverse of f_RS."""
+
+    def __init__(self, inner: Controller, calibration: Calibration) -> None:
+        self._inner, self._map = inner, PressureMap(calibration)
+
+    def pressure(self, position: np.ndarray, step: int, tip_force: np.ndarray | None = None) -> np.ndarray:
+        """Return P_R (chambers,) Pa of the other's P_S."""
+        return np.asarray(self._map.sim_to_real(self._inner.pressure(position, step, tip_force)))
 
 
 def require_chambers(surrogate: Surrogate, calibration: Calibration) -> None:

@@ -1,7 +1,9 @@
 """Following targets on a robot: observe, decide, smooth, send, at the pace of the robot's commands (Fig. 6b)."""
 
 import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
@@ -11,14 +13,18 @@ from softrl.core.errors import DriverError
 from softrl.recordings.program import recording_of
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
+from softrl.sim2real.course import Course
 from softrl.sim2real.filter import MovingAverage
 
 
 class Controller(Protocol):
     """Decides on pressures for a sequence of targets that it was made with."""
 
-    def pressure(self, position: np.ndarray, step: int) -> np.ndarray:
-        """Return (chambers,) Pa for the target of ``step``, the tip being at ``position`` (3,) m."""
+    def pressure(self, position: np.ndarray, step: int, tip_force: np.ndarray | None = None) -> np.ndarray:
+        """Return (chambers,) Pa for the target of ``step``, negative while the first target is approached.
+
+        The tip is at ``position`` (3,) m and feels ``tip_force`` (3,) N.
+        """
         ...
 
 
@@ -40,47 +46,60 @@ class Pace:
 
 @dataclass(frozen=True)
 class Rollout:
-    """One sequence of targets, followed.
+    """One course, followed.
 
     Attributes
     ----------
     recording : all samples, approach included
-    target : (steps, 3) m
+    course : what was to be followed
     reached : (steps, 3) m, last reading of the tip before the next command
+    pressed : (steps,) N, force across the surface at the same times
     decision_s : (steps,) s of real time from reading to pressure
     """
 
     recording: Recording
-    target: np.ndarray
+    course: Course
     reached: np.ndarray
+    pressed: np.ndarray
     decision_s: np.ndarray
 
-    def error_m(self, wanted: np.ndarray) -> float:
-        """Return the root mean square distance, m, between the tip and ``wanted`` (steps, 3) m."""
-        return float(np.sqrt(np.mean(np.sum((self.reached - wanted) ** 2, axis=1))))
+    def error_m(self, wanted: np.ndarray | None = None) -> float:
+        """Return the root mean square distance, m, between the tip and its targets, or ``wanted`` (steps, 3) m."""
+        return float(np.sqrt(np.mean(self.course.position_error(self.reached, wanted) ** 2)))
+
+    def force_error_n(self) -> float:
+        """Return the mean absolute force error, N."""
+        return float(np.mean(np.abs(self.pressed - self.course.force)))
 
 
 def follow(
-    driver: Driver, robot: Robot, controller: Controller, target: np.ndarray, pace: Pace, name: str, session: str
+    driver: Driver, robot: Robot, controller: Controller, course: Course, pace: Pace, name: str, session: str,
+    events: Mapping[int, Callable[[], None]] = MappingProxyType({}),
 ) -> Rollout:
-    """Return how the robot behind ``driver``, which is connected here, follows ``target`` (steps, 3) m.
+    """Return how the robot behind ``driver``, which is connected here, follows ``course``.
 
     The decisions are timed; the robot's clock stands still meanwhile if it is a simulated one, and runs on if not.
+    ``events`` happen before the command of their step.
     """
     average = MovingAverage(pace.average_window)
-    reached, decision_s = [], []
+    last: list[Sample] = []
+    decision_s = []
     with driver:
         samples = _wait(driver, [], pace.period_s)
-        for step in range(-pace.approach_steps, len(target)):
+        for step in range(-pace.approach_steps, len(course.position)):
+            if step in events:
+                events[step]()
             started = time.perf_counter()
-            pressure = controller.pressure(samples[-1].position, max(step, 0))
+            pressure = controller.pressure(samples[-1].position, step, samples[-1].tip_force)
             decision_s.append(time.perf_counter() - started)
             driver.command(average.advance(pressure))
             samples = _wait(driver, samples, pace.period_s)
-            reached.append(samples[-1].position)
-    count = len(target)
+            last.append(samples[-1])
+    counted = last[pace.approach_steps :]
     recording = recording_of(samples, robot, name, session)
-    return Rollout(recording, target, np.stack(reached[-count:]), np.array(decision_s[-count:]))
+    pressed = course.pressed(np.stack([sample.tip_force for sample in counted]))
+    reached = np.stack([sample.position for sample in counted])
+    return Rollout(recording, course, reached, pressed, np.array(decision_s[pace.approach_steps :]))
 
 
 def _wait(driver: Driver, samples: list[Sample], period_s: float) -> list[Sample]:

@@ -1,4 +1,4 @@
-"""The policy on the robot: rollouts of shapes, and sessions that a diagnosis can learn from."""
+"""The policy on the robot: rollouts of its task, and sessions that a diagnosis can learn from."""
 
 import logging
 from dataclasses import dataclass
@@ -11,23 +11,32 @@ from softrl.artifacts.surrogate import Surrogate
 from softrl.core.driver import Driver
 from softrl.core.errors import ConfigError
 from softrl.core.progress import progress
+from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
-from softrl.recordings.recording import RecordingSet
-from softrl.rl.tasks.curves import CURVES
+from softrl.effects.chain import EffectChain, Plant
+from softrl.recordings.recording import Recording, RecordingSet
 from softrl.rl.workspace import Workspace
 from softrl.robots.robot import Robot
-from softrl.sim2real.controller import ModelController, PolicyController
-from softrl.sim2real.figures import draw_rollouts, draw_session
-from softrl.sim2real.filter import moving_average
+from softrl.sim2real.bandwidth import Bandwidth, measure, predict
+from softrl.sim2real.controllers import Models
+from softrl.sim2real.course import courses, task_of
+from softrl.sim2real.disturbance import Breakable, Disturbance
+from softrl.sim2real.figures import draw_bandwidth, draw_recovery, draw_rollouts, draw_session
 from softrl.sim2real.identification import Identification, record_sessions
-from softrl.sim2real.rollout import Controller, Pace, Rollout, follow
+from softrl.sim2real.keep import keeping
+from softrl.sim2real.planning import Planning
+from softrl.sim2real.report import report_bandwidth, report_recovery, report_rollouts
+from softrl.sim2real.rollout import Pace, Rollout
+from softrl.sim2real.trial import Trial, mount
 
 log = logging.getLogger(__name__)
-SHAPES = ("circle", "star", "figure_eight")
 RUN_NOTES = {
     "policy": "policy on the tip's position, through the surrogate's joints and the pressure calibration",
     "open_loop": "inverse of the surrogate without feedback and without the pressure calibration",
+    "feedforward": "commands planned for the whole sequence by inverting a simulator, without feedback",
+    "planned": "the same commands, corrected by the tip's position as it comes in",
     "identification": "program sent directly: steps, multisine, triangles at several rates, staircase; rests between",
+    "bandwidth": "program sent directly: tones of one chamber, from slow to fast",
 }
 
 
@@ -42,7 +51,10 @@ class Config:
     shape_steps : targets along one shape
     radius_share : size of the shapes in the largest that the tip can reach
     approach_steps : commands at the first target before a rollout counts
-    identification : the programs sent directly
+    planning : of the controllers that invert the simulator
+    disturbance : an air line is pulled off, if the driver lets it; in free space only
+    bandwidth : tones of one chamber; in free space only
+    identification : the programs sent directly; in free space only
     seed : of the programs; the driver's noise has its own
     """
 
@@ -51,6 +63,9 @@ class Config:
     shape_steps: int
     radius_share: float
     approach_steps: int
+    planning: Planning
+    disturbance: Disturbance
+    bandwidth: Bandwidth
     identification: Identification
     seed: int
 
@@ -63,6 +78,11 @@ class Config:
         if self.approach_steps < 0:
             raise ConfigError(f"stage.approach_steps={self.approach_steps} must not be negative")
 
+    @property
+    def pace(self) -> Pace:
+        """How a rollout runs."""
+        return Pace(1.0 / self.command_rate_hz, self.average_window, self.approach_steps)
+
 
 def run(
     config: Config,
@@ -70,75 +90,67 @@ def run(
     policy: Policy,
     surrogate: Surrogate,
     calibration: Calibration,
+    simulator: Simulator,
+    effects: EffectChain,
     driver: Driver,
     *,
     tracker: Tracker,
 ) -> RecordingSet:
-    """Return all that was recorded while the policy followed shapes and while programs were sent directly."""
-    if policy.task_name != "track":
-        raise ConfigError(
-            f"the policy was trained for task={policy.task_name}, but shapes are followed in free space here; "
-            "run stage=rl task=track"
-        )
-    targets = _targets(config, Workspace(surrogate))
-    rollouts = {
-        shape: _follow_shape(config, robot, policy, surrogate, calibration, driver, shape, targets[shape])
-        for shape in progress(SHAPES, "rollouts")
-    }
-    sessions = list(
-        progress(
-            record_sessions(driver, robot, config.identification, np.random.default_rng(config.seed)),
-            "identification", config.identification.sessions,
-        )
-    )  # fmt: skip
-    _report(rollouts, config.average_window, tracker)
+    """Return all that was recorded while controllers followed courses and while programs were sent directly.
+
+    ``effects``, with the parameters of ``simulator``, are what a diagnosis found: the planned controllers invert them. The
+    courses are those of the task that the policy was trained for.
+    """
+    task = task_of(policy, config.shape_steps, config.radius_share)
+    models = Models(robot, policy, Workspace(surrogate), task, calibration, Plant(simulator, effects))
+    trial = Trial(models, driver, config.planning, config.pace)
+    mount(driver, models)
+    recordings: list[Recording] = []
+    with keeping(recordings, driver, robot, tracker):
+        rollouts: dict[str, dict[str, Rollout]] = {}
+        for course in progress(list(courses(task, models.space)), "rollouts"):
+            rollouts[course.name] = {}
+            for name, rollout in trial.follow(course):
+                rollouts[course.name][name] = rollout
+                recordings.append(rollout.recording)
+        if models.surface is None:
+            _disturb(config, trial, recordings, tracker)
+            _sweep(config, models, driver, recordings, tracker)
+            _identify(config, driver, robot, recordings, tracker)
+    report_rollouts(rollouts, config.average_window, tracker)
     tracker.figure("rollouts", draw_rollouts(rollouts))
-    tracker.figure("identification", draw_session(sessions[0]))
-    recordings = (*(r.recording for runs in rollouts.values() for r in runs.values()), *sessions)
     tracker.metric("samples", sum(len(r.time) for r in recordings))
     tracker.metric("recorded_s", sum(float(np.ptp(r.time)) for r in recordings))
     notes = {r.name: next(text for kind, text in RUN_NOTES.items() if kind in r.name) for r in recordings}
-    return RecordingSet(robot_name=robot.name, recordings=recordings, notes={"run_notes": notes})
+    return RecordingSet(robot_name=robot.name, recordings=tuple(recordings), notes={"run_notes": notes})
 
 
-def _targets(config: Config, space: Workspace) -> dict[str, np.ndarray]:
-    """Return the shapes (steps, 3) m about the centre of what the tip can reach."""
-    unit = {shape: CURVES[shape](config.shape_steps) for shape in SHAPES}
-    return {
-        shape: space.centre + config.radius_share * space.largest(points, space.centre) * points
-        for shape, points in unit.items()
-    }
+def _disturb(config: Config, trial: Trial, recordings: list[Recording], tracker: Tracker) -> None:
+    """Roll out with an air line off for a while."""
+    if not isinstance(trial.driver, Breakable):
+        log.info("no rollout with an air line off: this driver cannot pull one")
+        return
+    rollouts = {}
+    for name, rollout in trial.disturbed(config.disturbance):
+        rollouts[name] = rollout
+        recordings.append(rollout.recording)
+    report_recovery(rollouts, config.disturbance, config.pace.period_s, tracker)
+    tracker.figure("recovery", draw_recovery(rollouts, config.disturbance, config.pace.period_s))
 
 
-def _follow_shape(
-    config: Config,
-    robot: Robot,
-    policy: Policy,
-    surrogate: Surrogate,
-    calibration: Calibration,
-    driver: Driver,
-    shape: str,
-    target: np.ndarray,
-) -> dict[str, Rollout]:
-    """Return the rollouts of one shape by controller; each starts from rest, both belong to one session."""
-    controllers: dict[str, Controller] = {
-        "policy": PolicyController(policy, surrogate, calibration, target),
-        "open_loop": ModelController(surrogate, target),
-    }
-    pace = Pace(1.0 / config.command_rate_hz, config.average_window, config.approach_steps)
-    return {
-        name: follow(driver, robot, controller, target, pace, f"{shape}_{name}", shape)
-        for name, controller in controllers.items()
-    }
+def _sweep(config: Config, models: Models, driver: Driver, recordings: list[Recording], tracker: Tracker) -> None:
+    """Measure the bandwidth beside what the simulator says of it."""
+    recording, measured = measure(driver, models.robot, config.bandwidth)
+    recordings.append(recording)
+    predicted = predict(models.robot, models.plant, config.bandwidth)
+    report_bandwidth(measured, predicted, tracker)
+    tracker.figure("bandwidth", draw_bandwidth(measured, predicted))
 
 
-def _report(rollouts: dict[str, dict[str, Rollout]], window: int, tracker: Tracker) -> None:
-    """Log each shape's error beside that of the open loop, and against what the moving average asked for."""
-    for shape, runs in rollouts.items():
-        averaged = moving_average(runs["policy"].target, window)
-        tracker.metric(f"{shape}_mm", 1e3 * runs["policy"].error_m(runs["policy"].target))
-        tracker.metric(f"{shape}_to_average_mm", 1e3 * runs["policy"].error_m(averaged))
-        tracker.metric(f"{shape}_open_loop_mm", 1e3 * runs["open_loop"].error_m(runs["open_loop"].target))
-        log.info("%s: %.2f mm rms", shape, 1e3 * runs["policy"].error_m(runs["policy"].target))
-    decisions = np.concatenate([runs["policy"].decision_s for runs in rollouts.values()])
-    tracker.metric("inference_hz", 1.0 / float(np.mean(decisions)))
+def _identify(config: Config, driver: Driver, robot: Robot, recordings: list[Recording], tracker: Tracker) -> None:
+    """Record the sessions for a diagnosis."""
+    sessions = record_sessions(driver, robot, config.identification, np.random.default_rng(config.seed))
+    for number, session in enumerate(progress(sessions, "identification", config.identification.sessions)):
+        recordings.append(session)
+        if number == 0:
+            tracker.figure("identification", draw_session(session))

@@ -125,3 +125,19 @@ def joint_jacobians(theta: np.ndarray, chain: Chain) -> np.ndarray:
     for b in range(batch):
         grouped_pose(theta[b], chain, q, tip, rotation, jacobians[b], grouped)
     return jacobians
+
+
+@nb.njit(cache=True)
+def joint_axes(theta: np.ndarray, chain: Chain) -> tuple[np.ndarray, np.ndarray]:
+    """Return d orientation / d q (B, 3, 3 gaps), the axis of every hinge, zero for slides, and the tip's axis (B, 3)."""
+    batch, gaps = len(theta), len(chain.below)
+    axes, tip = np.zeros((batch, 3, 3 * gaps)), np.empty((batch, 3))
+    for b in range(batch):
+        rotation = np.eye(3)
+        for k in range(gaps):
+            axes[b, :, 3 * k] = rotation[:, 0]
+            _turn(rotation, 1, 2, theta[b, 0])
+            axes[b, :, 3 * k + 1] = rotation[:, 1]
+            _turn(rotation, 2, 0, theta[b, 1])
+        tip[b] = rotation[:, 2]
+    return axes, tip

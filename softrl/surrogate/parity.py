@@ -1,13 +1,16 @@
 """The same commands in the twin and in PyBullet."""
 
 import numpy as np
+from scipy.optimize import minimize
 
 from softrl.artifacts.surrogate import Surrogate
+from softrl.surrogate.fit import Fit
 from softrl.surrogate.simulator import SurrogateState, World
 from softrl.surrogate.twin import Plane, Twin
 
 SETTLE_S, TICK_S = 1.5, 0.1
 DAMPING_PER_S = 30.0
+DIFFERENCE = 1e-4  # of the joints' range: PyBullet's poses are too coarse for SciPy's own 1e-8
 
 
 def settle(
@@ -29,6 +32,31 @@ def parity(surrogate: Surrogate, theta: np.ndarray, force: np.ndarray) -> tuple[
     loaded = [np.linalg.norm(world.pose(settle(world, t, force))[0] - e) for t, e in zip(theta, expected, strict=True)]
     world.close()
     return float(max(free)), float(max(loaded))
+
+
+def fit_joints_by_simulation(surrogate: Surrogate, tip: np.ndarray) -> Fit:
+    """Return the commands within the limits that reach tips (B, 3) m by Algorithm 1 as the paper runs it: for comparison.
+
+    Notes
+    -----
+    L-BFGS-B asks PyBullet for the tip and takes its gradient by differences. Departures: the links are put where the
+    joints say instead of driven there, and the best tip counts, not the last.
+    """
+    world, low, high = World(surrogate, 1.0, DAMPING_PER_S, 1.0), surrogate.joint_low, surrogate.joint_high
+    span, gaps = high - low, surrogate.gaps
+
+    def tip_at(x: np.ndarray) -> np.ndarray:
+        joints = np.tile(low + x * span, gaps)
+        return world.pose(SurrogateState(joints, np.zeros_like(joints)))[0]
+
+    def objective(x: np.ndarray, target: np.ndarray) -> float:
+        return float(np.sum((1e3 * (tip_at(x) - target)) ** 2))
+
+    start, box, options = np.clip(-low / span, 0.0, 1.0), [(0.0, 1.0)] * 3, {"eps": DIFFERENCE}
+    found = [minimize(objective, start, (target,), "L-BFGS-B", bounds=box, options=options).x for target in tip]
+    residual = np.array([np.linalg.norm(tip_at(x) - target) for x, target in zip(found, tip, strict=True)])
+    world.close()
+    return Fit(low + np.array(found) * span, residual)
 
 
 def contact_parity(

@@ -2,38 +2,55 @@
 
 import time
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from softrl.artifacts.snapshots import Snapshots
 from softrl.artifacts.surrogate import Surrogate
 from softrl.core.tracking import Tracker
-from softrl.surrogate.fit import fit_joints, fit_joints_lbfgsb
-from softrl.surrogate.kinematics import chain_of
+from softrl.surrogate.fit import Fit, fit_joints, fit_joints_lbfgsb
+from softrl.surrogate.kinematics import chain_of, joint_axes
 from softrl.surrogate.maps import PressureToJoints
-from softrl.surrogate.stiffness import chain_compliance
-from softrl.surrogate.twin import Twin
+from softrl.surrogate.springs import Springs, springs_of
+from softrl.surrogate.stiffness import Compliance, Statics, bending_of, chain_turn
+from softrl.surrogate.twin import Twin, chain_compliance
 
-RATE_BATCH = 4096
+RATE_BATCH, PARITY_FORCE_N, REACHED_M = 4096, 1.0, 1e-3
+FORCE_STEP_N = 0.02  # of the differences at the full model's loads
+
+
+class Judged(NamedTuple):
+    """What the stage kept to judge by.
+
+    Attributes
+    ----------
+    residual : (samples,) m left by the fit of joints
+    quaternion : (samples, 4) w x y z of the body there, or None
+    joints : (S, 3) commands at pressures that the springs were not fitted to
+    compliance : of the body there
+    alike : springs of one value a kind of joint, fitted to the same poses as those of the surrogate
+    """
+
+    residual: np.ndarray
+    quaternion: np.ndarray | None
+    joints: np.ndarray
+    compliance: Compliance
+    alike: Springs
 
 
 def report(
     surrogate: Surrogate,
-    residual: np.ndarray,
-    compliance: tuple[np.ndarray, np.ndarray],
+    judged: Judged,
     compared_fits: int,
     parity_samples: int,
     tracker: Tracker,
 ) -> Surrogate:
-    """Return the surrogate with its metrics, after sending them and the figures to ``tracker``.
-
-    Parameters
-    ----------
-    residual : (samples,) m left by the fit
-    compliance : joints (S, 3) and d tip / d force (S, 3, 3) m/N of the body at pressures kept from the stiffness fit
-    """
-    metrics = {"train/fit_residual_mm": _rms(1e3 * residual)}
-    metrics |= _map_errors(surrogate) | _stiffness_errors(surrogate, *compliance)
+    """Return the surrogate with its metrics, after sending them and the figures to ``tracker``."""
+    metrics = {"train/fit_residual_mm": _rms(1e3 * judged.residual)}
+    metrics |= _map_errors(surrogate) | _orientation_error(surrogate, judged.quaternion) | _reach(surrogate)
+    metrics |= _stiffness_errors(surrogate, judged)
     metrics |= _fit_comparison(surrogate, compared_fits) | _parity(surrogate, parity_samples) | _rates(surrogate)
     for name, value in metrics.items():
         tracker.metric(name, value)
@@ -65,32 +82,103 @@ def _map_errors(s: Surrogate) -> dict[str, float]:
     )
     back = maps.pressure(joints) - pressure
     errors["heldout/roundtrip_pressure_kpa"] = float(np.sqrt(np.mean(back**2)) / 1e3)
+    again = maps.joints(maps.pressure(joints)) - joints
+    errors["heldout/roundtrip_joint_angle_deg"] = float(np.rad2deg(np.sqrt(np.mean(again[:, :2] ** 2))))
     network_back = maps.pressure_by_network(joints) - pressure
     errors["heldout/roundtrip_network_pressure_kpa"] = float(np.sqrt(np.mean(network_back**2)) / 1e3)
     return errors
 
 
-def _stiffness_errors(s: Surrogate, joints: np.ndarray, compliance: np.ndarray) -> dict[str, float]:
-    """Return by how much the chain's tip stiffness differs from the body's, in percent of it, per axis."""
-    body = 1.0 / np.einsum("sii->si", compliance)
-    chain = 1.0 / np.einsum("sii->si", chain_compliance(joints, chain_of(s), s.joint_stiffness))
-    error = 100.0 * np.sqrt(np.mean((chain / body - 1.0) ** 2, axis=0))
-    found = {f"heldout/tip_stiffness_{a}_pct": float(e) for a, e in zip("xyz", error, strict=True)}
+def _orientation_error(s: Surrogate, quaternion: np.ndarray | None) -> dict[str, float]:
+    """Return the angle between body and chain, whose commands were fitted to tips alone, beside a tip that never turns."""
+    if quaternion is None:
+        return {}
+    held = s.heldout
+    overlap = np.abs(np.sum(Twin(s).quaternion(s.sample_joints[held]) * quaternion[held], axis=1))
+    still = np.abs(quaternion[held, 0])
+    return {
+        f"heldout/{name}orientation_deg": _rms(np.rad2deg(2.0 * np.arccos(np.minimum(cosine, 1.0))))
+        for name, cosine in (("", overlap), ("upright_", still))
+    }
+
+
+def _reach(s: Surrogate) -> dict[str, float]:
+    """Return how much of the body's workspace the surrogate reaches with pressures in range, in percent of held-out tips."""
+    twin, maps, tip = Twin(s), PressureToJoints(s), s.sample_tip[s.heldout]
+    reached = twin.tip(maps.joints(maps.pressure(twin.joints_for_tip(tip))))
+    return {"heldout/workspace_reached_pct": 100.0 * float((np.linalg.norm(reached - tip, axis=1) < REACHED_M).mean())}
+
+
+def _stiffness_errors(s: Surrogate, judged: Judged) -> dict[str, float]:
+    """Return by how much tip and bending stiffness differ from the body's, in percent, beside springs of one value."""
+    joints, compliance = np.ascontiguousarray(judged.joints), judged.compliance
+    body = 1.0 / np.einsum("sii->si", compliance.tip)
+    found: dict[str, float] = {}
+    for label, springs in (("", springs_of(s)), ("alike_", judged.alike)):
+        chain = chain_compliance(joints, chain_of(s), springs)
+        error = 100.0 * np.sqrt(np.mean((1.0 / np.einsum("sii->si", chain) / body - 1.0) ** 2, axis=0))
+        found |= {f"heldout/{label}tip_stiffness_{a}_pct": float(e) for a, e in zip("xyz", error, strict=True)}
+        if compliance.turn is not None:
+            found[f"heldout/{label}bending_stiffness_pct"] = _bending_error(s, joints, springs, compliance.turn)
     return found | {
         f"train/tip_stiffness_{a}_n_per_mm": 1e-3 * float(k) for a, k in zip("xyz", body.mean(axis=0), strict=True)
     }
 
 
+def _bending_error(s: Surrogate, joints: np.ndarray, springs: Springs, turn: np.ndarray) -> float:
+    """Return the rms relative error, in percent, of the turn under the push across that turns the body most."""
+    axis = joint_axes(joints, chain_of(s))[1]
+    body, chain = bending_of(turn, axis), bending_of(chain_turn(joints, chain_of(s), springs), axis)
+    left, _, right = np.linalg.svd(body)
+    along = np.einsum("sij,si,sj->s", chain, left[:, :, 0], right[:, 0])
+    size = np.einsum("sij,si,sj->s", body, left[:, :, 0], right[:, 0])
+    return 100.0 * float(np.sqrt(np.mean((size / along - 1.0) ** 2)))
+
+
+def report_full_model(s: Surrogate, snapshots: Snapshots, pose_of: Statics, tracker: Tracker) -> None:
+    """Log how the loaded surrogate compares with the full model's equilibria under pressures and forces together.
+
+    ``pose_of`` tells the body's tips under the same pressures alone.
+    """
+    twin, n = Twin(s), s.chambers
+    force = snapshots.loads[:, n:]
+    free_tip = pose_of(np.hstack([snapshots.loads[:, :n], np.zeros_like(force)])).tip
+    theta = twin.joints_for_tip(free_tip)
+    tip = snapshots.coordinate[:, n:] + snapshots.rest_tip
+    moved = twin.solve(theta, force).tip
+    tracker.metric("full_model/loaded_tip_mm", _rms(1e3 * (moved - tip)))
+    tracker.metric("full_model/unloaded_tip_mm", _rms(1e3 * (free_tip - tip)))
+    stiff = 1.0 / np.einsum("sii->si", snapshots.compliance[:, n:, n:])
+    for axis, name in enumerate("xyz"):
+        push = FORCE_STEP_N * np.eye(3)[axis]
+        ahead, behind = (twin.solve(theta, force + sign * push).tip[:, axis] for sign in (1.0, -1.0))
+        error = 2.0 * FORCE_STEP_N / (ahead - behind) / stiff[:, axis] - 1.0
+        tracker.metric(f"full_model/tip_stiffness_{name}_pct", 100.0 * float(np.sqrt(np.mean(error**2))))
+    tracker.figure("workspace_loaded", draw_loaded(tip, moved, s.robot_name))
+
+
 def _fit_comparison(s: Surrogate, count: int) -> dict[str, float]:
-    """Return how L-BFGS-B (Algorithm 1) and Gauss-Newton compare on the same tips, and how fast each is."""
-    tip, chain = s.sample_tip[:count], chain_of(s)
-    started = time.perf_counter()
+    """Return how the searches for joints compare on the same tips, and how many a second of the processor each finds.
+
+    L-BFGS-B with the closed form's gradient, the paper's way (the simulator in the loop, differences for a gradient) on
+    fewer tips, and Gauss-Newton, which the stage uses.
+    """
+    from softrl.surrogate.parity import fit_joints_by_simulation  # PyBullet starts slowly
+
+    tip, chain, few = s.sample_tip[:count], chain_of(s), max(1, count // 8)
+    started = time.process_time()
     searched = fit_joints_lbfgsb(chain, tip, s.joint_low, s.joint_high)
-    lbfgsb_s = time.perf_counter() - started
-    started = time.perf_counter()
-    newton = fit_joints(chain, tip, s.joint_low, s.joint_high)
-    newton_s = time.perf_counter() - started
+    lbfgsb_s = time.process_time() - started
+    started = time.process_time()
+    simulated = fit_joints_by_simulation(s, tip[:few])
+    simulated_s = time.process_time() - started
+    started = time.process_time()
+    newton = fit_joints(chain, np.tile(tip, (64, 1)), s.joint_low, s.joint_high)
+    newton_s = (time.process_time() - started) / 64
+    newton = Fit(newton.theta[:count], newton.residual[:count])
     return {
+        "train/fit_simulated_residual_mm": _rms(1e3 * simulated.residual),
+        "train/fit_simulated_rate_hz": few / simulated_s,
         "train/fit_lbfgsb_residual_mm": _rms(1e3 * searched.residual),
         "train/fit_difference_deg": float(np.rad2deg(np.abs(searched.theta - newton.theta)[:, :2].max())),
         "train/fit_lbfgsb_rate_hz": count / lbfgsb_s,
@@ -99,21 +187,21 @@ def _fit_comparison(s: Surrogate, count: int) -> dict[str, float]:
 
 
 def _parity(s: Surrogate, count: int) -> dict[str, float]:
-    """Return the distance between the twin and PyBullet: without load, and settled under 1 N across."""
+    """Return the distance between the twin and PyBullet: without load, and settled under a force across."""
     from softrl.surrogate.parity import parity  # PyBullet starts slowly
 
-    free, loaded = parity(s, s.sample_joints[-count:], np.array([1.0, 0.0, 0.0]))
+    free, loaded = parity(s, s.sample_joints[-count:], np.array([PARITY_FORCE_N, 0.0, 0.0]))
     return {"heldout/bullet_parity_free_mm": 1e3 * free, "heldout/bullet_parity_loaded_mm": 1e3 * loaded}
 
 
 def _rates(s: Surrogate) -> dict[str, float]:
-    """Return equilibria per second of the twin, loaded, in one thread."""
+    """Return equilibria per second of the processor of the twin, loaded, in one thread."""
     twin = Twin(s)
     theta = np.resize(s.sample_joints, (RATE_BATCH, 3))
     twin.solve(theta[:2], np.array([0.5, 0.0, 0.0]))
-    started = time.perf_counter()
+    started = time.process_time()
     twin.solve(theta, np.array([0.5, 0.0, 0.0]))
-    return {"twin_loaded_rate_hz": RATE_BATCH / (time.perf_counter() - started)}
+    return {"twin_loaded_rate_hz": RATE_BATCH / (time.process_time() - started)}
 
 
 def draw_workspace(s: Surrogate) -> Figure:
@@ -154,4 +242,18 @@ def draw_maps(s: Surrogate) -> Figure:
         right.plot(1e-3 * s.sample_pressure[held, i], back[:, i], ".", ms=3, label=f"chamber {i + 1}")
     right.set(xlabel="pressure in kPa", ylabel="back from the joints, error in kPa")
     right.legend(frameon=False, fontsize=8)
+    return figure
+
+
+def draw_loaded(full: np.ndarray, chain: np.ndarray, robot_name: str) -> Figure:
+    """Return tips (samples, 3) m of the full model and of the loaded chain over each other, joined by their difference."""
+    figure = Figure(figsize=(9.0, 4.2), layout="constrained")
+    for axis, (i, j) in zip(figure.subplots(1, 2), ((0, 2), (0, 1)), strict=True):
+        for one, other in zip(1e3 * full, 1e3 * chain, strict=True):
+            axis.plot([one[i], other[i]], [one[j], other[j]], "-", color="0.5", lw=0.8)
+        axis.plot(*(1e3 * full[:, [i, j]].T), "o", ms=3.5, mfc="none", color="k", label="full model")
+        axis.plot(*(1e3 * chain[:, [i, j]].T), "x", ms=3.5, color="C0", label="surrogate")
+        axis.set(xlabel=f"{'xyz'[i]} in mm", ylabel=f"{'xyz'[j]} in mm", aspect="equal")
+    figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=8)
+    figure.suptitle(f"{robot_name} under the same pressures and tip forces")
     return figure

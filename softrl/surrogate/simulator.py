@@ -1,4 +1,4 @@
-"""The chain in PyBullet: joint springs and mass-proportional dampers as explicit torques, soft contact."""
+"""The chain in PyBullet: joint springs and mass-proportional dampers as torques that see the step ahead, soft contact."""
 
 import math
 import tempfile
@@ -10,16 +10,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pybullet as bullet
-from scipy.linalg import eigh
 
 from softrl.artifacts.surrogate import Surrogate
 from softrl.core.errors import ArtifactError, ConfigError, SolverError
 from softrl.core.simulator import Hook, Motion
 from softrl.robots.robot import Robot
 from softrl.surrogate.maps import PressureToJoints
+from softrl.surrogate.springs import springs_of, stiffness_matrix
 
-RATE_HZ = 240.0  # never slower than this
-PHASE_PER_STEP = 1.0  # rad of the fastest joint mode per step; explicit springs are stable below 2
+RATE_HZ = 240.0  # PyBullet's own
 SOLVER_ITERATIONS = 100
 HALF_EXTENT_M = 0.2  # of the box whose upper face is the contact plane
 BOX_THICKNESS_M = 0.05
@@ -27,14 +26,25 @@ TIP = "tip"
 
 
 class SurrogateState(NamedTuple):
-    """Single joints ``coordinates`` (3 gaps,) rad, rad, m and their ``velocity`` (3 gaps,)."""
+    """Single joints ``coordinates`` (3 gaps,) rad, rad, m, their ``velocity``, and what acts on them beside the springs.
+
+    ``outside`` (3 gaps,) N m, N m, N is that of the last step: loads and contact, as the joints feel them.
+    """
 
     coordinates: np.ndarray
     velocity: np.ndarray
+    outside: np.ndarray | None = None
 
 
 class World:
-    """One chain in one PyBullet server of its own, without weight: the commands contain it."""
+    """One chain in one PyBullet server of its own, without weight: the commands contain it.
+
+    Notes
+    -----
+    Explicit springs of the slides would need a rate of 1 kHz. The torques are those of the springs and dampers at the end
+    of the step instead, predicted with the joints' masses and with the loads of the step before; at rest the prediction
+    is no motion, so that the springs yield exactly as they should.
+    """
 
     def __init__(
         self, surrogate: Surrogate, stiffness_scale: float, damping_rate_per_s: float, mass_scale: float
@@ -51,11 +61,10 @@ class World:
         names = [self._joint_name(i) for i in range(bullet.getNumJoints(self.body, physicsClientId=self._client))]
         self.tip = names.index("tip_mount")
         self.joints = [i for i, name in enumerate(names) if i != self.tip]
-        self.stiffness = stiffness_scale * np.tile(surrogate.joint_stiffness, surrogate.gaps)
-        self._damping_rate = damping_rate_per_s
+        self._springs, self._stiffness_scale = springs_of(surrogate), stiffness_scale
+        self._damping_rate, self.rate_hz = damping_rate_per_s, RATE_HZ
         self._plane: int | None = None
         self._settle_dynamics(mass_scale)
-        self.rate_hz = self._stable_rate()
 
     def close(self) -> None:
         """Give the server back."""
@@ -85,12 +94,9 @@ class World:
                 localInertiaDiagonal=[mass_scale * i for i in inertia], physicsClientId=client,
             )  # fmt: skip
 
-    def _stable_rate(self) -> float:
-        """Return the slowest rate, a multiple of 240 Hz, at which the fastest joint mode is followed."""
-        rest = [0.0] * len(self.joints)
-        self._mass = np.array(bullet.calculateMassMatrix(self.body, rest, physicsClientId=self._client))
-        fastest = math.sqrt(float(eigh(np.diag(self.stiffness), self._mass, eigvals_only=True)[-1]))
-        return RATE_HZ * max(1, math.ceil(fastest / (PHASE_PER_STEP * RATE_HZ)))
+    def stiffness(self, theta: np.ndarray) -> np.ndarray:
+        """Return K (3 gaps, 3 gaps) of the joints' springs under the grouped command (3,)."""
+        return self._stiffness_scale * stiffness_matrix(theta, self._springs)
 
     def place_plane(self, normal: np.ndarray, point: np.ndarray, friction: float) -> None:
         """Put a plane before the tip's sphere so that the tip's centre touches at ``point`` (3,) m, facing ``normal`` (3,)."""
@@ -127,8 +133,14 @@ class World:
             body, joints, bullet.VELOCITY_CONTROL, forces=[0.0] * len(joints), physicsClientId=client
         )
         q, velocity = state.coordinates, state.velocity
+        mass = np.array(bullet.calculateMassMatrix(body, list(q), physicsClientId=client))
+        springs, damper = self.stiffness(theta), self._damping_rate * mass
+        ahead = step_s * damper + step_s**2 * springs  # what a step of acceleration adds to springs and dampers
+        foresee = np.linalg.inv(mass + ahead)
+        outside = np.zeros_like(q) if state.outside is None else state.outside
         for _ in range(steps):
-            torque = self.stiffness * (command - q) - self._damping_rate * (self._mass @ velocity)
+            pull = springs @ (command - q - step_s * velocity) - damper @ velocity
+            torque = pull - ahead @ (foresee @ (pull + outside))
             bullet.setJointMotorControlArray(
                 body, joints, bullet.TORQUE_CONTROL, forces=torque.tolist(), physicsClientId=client
             )
@@ -139,12 +151,13 @@ class World:
                 )
             bullet.stepSimulation(physicsClientId=client)
             read = bullet.getJointStates(body, joints, physicsClientId=client)
-            q, velocity = np.array([r[0] for r in read]), np.array([r[1] for r in read])
+            before, q, velocity = velocity, np.array([r[0] for r in read]), np.array([r[1] for r in read])
+            outside = mass @ (velocity - before) / step_s - torque
         if not np.isfinite(q).all():
             raise SolverError(
                 f"simulator surrogate diverged at {1 / step_s:.0f} Hz; a smaller dt_s or softer joints help"
             )
-        return SurrogateState(q, velocity)
+        return SurrogateState(q, velocity, outside)
 
     def pose(self, state: SurrogateState) -> tuple[np.ndarray, np.ndarray]:
         """Return tip (3,) m and quaternion (4,) w x y z at ``state``."""

@@ -2,7 +2,7 @@
 
 import logging
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -11,21 +11,25 @@ from scipy.stats import qmc
 
 from softrl.artifacts.mesh import Mesh
 from softrl.artifacts.reduced_model import ReducedModel
+from softrl.artifacts.snapshots import Snapshots
 from softrl.artifacts.surrogate import Surrogate
 from softrl.core.errors import ConfigError, SolverError
 from softrl.core.scaling import Scaler
 from softrl.core.tracking import Tracker
-from softrl.pod.rom import static_coordinates
+from softrl.pod.rom import static_coordinates, tip_poses
 from softrl.robots.robot import Robot
 from softrl.surrogate.dimensions import Dimensions, dimensions_of
 from softrl.surrogate.fit import fit_joints
 from softrl.surrogate.kinematics import Chain, chain_from
 from softrl.surrogate.mlp import train_network
-from softrl.surrogate.report import report
-from softrl.surrogate.stiffness import Statics, body_compliance, fit_joint_stiffness
+from softrl.surrogate.report import Judged, report, report_full_model
+from softrl.surrogate.springs import Springs, softness_at
+from softrl.surrogate.stiffness import Compliance, Poses, Statics, body_compliance, fit_springs
+from softrl.surrogate.twin import Twin
 from softrl.surrogate.urdf import write_urdf
 
 log = logging.getLogger(__name__)
+SAMPLED_RADIUS = 0.97  # of the ball that holds the reduced model's samples; beyond it extrapolates, and yields less
 
 
 @dataclass(frozen=True)
@@ -39,8 +43,9 @@ class Config:
     bend_max_rad : the fit searches joint commands whose bend over the whole chain is below this
     slide_max_share : and whose slide in a gap is below this share of the mean pitch
     limit_margin_share : joint limits lie this share of the range of motion beyond it
-    compliance_samples : pressures at which the tip's compliance is taken, every second one held out
+    compliance_samples : pressures at which the body's compliance is taken, every second one held out
     compliance_force_n : force of the differences
+    spring_iterations, spring_ridge : fit of the springs to them: iterations, and weight that keeps them alike over poses
     hidden, iterations : width of the networks, iterations of their training
     tip_radius_m : sphere with which the tip touches surfaces
     contact_stiffness_n_per_m, contact_damping_n_s_per_m : of that touch
@@ -55,6 +60,8 @@ class Config:
     limit_margin_share: float
     compliance_samples: int
     compliance_force_n: float
+    spring_iterations: int
+    spring_ridge: float
     hidden: int
     iterations: int
     tip_radius_m: float
@@ -66,7 +73,8 @@ class Config:
 
     def __post_init__(self) -> None:
         positive = ("links", "samples", "bend_max_rad", "slide_max_share", "compliance_force_n", "hidden", "iterations",
-                    "tip_radius_m", "contact_stiffness_n_per_m", "compared_fits", "parity_samples")  # fmt: skip
+                    "tip_radius_m", "contact_stiffness_n_per_m", "compared_fits", "parity_samples", "spring_iterations",
+                    "spring_ridge")  # fmt: skip
         for name in positive:
             if getattr(self, name) <= 0:
                 raise ConfigError(f"stage.{name}={getattr(self, name):g} must be positive")
@@ -84,51 +92,83 @@ class Config:
 
 
 class Samples(NamedTuple):
-    """Equilibria: pressure (S, n) Pa, tip (S, 3) m, fitted joints (S, 3), residual (S,) m, heldout (S,) bool."""
+    """Equilibria: pressure (S, n) Pa and poses; fitted joints (S, 3), residual (S,) m, held-out rows (S,) bool."""
 
     pressure: np.ndarray
     tip: np.ndarray
+    quaternion: np.ndarray | None
+    sampled: np.ndarray
     joints: np.ndarray
     residual: np.ndarray
     heldout: np.ndarray
 
 
-def run(config: Config, robot: Robot, mesh: Mesh | None, reduced_model: ReducedModel, *, tracker: Tracker) -> Surrogate:
-    """Return the surrogate fitted to the reduced model's equilibria."""
-    return build_surrogate(
-        config, robot, mesh, partial(model_tips, reduced_model), float(reduced_model.rest_tip[2]), tracker
+def run(
+    config: Config,
+    robot: Robot,
+    mesh: Mesh | None,
+    reduced_model: ReducedModel,
+    snapshots: Snapshots,
+    *,
+    tracker: Tracker,
+) -> Surrogate:
+    """Return the surrogate fitted to the reduced model's equilibria, judged against the full model's under loads too."""
+    surrogate = build_surrogate(
+        config, robot, mesh, partial(model_poses, reduced_model), float(reduced_model.rest_tip[2]), tracker
     )
+    # the full model's equilibria are without weight: the chain that is compared with them is one without as well
+    weightless = partial(model_poses, reduced_model, gravity_m_s2=np.zeros(3))
+    report_full_model(_refitted(config, surrogate, weightless), snapshots, weightless, tracker)
+    return surrogate
 
 
-def model_tips(reduced_model: ReducedModel, loads: np.ndarray) -> np.ndarray:
-    """Return the tips (S, 3) m of the reduced model at equilibrium under ``loads`` (S, n + 3) Pa and N."""
-    return static_coordinates(reduced_model, loads)[:, -3:] + reduced_model.rest_tip
+def _refitted(config: Config, surrogate: Surrogate, pose_of: Statics) -> Surrogate:
+    """Return the surrogate with the springs of another body, fitted at as many of its pressures."""
+    pressure = surrogate.sample_pressure[~surrogate.heldout][: config.compliance_samples]
+    free = pose_of(np.hstack([pressure, np.zeros((len(pressure), 3))]))
+    known = np.ones(len(pressure), dtype=bool) if free.sampled is None else free.sampled
+    twin = Twin(surrogate)
+    springs = fit_springs(
+        twin.joints_for_tip(free.tip[known]), twin.chain,
+        body_compliance(pose_of, pressure[known], config.compliance_force_n), surrogate.joint_low,
+        surrogate.joint_high, config.spring_iterations, config.spring_ridge,
+    )  # fmt: skip
+    return replace(surrogate, softness_coefficients=springs.coefficients, gap_share=springs.share)
+
+
+def model_poses(reduced_model: ReducedModel, loads: np.ndarray, gravity_m_s2: np.ndarray | None = None) -> Poses:
+    """Return the poses of the reduced model at equilibrium under ``loads`` (S, n + 3) Pa and N."""
+    z = static_coordinates(reduced_model, loads, gravity_m_s2)
+    radius = np.linalg.norm(np.linalg.solve(reduced_model.frame, z.T), axis=0)
+    return Poses(*tip_poses(reduced_model, z), radius < SAMPLED_RADIUS)
 
 
 def build_surrogate(
-    config: Config, robot: Robot, mesh: Mesh | None, tip_of: Statics, tip_height: float, tracker: Tracker
+    config: Config, robot: Robot, mesh: Mesh | None, pose_of: Statics, tip_height: float, tracker: Tracker
 ) -> Surrogate:
-    """Return the surrogate of any body that ``tip_of`` describes: loads (S, n + 3) Pa and N -> tips (S, 3) m."""
+    """Return the surrogate of any body that ``pose_of`` describes."""
     rng = np.random.default_rng(config.seed)
     dimensions = dimensions_of(robot, mesh, tip_height, config.links)
     chain = chain_from(dimensions.joint_height, dimensions.plane_height, dimensions.tip_height)
-    samples = _sample(config, robot, dimensions, chain, tip_of, rng)
-    stiffness, compliance = _springs(config, samples, chain, tip_of)
-    surrogate = _assemble(config, robot, dimensions, samples, stiffness)
-    return report(surrogate, samples.residual, compliance, config.compared_fits, config.parity_samples, tracker)
+    samples = _sample(config, robot, dimensions, chain, pose_of, rng)
+    low, high = _limits(config, samples)
+    springs, judged = _springs(config, samples, chain, pose_of, low, high)
+    surrogate = _assemble(config, robot, dimensions, samples, springs)
+    return report(surrogate, judged, config.compared_fits, config.parity_samples, tracker)
 
 
 def _sample(
-    config: Config, robot: Robot, dimensions: Dimensions, chain: Chain, tip_of: Statics, rng: np.random.Generator
+    config: Config, robot: Robot, dimensions: Dimensions, chain: Chain, pose_of: Statics, rng: np.random.Generator
 ) -> Samples:
     sobol = qmc.Sobol(robot.chambers, rng=rng).random_base2(int(np.ceil(np.log2(config.samples))))[: config.samples]
     pressure = robot.pressure_min_pa + sobol * (robot.pressure_max_pa - robot.pressure_min_pa)
     started = time.perf_counter()
-    tip = tip_of(np.hstack([pressure, np.zeros((len(pressure), 3))]))
+    tip, quaternion, sampled = pose_of(np.hstack([pressure, np.zeros((len(pressure), 3))]))
     found = np.isfinite(tip).all(axis=1)
     if found.mean() < 0.95:
         raise SolverError(f"{(~found).sum()} of {len(found)} sampled equilibria were not found; expected 5 % at most")
-    pressure, tip = pressure[found], tip[found]
+    pressure, tip, quaternion = pressure[found], tip[found], None if quaternion is None else quaternion[found]
+    sampled = np.ones(len(tip), dtype=bool) if sampled is None else sampled[found]
     gaps = len(dimensions.plane_height)
     bend, slide = (
         config.bend_max_rad / gaps,
@@ -136,33 +176,52 @@ def _sample(
     )
     limit = np.array([bend, bend, slide])
     fit = fit_joints(chain, tip, -limit, limit)
+    if not sampled.all():
+        log.info(
+            "%d equilibria lie outside the reduced model's samples; springs are not fitted there", (~sampled).sum()
+        )
     log.info(
         "%d equilibria, fitted to %.2g mm rms in %.1f s", len(tip), 1e3 * np.sqrt(np.mean(fit.residual**2)),
         time.perf_counter() - started,
     )  # fmt: skip
     heldout = np.zeros(len(tip), dtype=bool)
     heldout[rng.permutation(len(tip))[: max(1, round(config.heldout_share * len(tip)))]] = True
-    return Samples(pressure, tip, fit.theta, fit.residual, heldout)
+    return Samples(pressure, tip, quaternion, sampled, fit.theta, fit.residual, heldout)
+
+
+def _limits(config: Config, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
+    """Return the range of motion (3,) of the grouped command, with its margin."""
+    low, high = samples.joints.min(axis=0), samples.joints.max(axis=0)
+    margin = config.limit_margin_share * (high - low)
+    return low - margin, high + margin
 
 
 def _springs(
-    config: Config, samples: Samples, chain: Chain, tip_of: Statics
-) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Return the joints' stiffness (3,), and joints and compliances of the held-out pressures."""
-    chosen = np.linspace(0, len(samples.tip) - 1, min(config.compliance_samples, len(samples.tip))).astype(int)
-    compliance = body_compliance(tip_of, samples.pressure[chosen], config.compliance_force_n)
+    config: Config, samples: Samples, chain: Chain, pose_of: Statics, low: np.ndarray, high: np.ndarray
+) -> tuple[Springs, Judged]:
+    """Return the joints' springs, and what they are to be judged by: the body at the held-out pressures."""
+    known = np.flatnonzero(samples.sampled)
+    if len(known) < 2:
+        raise SolverError(
+            f"{len(known)} of {len(samples.tip)} equilibria lie among the reduced model's samples; expected 2 or more: "
+            "its samples do not cover the robot's pressures, rerun stage=fem and stage=pod"
+        )
+    chosen = known[np.linspace(0, len(known) - 1, min(config.compliance_samples, len(known))).astype(int)]
+    compliance = body_compliance(pose_of, samples.pressure[chosen], config.compliance_force_n)
     joints = samples.joints[chosen]
-    stiffness = fit_joint_stiffness(joints[::2], chain, compliance[::2])
-    return stiffness, (joints[1::2], compliance[1::2])
+
+    def every_second(first: int) -> Compliance:
+        turn = None if compliance.turn is None else compliance.turn[first::2]
+        return Compliance(compliance.tip[first::2], turn)
+
+    fit = partial(
+        fit_springs, joints[::2], chain, every_second(0), low, high, config.spring_iterations, config.spring_ridge
+    )
+    return fit(), Judged(samples.residual, samples.quaternion, joints[1::2], every_second(1), fit(alike=True))
 
 
-def _assemble(
-    config: Config, robot: Robot, dimensions: Dimensions, samples: Samples, stiffness: np.ndarray
-) -> Surrogate:
-    seen = ~samples.heldout
-    low, high = samples.joints.min(axis=0), samples.joints.max(axis=0)
-    margin = config.limit_margin_share * (high - low)
-    low, high = low - margin, high + margin
+def _assemble(config: Config, robot: Robot, dimensions: Dimensions, samples: Samples, springs: Springs) -> Surrogate:
+    seen, low, high = ~samples.heldout, springs.low, springs.high
     pressures, joints = Scaler.fit(samples.pressure[seen]), Scaler.fit(samples.joints[seen])
     x, y = pressures.scale(samples.pressure[seen]), joints.scale(samples.joints[seen])
     # a single joint yields to loads beyond the range of the grouped command
@@ -176,7 +235,7 @@ def _assemble(
         tip_height=dimensions.tip_height,
         joint_low=low,
         joint_high=high,
-        joint_stiffness=stiffness,
+        joint_stiffness=1.0 / np.diag(softness_at(samples.joints[_at_rest(samples)], springs)),
         contact_stiffness_n_per_m=config.contact_stiffness_n_per_m,
         contact_damping_n_s_per_m=config.contact_damping_n_s_per_m,
         mass=robot.mass_kg,
@@ -194,4 +253,11 @@ def _assemble(
         pressure_high=samples.pressure.max(axis=0),
         metrics={},
         robot_name=robot.name,
+        softness_coefficients=springs.coefficients,
+        gap_share=springs.share,
     )
+
+
+def _at_rest(samples: Samples) -> int:
+    """Return the sample of the smallest pressures."""
+    return int(np.argmin((samples.pressure**2).sum(axis=1)))

@@ -1,51 +1,168 @@
-"""Springs of the chain's joints from the body's own tip compliance."""
+"""Springs of the chain's joints from the body's own compliance: how tip and orientation yield to forces."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import nnls
+import torch
 
 from softrl.core.errors import SolverError
-from softrl.surrogate.kinematics import Chain, joint_jacobians
+from softrl.surrogate.kinematics import Chain, joint_axes, joint_jacobians
+from softrl.surrogate.springs import Springs, constant, monomials, softness_at
 
-Statics = Callable[[np.ndarray], np.ndarray]  # loads (S, n + 3) Pa and N -> tips (S, 3) m at equilibrium
+
+class Poses(NamedTuple):
+    """Tips (S, 3) m and orientations (S, 4) w x y z, or None where a body tells no orientation.
+
+    ``sampled`` (S,) bool: poses among those that the body was built from, where its compliance can be trusted; None for all.
+    """
+
+    tip: np.ndarray
+    quaternion: np.ndarray | None
+    sampled: np.ndarray | None = None
 
 
-def body_compliance(tip_of: Statics, pressure: np.ndarray, force: float) -> np.ndarray:
-    """Return d tip / d force (S, 3, 3) m/N of the body at ``pressure`` (S, n) Pa, by central differences of ``force`` N."""
-    columns = []
+class Compliance(NamedTuple):
+    """What a body yields at its tip: ``tip`` (S, 3, 3) m/N and ``turn`` (S, 3, 3) rad/N per force, or None."""
+
+    tip: np.ndarray
+    turn: np.ndarray | None
+
+
+Statics = Callable[[np.ndarray], Poses]  # loads (S, n + 3) Pa and N -> poses at equilibrium
+
+
+def body_compliance(pose_of: Statics, pressure: np.ndarray, force: float) -> Compliance:
+    """Return how the body yields at ``pressure`` (S, n) Pa, by central differences of ``force`` N."""
+    moved, turned = [], []
     for axis in range(3):
         push = np.zeros((len(pressure), 3))
         push[:, axis] = force
-        columns.append((tip_of(np.hstack([pressure, push])) - tip_of(np.hstack([pressure, -push]))) / (2.0 * force))
-    return np.stack(columns, axis=2)
+        ahead, behind = pose_of(np.hstack([pressure, push])), pose_of(np.hstack([pressure, -push]))
+        moved.append((ahead.tip - behind.tip) / (2.0 * force))
+        if ahead.quaternion is not None and behind.quaternion is not None:
+            turned.append(_turn_between(behind.quaternion, ahead.quaternion) / (2.0 * force))
+    tip = np.stack(moved, axis=2)
+    # a conservative body yields symmetrically; what differs is the differences' own error
+    return Compliance(0.5 * (tip + np.swapaxes(tip, 1, 2)), np.stack(turned, axis=2) if turned else None)
 
 
-def chain_compliance(theta: np.ndarray, chain: Chain, stiffness: np.ndarray) -> np.ndarray:
-    """Return d tip / d force (S, 3, 3) m/N of the chain at grouped commands (S, 3): sum of J J' / k over its joints."""
-    jacobian = joint_jacobians(theta, chain)
-    return np.einsum("sij,skj,j->sik", jacobian, jacobian, np.tile(1.0 / stiffness, len(chain.below)))
+def _turn_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the small rotation vectors (S, 3) rad that turn one orientation (S, 4) w x y z into the other."""
+    w, v = first[:, :1], -first[:, 1:]
+    scalar = second[:, :1] * w - np.sum(second[:, 1:] * v, axis=1, keepdims=True)
+    vector = second[:, :1] * v + w * second[:, 1:] + np.cross(second[:, 1:], v)
+    return 2.0 * vector * np.sign(scalar)
 
 
-def fit_joint_stiffness(theta: np.ndarray, chain: Chain, compliance: np.ndarray) -> np.ndarray:
-    """Return k (3,) N m/rad, N m/rad, N/m of hinges and slides that explain ``compliance`` (S, 3, 3) m/N at ``theta`` (S, 3).
+def bending_of(turn: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Return the part of ``turn`` (S, 3, ...) across the tip's own ``axis`` (S, 3): bending, without twist."""
+    return turn - axis.reshape(*axis.shape, *(1,) * (turn.ndim - 2)) * np.einsum("si,si...->s...", axis, turn)[:, None]
+
+
+def chain_turn(theta: np.ndarray, chain: Chain, springs: Springs) -> np.ndarray:
+    """Return d orientation / d force (S, 3, 3) rad/N of the unloaded chain at commands (S, 3)."""
+    moved, turned, _ = _gap_slopes(theta, chain)
+    softness = np.stack([softness_at(row, springs) for row in np.ascontiguousarray(theta, dtype=float)])
+    return np.einsum("saki,sij,sbkj,k->sab", turned, softness, moved, springs.share)
+
+
+def _gap_slopes(theta: np.ndarray, chain: Chain) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return d tip and d orientation / d joints (S, 3, gaps, 3), and the tip's own axis (S, 3), at commands (S, 3)."""
+    rows = np.ascontiguousarray(theta, dtype=float)
+    axes, direction = joint_axes(rows, chain)
+    shape = (len(rows), 3, len(chain.below), 3)
+    return joint_jacobians(rows, chain).reshape(shape), axes.reshape(shape), direction
+
+
+def fit_springs(theta: np.ndarray, chain: Chain, compliance: Compliance, low: np.ndarray, high: np.ndarray,
+                iterations: int, ridge: float, alike: bool = False) -> Springs:  # fmt: skip
+    """Return the springs, for commands in ``low`` .. ``high`` (3,), that explain ``compliance`` at ``theta`` (S, 3).
+
+    With ``alike`` they are the same in every pose and gap, and the joints of a gap do not act on each other.
 
     Notes
     -----
-    The chain's compliance is linear in the joints' compliances: non-negative least squares on its diagonal, each axis
-    relative to its mean over the samples.
+    Least squares by L-BFGS over the coefficients and one taper along the chain, from springs of one value. The tip's
+    compliance counts relative to the body's in every direction (both sides multiplied by the inverse of its Cholesky
+    factor), so that the stiff axis counts as the soft ones; bending counts relative to its size. Twist of the tip
+    about its own axis is left out: hinges alone cannot follow it.
     """
-    jacobian = joint_jacobians(theta, chain)
-    samples = len(theta)
-    by_kind = (jacobian**2).reshape(samples, 3, -1, 3).sum(axis=2)  # (S, axis, kind of joint)
-    measured = np.einsum("sii->si", compliance)
-    weight = 1.0 / measured.mean(axis=0)
-    design, wanted = (by_kind * weight[:, None]).reshape(-1, 3), (measured * weight).ravel()
-    scale = design.max(axis=0)
-    soft = nnls(design / scale, wanted)[0] / scale
-    if (soft <= 0.0).any():
+    torch.set_num_threads(1)
+    moved, turned, axis = _gap_slopes(theta, chain)
+    gaps = len(chain.below)
+    terms = torch.tensor(np.stack([monomials(row, low, high) for row in theta]))
+    size = torch.tensor(_uniform_softness(moved, compliance.tip) ** 0.5)
+    whiten = torch.linalg.inv(torch.linalg.cholesky(torch.tensor(compliance.tip)))
+    slopes, body = torch.tensor(moved), torch.tensor(compliance.tip)
+    bend = None if compliance.turn is None else torch.tensor(bending_of(compliance.turn, axis))
+    turns = torch.tensor(bending_of(turned, axis))
+    height = torch.linspace(-1.0, 1.0, gaps, dtype=torch.float64)
+    shape = torch.zeros(terms.shape[1], 6, dtype=torch.float64, requires_grad=True)
+    tapered = bend is not None and not alike
+    taper = torch.zeros(1, dtype=torch.float64, requires_grad=tapered)
+    free = [shape, taper] if tapered else [shape]
+    kept = torch.zeros_like(shape, requires_grad=False)
+    kept[0, :3] = 1.0  # one value a kind of joint
+    kept = kept if alike else torch.ones_like(kept)
+    search = torch.optim.LBFGS(
+        free, max_iter=iterations, history_size=30, line_search_fn="strong_wolfe", tolerance_grad=1e-9,
+        tolerance_change=1e-12,
+    )  # fmt: skip
+
+    def closure() -> torch.Tensor:
+        search.zero_grad()
+        softness = _softness(terms @ (kept * shape), size)
+        share = _share(taper, height)
+        miss = whiten @ (torch.einsum("saki,sij,sbkj,k->sab", slopes, softness, slopes, share) - body)
+        loss = (miss @ whiten.transpose(1, 2)).pow(2).sum(dim=(1, 2)).mean() + ridge * shape.pow(2).sum()
+        if bend is not None:
+            error = torch.einsum("saki,sij,sbkj,k->sab", turns, softness, slopes, share) - bend
+            loss = loss + error.pow(2).sum() / bend.pow(2).sum()
+        loss.backward()
+        return loss
+
+    search.step(closure)
+    if not torch.isfinite(shape).all():
+        raise SolverError("the fit of the joints' springs diverged; check the reduced model's statics under tip forces")
+    coefficients = (kept * shape).detach().numpy().copy()
+    coefficients[0, :3] += np.log(size.numpy())
+    coefficients[:, 3:] *= size.numpy()[[1, 2, 2]]
+    return Springs(coefficients, _share(taper, height).detach().numpy().copy(), low, high)
+
+
+def _uniform_softness(moved: np.ndarray, compliance: np.ndarray) -> np.ndarray:
+    """Return a softness (3,) of each kind of joint from the mean compliance: hinges across the chain, slides along it."""
+    across = 0.5 * (compliance[:, 0, 0] + compliance[:, 1, 1]).mean() / (moved[:, 0, :, 1] ** 2).sum(axis=1).mean()
+    along = compliance[:, 2, 2].min() / (moved[:, 2, :, 2] ** 2).sum(axis=1).mean()
+    if not min(across, along) > 0.0:
         raise SolverError(
-            f"joint compliances {soft} rad/(N m), rad/(N m), m/N explain the body's tip compliance "
-            f"{measured.mean(axis=0)} m/N best, but none may vanish; check the reduced model's statics under tip forces"
+            f"the body's tip yields by {np.einsum('sii->si', compliance).mean(axis=0)} m/N; expected positive values: "
+            "check the reduced model's statics under tip forces"
         )
-    return 1.0 / soft
+    return np.array([across, across, along])
+
+
+def _softness(values: torch.Tensor, size: torch.Tensor) -> torch.Tensor:
+    """Return S (S, 3, 3) = L L' of factors with log diagonal ``values`` [:, :3] and the rest below, in units of ``size``."""
+    zero = torch.zeros_like(values[:, 0])
+    diagonal = torch.exp(values[:, :3])
+    factor = torch.stack(
+        [
+            torch.stack([diagonal[:, 0], zero, zero], dim=1),
+            torch.stack([values[:, 3], diagonal[:, 1], zero], dim=1),
+            torch.stack([values[:, 4], values[:, 5], diagonal[:, 2]], dim=1),
+        ],
+        dim=1,
+    )
+    factor = size[:, None] * factor
+    return factor @ factor.transpose(1, 2)
+
+
+def _share(taper: torch.Tensor, height: torch.Tensor) -> torch.Tensor:
+    return torch.softmax(taper * height, dim=0) * len(height)
+
+
+def constant_springs(stiffness: np.ndarray, gaps: int, low: np.ndarray, high: np.ndarray) -> Springs:
+    """Return springs of ``stiffness`` (3,) N m/rad, N m/rad, N/m in every pose."""
+    return Springs(constant(stiffness), np.ones(gaps), low, high)

@@ -9,8 +9,10 @@ from softrl.artifacts.surrogate import Surrogate
 from softrl.core.errors import SolverError
 from softrl.surrogate.fit import fit_joints
 from softrl.surrogate.kinematics import Chain, chain_of, grouped_poses, joint_jacobians, pose, quaternion_of
+from softrl.surrogate.springs import Springs, softness_at, springs_of, stiffness_matrix
 
-ITERATIONS = 300
+ITERATIONS = 600
+CALM_AFTER, CALMER_AFTER = 80, 250  # iterations from which steps are shortened: deep contact overshoots
 TOLERANCE_N = 1e-9  # change of the reaction between two iterations
 Plane = tuple[np.ndarray, np.ndarray]
 
@@ -39,7 +41,8 @@ class Twin:
 
     Notes
     -----
-    Equilibrium ``K (q - q_command) = J(q)' (F + reaction)``, solved by fixed-point iteration. The plane is a penalty of
+    Equilibrium ``K (q - q_command) = J(q)' (F + reaction)``, solved by fixed-point iteration; K is that of the commanded
+    pose. The plane is a penalty of
     ``contact_stiffness`` as in PyBullet's soft contact; its share of an iteration is solved implicitly through the tip's
     compliance, so that stiff contact converges. Friction is Coulomb's with stick. Weight is not applied: the commands
     were fitted to a body that hangs in its weight already.
@@ -48,7 +51,7 @@ class Twin:
     def __init__(self, surrogate: Surrogate) -> None:
         self.chain: Chain = chain_of(surrogate)
         self.low, self.high = surrogate.joint_low.copy(), surrogate.joint_high.copy()
-        self.stiffness = np.tile(surrogate.joint_stiffness, surrogate.gaps)
+        self.springs: Springs = springs_of(surrogate)
         self.contact_stiffness = float(surrogate.contact_stiffness_n_per_m)
 
     def tip(self, theta: np.ndarray) -> np.ndarray:
@@ -69,8 +72,15 @@ class Twin:
 
     def softness(self, theta: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """Return by how many m/N the tips yield along ``direction`` (3,) under commands (B, 3)."""
-        pull = np.einsum("bij,i->bj", joint_jacobians(_rows(theta), self.chain), np.asarray(direction, dtype=float))
-        return (pull**2 / self.stiffness).sum(axis=1)
+        return np.einsum("i,bij,j->b", direction, self.compliance(theta), direction)
+
+    def compliance(self, theta: np.ndarray) -> np.ndarray:
+        """Return d tip / d force (B, 3, 3) m/N of the unloaded chain under commands (B, 3)."""
+        return chain_compliance(_rows(theta), self.chain, self.springs)
+
+    def stiffness(self, theta: np.ndarray) -> np.ndarray:
+        """Return K (3 gaps, 3 gaps) of the joints' springs under the grouped command (3,)."""
+        return stiffness_matrix(theta, self.springs)
 
     def solve(
         self,
@@ -79,6 +89,7 @@ class Twin:
         plane: Plane | None = None,
         friction: float = 0.0,
         start: np.ndarray | None = None,
+        refuse: bool = True,
     ) -> TwinState:
         """Return the equilibria under commands (B, 3), tip forces (B, 3) N and a plane.
 
@@ -87,6 +98,8 @@ class Twin:
         plane : (normal (3,) towards the robot's side, point (3,) m)
         friction : Coulomb's coefficient
         start : (B, 3) m, tips before the motion, from which sliding is counted; the unloaded tips by default
+        refuse : if not, an equilibrium that was not found is answered by where the search ended; a chain that is pressed
+            ten times harder than it is meant to buckles, and a learner that explores does press
 
         Raises
         ------
@@ -108,9 +121,9 @@ class Twin:
         )
         before = self.tip(theta) if start is None else _rows(start)
         *state, failed = _equilibria(
-            theta, forces, normal, point, float(friction), before, self.chain, self.stiffness, self.contact_stiffness
+            theta, forces, normal, point, float(friction), before, self.chain, self.springs, self.contact_stiffness
         )
-        if failed:
+        if failed and refuse:
             raise SolverError(
                 f"{failed} of {batch} equilibria of the twin were not found in {ITERATIONS} iterations; "
                 f"expected loads near the tip's range, the largest force here is {np.abs(forces).max():.3g} N"
@@ -131,38 +144,46 @@ def _equilibria(
     friction: float,
     start: np.ndarray,
     chain: Chain,
-    stiffness: np.ndarray,
+    springs: Springs,
     contact_stiffness: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
-    batch, joints = len(theta), len(stiffness)
+    batch, joints = len(theta), 3 * len(chain.below)
     tips, quaternions, reactions = np.empty((batch, 3)), np.empty((batch, 4)), np.zeros((batch, 3))
     contact, coordinates = np.zeros(batch), np.empty((batch, joints))
     command, q, forward = np.empty(joints), np.empty(joints), np.empty(joints)
     rotation, jacobian, compliance = np.empty((3, 3)), np.empty((3, joints)), np.empty((3, 3))
-    load, expected, grip = np.empty(3), np.empty(3), np.empty(3)
+    load, expected, grip, torque = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     touching = normal @ normal > 0.0
     failed = 0
     for b in range(batch):
         for j in range(joints):
             command[j] = theta[b, j % 3]
             q[j] = command[j]
+        soft = softness_at(theta[b], springs)
         press, change = 0.0, 1.0
         grip[:] = 0.0
-        for _ in range(ITERATIONS):
+        for turn in range(ITERATIONS):
+            share = 1.0 if turn < CALM_AFTER else (0.5 if turn < CALMER_AFTER else 0.15)
             pose(q, chain, tips[b], rotation, jacobian)
             for i in range(3):
                 load[i] = force[b, i] + press * normal[i] + grip[i]
                 expected[i] = tips[b, i]
             move = 0.0
-            for j in range(joints):
-                pull = jacobian[0, j] * load[0] + jacobian[1, j] * load[1] + jacobian[2, j] * load[2]
-                forward[j] = command[j] + pull / stiffness[j] - q[j]
-                move = max(move, abs(forward[j]))
-                for i in range(3):
-                    expected[i] += jacobian[i, j] * forward[j]
+            for k in range(joints // 3):
+                for a in range(3):
+                    torque[a] = 0.0
+                    for i in range(3):
+                        torque[a] += springs.share[k] * jacobian[i, 3 * k + a] * load[i]
+                for a in range(3):
+                    j = 3 * k + a
+                    yielded = soft[a, 0] * torque[0] + soft[a, 1] * torque[1] + soft[a, 2] * torque[2]
+                    forward[j] = share * (command[j] + yielded - q[j])
+                    move = max(move, abs(forward[j]))
+                    for i in range(3):
+                        expected[i] += jacobian[i, j] * forward[j]
             change = 0.0
             if touching:
-                _compliance(jacobian, stiffness, compliance)
+                tip_compliance(jacobian, soft, springs.share, compliance)
                 before = press
                 press = _press(press, expected, normal, point, compliance, contact_stiffness)
                 for i in range(3):  # what the new normal force moves, friction answers to
@@ -185,12 +206,28 @@ def _equilibria(
 
 
 @nb.njit(cache=True)
-def _compliance(jacobian: np.ndarray, stiffness: np.ndarray, compliance: np.ndarray) -> None:
-    for i in range(3):
-        for k in range(3):
-            compliance[i, k] = 0.0
-            for j in range(len(stiffness)):
-                compliance[i, k] += jacobian[i, j] * jacobian[k, j] / stiffness[j]
+def tip_compliance(jacobian: np.ndarray, soft: np.ndarray, share: np.ndarray, compliance: np.ndarray) -> None:
+    """Fill d tip / d force (3, 3) m/N: the sum of share J S J' over the gaps, J their (3, 3) parts of ``jacobian``."""
+    compliance[:] = 0.0
+    turned = np.empty(3)
+    for k in range(len(share)):
+        for i in range(3):
+            for a in range(3):
+                turned[a] = 0.0
+                for c in range(3):
+                    turned[a] += share[k] * jacobian[i, 3 * k + c] * soft[c, a]
+            for n in range(3):
+                for a in range(3):
+                    compliance[i, n] += turned[a] * jacobian[n, 3 * k + a]
+
+
+@nb.njit(cache=True)
+def chain_compliance(theta: np.ndarray, chain: Chain, springs: Springs) -> np.ndarray:
+    """Return d tip / d force (B, 3, 3) m/N of the unloaded chain at grouped commands (B, 3)."""
+    jacobians, found = joint_jacobians(theta, chain), np.empty((len(theta), 3, 3))
+    for b in range(len(theta)):
+        tip_compliance(jacobians[b], softness_at(theta[b], springs), springs.share, found[b])
+    return found
 
 
 @nb.njit(cache=True)

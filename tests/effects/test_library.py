@@ -11,7 +11,7 @@ import yaml
 from softrl.core.errors import ConfigError
 from softrl.core.simulator import Motion
 from softrl.effects import library
-from softrl.effects.chain import Plant, chain_of
+from softrl.effects.chain import Plant, SignalFilter, chain_of
 from softrl.effects.effect import BODY_PORT_ROWS, LOAD_PORT_ROWS, SITES, Effect
 from softrl.pcc.simulator import PccSimulator
 from softrl.robots.robot import Robot
@@ -56,7 +56,7 @@ def example_input(effect: Effect, robot: Robot) -> np.ndarray:
         return rng.normal(0.0, 0.05, (BODY_PORT_ROWS, robot.chambers))
     if effect.site == "load":
         return rng.normal(0.0, 0.1, (LOAD_PORT_ROWS, 3))
-    if effect.site == "sensor":
+    if effect.site == "sensor" and effect.channel == "pose":
         return np.array([0.01, 0.02, 0.17, 0.96, 0.0, 0.28, 0.0])
     return np.array([12e3, 3e3, 25e3])[: robot.chambers]
 
@@ -66,6 +66,17 @@ def test_catalogue_and_configs_name_the_same_effects() -> None:
     assert {library.effect_class(name).site for name in NAMES} == set(SITES)
     with pytest.raises(ConfigError, match="'gravity_waves' is unknown"):
         library.effect_class("gravity_waves")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_says_what_it_is(name: str) -> None:
+    """One line of what it stands for, an equation, its source or that none was checked, and a unit per parameter."""
+    cls = library.effect_class(name)
+    text = " ".join((cls.__doc__ or "").split())
+    assert "``" in text, "an equation in the docstring"
+    assert "no equation number checked" in text or "[Hong 2025]" in text, "a source in the docstring"
+    assert list(cls.parameter_fields()) and all(f.metadata["unit"] for f in cls.parameter_fields())
+    assert not cls.variant_of or library.effect_class(cls.variant_of).site == cls.site
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -143,6 +154,10 @@ VISIBLE = [(n, r) for n in NAMES for r in ROBOTS if (n, r) != ("crosstalk", "sin
 def test_typical_is_visible(name: str, robot: str) -> None:
     changed, bare = simulate([typical(name)], robot=robot), simulate([], robot=robot)
     assert np.isfinite(changed.position).all()
+    if library.effect_class(name).channel == "pressure":
+        assert np.abs(changed.pressure - bare.pressure).max() > 0.01 * simulator(robot).robot.pressure_max_pa
+        np.testing.assert_array_equal(changed.position, bare.position)
+        return
     moved = np.sqrt(np.mean(np.sum((changed.position - bare.position) ** 2, axis=1)))
     assert moved > 2e-3 * simulator(robot).robot.length_m, f"{1e3 * moved:.3f} mm"
 
@@ -152,12 +167,49 @@ BY_CHAMBER = [n for n in NAMES if "chamber" in NODES[n]]
 
 @pytest.mark.parametrize("name", BY_CHAMBER)
 def test_one_chamber_can_be_meant(name: str) -> None:
-    one = simulate([dataclasses.replace(typical(name), chamber=1)]).position
-    every = simulate([typical(name)]).position
-    bare = simulate([]).position
+    channel = "pressure" if library.effect_class(name).channel == "pressure" else "position"
+    one = getattr(simulate([dataclasses.replace(typical(name), chamber=1)]), channel)
+    every = getattr(simulate([typical(name)]), channel)
+    bare = getattr(simulate([]), channel)
     assert np.abs(one - bare).max() > 1e-4 and np.abs(one - every).max() > 1e-4
     with pytest.raises(ConfigError, match="chamber=3 does not exist"):
         simulate([dataclasses.replace(typical(name), chamber=3)])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_run_in_pieces_is_the_run(name: str) -> None:
+    """What an effect remembers stands in its state alone: a filter that goes on equals one that never stopped."""
+    effect, robot = typical(name), simulator().robot
+    if effect.site in ("body", "load"):
+        return  # test_stepping_with_hooks_is_simulating
+    bare = simulate([])
+    rows = np.hstack([bare.position, bare.quaternion]) if effect.channel == "pose" else bare.pressure
+    rows = rows if effect.site == "sensor" else bare.pressure
+    site = effect.site if effect.channel == "pose" else "gauge"
+    whole = SignalFilter(chain_of(robot, [effect]), site).advance(rows, 0.01)
+    pieces = SignalFilter(chain_of(robot, [effect]), site)
+    again = np.vstack([pieces.advance(part, 0.01) for part in np.array_split(rows, [1, 5, 400])])
+    np.testing.assert_array_equal(again, whole)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_approaching_neutral_it_vanishes_continuously(name: str) -> None:
+    """Half way to neutral it does less than at its typical values: a search can find the way back."""
+    cls = library.effect_class(name)
+
+    def size(share: float) -> float:
+        values = {}
+        for f in cls.parameter_fields():
+            neutral, shown = f.metadata["neutral"], f.metadata["typical"]
+            values[f.name] = (
+                neutral * (shown / neutral) ** share if f.metadata["log"] else neutral + share * (shown - neutral)
+            )
+        motion, bare = simulate([cls(**values)]), simulate([])
+        return float(
+            np.abs(motion.position - bare.position).max() + 1e-6 * np.abs(motion.pressure - bare.pressure).max()
+        )
+
+    assert size(0.02) < 0.5 * size(1.0), f"{size(0.02):.3g}, {size(1.0):.3g}"
 
 
 def test_order_of_the_list_does_not_matter() -> None:
@@ -182,13 +234,16 @@ def test_members_within_their_bounds_converge_together() -> None:
         assert np.isfinite(simulate(chosen).position).all(), chosen
 
 
-@pytest.mark.parametrize("name", [n for n in NAMES if library.effect_class(n).site == "body"])
+@pytest.mark.parametrize("name", [n for n in NAMES if library.effect_class(n).site in ("body", "load")])
 def test_stepping_with_hooks_is_simulating(name: str) -> None:
     body = simulator()
     time, pressure = program(body.robot, 0.01, duration_s=2.0)
     chain = chain_of(body.robot, [typical(name)])
-    motion = body.simulate(time, pressure, body=chain.hooks("body"))
-    hooks, state = chain.hooks("body"), body.reset()
-    for k in range(len(time)):
-        state = body.step(state, pressure[k], 0.01, body=hooks)
-    np.testing.assert_allclose(body.observe(state)[0], motion.position[-1], atol=1e-8)
+    motion = body.simulate(time, pressure, body=chain.hooks("body"), load=chain.hooks("load"))
+    state, on_body, on_load = body.reset(), chain.hooks("body"), chain.hooks("load")
+    loaded = library.effect_class(name).site == "load"
+    for row in np.zeros((500 if loaded else 0, 3)):  # it comes to rest under its load, where a simulation begins
+        state = body.step(state, row, 0.01, load=on_load)
+    for row in pressure:
+        state = body.step(state, row, 0.01, body=on_body, load=on_load)
+    np.testing.assert_allclose(body.observe(state)[0], motion.position[-1], atol=1e-5 if loaded else 1e-8)

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from softrl.core.simulator import Motion
 from softrl.effects.area_growth import AreaGrowth
+from softrl.effects.asymmetry import Asymmetry
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.contact import Contact
 from softrl.effects.crosstalk import Crosstalk
@@ -35,11 +36,13 @@ from softrl.effects.effect import (
     TIP_VELOCITY,
     Effect,
 )
+from softrl.effects.failure import Failure
 from softrl.effects.frame import Frame
 from softrl.effects.friction import Friction
 from softrl.effects.gain import Gain
 from softrl.effects.hold import Hold
 from softrl.effects.hysteresis import Hysteresis
+from softrl.effects.knee import Knee
 from softrl.effects.lag import Lag
 from softrl.effects.leak import Leak
 from softrl.effects.marker_offset import MarkerOffset
@@ -47,6 +50,9 @@ from softrl.effects.mount_tilt import MountTilt
 from softrl.effects.mullins import Mullins
 from softrl.effects.offset import Offset
 from softrl.effects.payload import Payload
+from softrl.effects.play import Play
+from softrl.effects.power_creep import PowerCreep
+from softrl.effects.pressure_sensor import PressureSensor
 from softrl.effects.rate_limit import RateLimit
 from softrl.effects.stiffness_scale import StiffnessScale
 from softrl.effects.strain_softening import StrainSoftening
@@ -250,6 +256,67 @@ def test_viscous_loop_depends_on_rate_where_bouc_wen_does_not() -> None:
     assert widths[1] > 1.5 * widths[0] and widths[1] > 1.5 * widths[2]
 
 
+def test_play_is_backlash_between_pressure_and_strain() -> None:
+    """Around an elastic wall the strain follows the pressure as the play operator says, at any rate and step."""
+    height, yield_strain = 0.1, 0.001
+    effect = Play(height=height, yield_strain=yield_strain)
+    for count in (100, 1000):
+        strain = np.concatenate([np.linspace(0, 0.1, count), np.linspace(0.1, 0.0, count)])
+        pressure = STIFFNESS * strain + pull(effect, strain)
+        up = np.interp(0.05, strain[:count], pressure[:count])
+        down = np.interp(-0.05, -strain[count:], pressure[count:])
+        np.testing.assert_allclose(up - down, 2 * height * FULL, rtol=1e-6)
+    small = pull(effect, 0.0004 * np.sin(np.linspace(0, 20, 500)))
+    assert np.abs(small - height * FULL / yield_strain * 0.0004 * np.sin(np.linspace(0, 20, 500))).max() < 1e-6 * FULL
+
+
+@pytest.mark.parametrize("exponent", [0.1, 0.3, 0.6])
+def test_power_creep_relaxes_by_a_power_of_time(exponent: float) -> None:
+    effect, strain = PowerCreep(share=0.5, exponent=exponent), 0.05
+    for dt_s, after in ((0.005, np.array([20, 50, 200, 800])), (0.5, np.array([20, 60, 200, 600]))):
+        added = pull(effect, np.full(after[-1] + 1, strain), dt_s)[after]
+        expected = STIFFNESS * strain * 0.5 * (after * dt_s) ** -exponent
+        np.testing.assert_allclose(added, expected, rtol=0.1)
+
+
+def test_asymmetry_turns_the_plane_of_bending_and_keeps_the_sum() -> None:
+    command = np.full((1, 3), 1e4)
+    acting = signal(Asymmetry(along_x=0.2, along_y=-0.1), command)[0]
+    np.testing.assert_allclose(acting, 1e4 * (1.0 + ROBOT.chamber_direction @ [0.2, -0.1]))
+    np.testing.assert_allclose(acting.sum(), command.sum())  # chambers evenly spread
+    tip = move([Asymmetry(along_x=0.2, along_y=0.0)], np.full((600, 3), 2e4)).position[-1]
+    assert tip[0] < -1e-3 and abs(tip[1]) < 1e-6  # away from the stronger side
+
+
+def test_knee_bends_the_line_above_its_threshold_only() -> None:
+    command = FULL * np.array([[0.2, 0.5, 1.0], [-0.2, -0.5, -1.0]])
+    acting = signal(Knee(slope=0.5, threshold=0.5), command)
+    np.testing.assert_allclose(acting, FULL * np.array([[0.2, 0.5, 0.75], [-0.2, -0.5, -0.75]]))
+
+
+def test_failure_begins_at_its_onset_between_steps_too() -> None:
+    acting = signal(Failure(loss=0.4, onset_s=0.505, chamber=1), step_to(1e4, 100))
+    np.testing.assert_allclose(acting[:50], 1e4)
+    np.testing.assert_allclose(acting[50], [1e4, 0.8e4, 1e4])
+    np.testing.assert_allclose(acting[51:], np.tile([1e4, 0.6e4, 1e4], (49, 1)))
+
+
+def test_gauge_changes_what_is_reported_and_can_be_undone() -> None:
+    pressure = 2e4 * np.random.default_rng(0).uniform(-1, 1, (50, 3))
+    for effect in (PressureSensor(gain=1.1, offset=0.03), PressureSensor(gain=0.9, offset=0.0, chamber=2)):
+        motion, bare = move([effect, Lag(0.1, 0.1)], pressure), move([Lag(0.1, 0.1)], pressure)
+        np.testing.assert_array_equal(motion.position, bare.position)
+        np.testing.assert_allclose(effect.undo(ROBOT, motion.pressure), bare.pressure, atol=1e-9)
+        shown = effect.gain * bare.pressure[:, 2] + effect.offset * FULL
+        np.testing.assert_allclose(motion.pressure[:, 2], shown, atol=1e-9)
+
+
+def test_drift_waits_for_its_onset() -> None:
+    added = pull(Drift(rate_per_s=0.004, onset_s=5.0), np.full(1000, 0.05))
+    assert not added[:500].any()
+    np.testing.assert_allclose(added[500:], pull(Drift(rate_per_s=0.004), np.full(500, 0.05)), rtol=1e-9)
+
+
 def test_friction_loop_grows_with_pressure_not_with_rate() -> None:
     strain = 0.05 * np.sin(np.linspace(0, 20, 2000))
     for pressure, height in ((0.0, 0.1 * FULL), (1e4, 0.1 * FULL + 0.05 * 1e4)):
@@ -343,6 +410,8 @@ SLOPED = [
     StrainSoftening(10.0),
     Viscoelasticity(0.4, 2.0, 0.2, 20.0),
     Hysteresis(0.2, 0.02),
+    Play(0.2, 0.02),
+    PowerCreep(0.3, 0.3),
     Friction(0.1, 0.1),
     Mullins(0.3, 0.03),
     Drift(0.004),

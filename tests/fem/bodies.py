@@ -1,11 +1,17 @@
 """Small bodies with known answers: a bar, a hollow box and a hollow sphere."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from softrl.artifacts.mesh import BASE, PLATE, Mesh, tetrahedron_volumes
-from softrl.fem.material import Material, StableNeoHookean
+from softrl.fem.assembly import ASSEMBLERS, node_pairs
+from softrl.fem.coupling import Coupling
+from softrl.fem.elements import EDGES, Solid, solid_of
+from softrl.fem.material import TANGENT, Material, StableNeoHookean
 from softrl.fem.model import FemModel
-from softrl.fem.newton import NewtonSettings
+from softrl.fem.newton import NewtonSettings, Value, minimise
+from softrl.fem.solver import linear_solver
 from softrl.robots.robot import Robot
 
 KUHN = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])
@@ -97,3 +103,90 @@ def box_robot(chambers: int) -> Robot:
         slew_pa_per_s=1e6, tip_force_max_n=0.5, axis="+z", output="tip_pose", command="pressure", command_to_pa=1.0,
         gravity_m_s2=(0.0, 0.0, -9.81),
     )
+
+
+def hollow_sphere(inner: float, outer: float, layers: int = 3, cells: int = 3) -> Mesh:
+    """Return a thick sphere of cube-shaped patches, held at three nodes' neighbourhood at its lowest point."""
+    points, tetrahedra, cell = grid((cells + 2 * layers,) * 3, (2.0, 2.0, 2.0))
+    points = points - 1.0
+    core = ((cell >= layers) & (cell < layers + cells)).all(axis=1)
+    edge = cells / (cells + 2 * layers)  # cube half-width of the cavity
+    reach = np.abs(points).max(axis=1)
+    length = np.maximum(np.linalg.norm(points, axis=1), 1e-12)
+    radius = np.where(reach > edge, inner + (outer - inner) * (reach - edge) / (1 - edge), inner * reach / edge)
+    points = points / length[:, None] * radius[:, None]
+    solid = oriented(points, tetrahedra[~core])
+    used, renumbered = np.unique(solid, return_inverse=True)
+    points, solid = points[used], renumbered.reshape(-1, 4)
+    faces = boundary(solid)
+    cavity = faces[np.linalg.norm(points[faces].mean(axis=1), axis=1) < 0.5 * (inner + outer)]
+    region = np.zeros(len(points), int)
+    lowest, highest = solid[points[solid].mean(axis=1)[:, 2].argmin()], solid[points[solid].mean(axis=1)[:, 2].argmax()]
+    region[lowest], region[highest] = BASE, PLATE
+    return Mesh(points, solid, region, np.zeros(len(solid), int), cavity, np.zeros(len(cavity), int), "sphere")
+
+
+def solved_inside(cells: int, exact, material, size=0.02, element_order: int = 2, mean: bool = False):  # type: ignore[no-untyped-def]
+    """Return (nodes found, nodes exact, elements) of a cube whose whole surface follows ``exact`` (nodes, 3) -> (nodes, 3)."""
+    points, tetrahedra, _ = grid((cells, cells, cells), (size, size, size))
+    region = np.zeros(len(points), int)
+    region[np.unique(boundary(tetrahedra))] = BASE
+    region[(np.abs(points - size / 2) < size / 2 - 1e-9).all(axis=1)] = 0
+    faces = boundary(tetrahedra)[:, ::-1]
+    mesh = Mesh(points, tetrahedra, region, np.zeros(len(tetrahedra), int), faces, np.zeros(len(faces), int), "cube")
+    q = solid_of(mesh, element_order)
+    outer = (np.abs(q.points - size / 2) > size / 2 - 1e-9).any(axis=1)
+    region10 = np.where(outer, BASE, 0)
+    pairs = node_pairs(len(q.points), q.elements, q.cavity_triangles)
+    coupling = Coupling(q.points, region10, [], np.zeros((0, 3)), pairs)
+    rest = coupling.rest()
+    start = replace(rest, position=np.where(outer[:, None], exact(q.points), rest.position))
+
+    parameters, bulk = material.split() if mean else (material.pack(), 0.0)
+
+    def objective(pose, order):  # type: ignore[no-untyped-def]
+        gradient = np.zeros_like(pose.position)
+        blocks = np.zeros((len(pairs.first), 3, 3))
+        energy = ASSEMBLERS[q.elements.shape[1]](
+            type(material).kernel, parameters, bulk, pose.position, q.elements, q.gradients, q.weights, order,
+            pairs.element_slots, gradient, blocks,
+        )
+        return Value(energy, gradient, blocks if order >= TANGENT else None)
+
+    solve = minimise(objective, start, coupling, linear_solver(), NewtonSettings(1e-13, 60, 0.0))
+    assert solve.converged
+    return solve.pose.position, exact(q.points), q
+
+
+def error_norms(found: np.ndarray, exact, gradient, solid: Solid) -> tuple[float, float]:  # type: ignore[no-untyped-def]
+    """Return the L2 norms of the error in position and in its gradient, by a fine quadrature."""
+    corner = solid.points[solid.elements[:, :4]]
+    inverse = np.linalg.inv(np.swapaxes(corner[:, 1:] - corner[:, :1], 1, 2))
+    barycentric = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
+    volume, apart, tilt = solid.volumes(), 0.0, 0.0
+    for share, weight in zip(QUADRATURE, QUADRATURE_WEIGHT, strict=True):
+        if solid.elements.shape[1] == 4:
+            shape, slope = share, barycentric
+        else:
+            shape = np.r_[share * (2 * share - 1), 4 * share[EDGES[:, 0]] * share[EDGES[:, 1]]]
+            slope = np.concatenate([(4 * share - 1)[:, None] * barycentric, 4 * (
+                share[EDGES[:, 0], None] * barycentric[:, EDGES[:, 1]]
+                + share[EDGES[:, 1], None] * barycentric[:, EDGES[:, 0]])], axis=1)
+        where, nodal = np.einsum("c,eci->ei", share, corner), found[solid.elements]
+        apart += float((volume * weight) @ ((np.einsum("a,eai->ei", shape, nodal) - exact(where)) ** 2).sum(axis=1))
+        miss = np.einsum("eai,eaj->eij", nodal, slope) - gradient(where)
+        tilt += float((volume * weight) @ (miss**2).sum(axis=(1, 2)))
+    return float(np.sqrt(apart)), float(np.sqrt(tilt))
+
+
+def _rule() -> tuple[np.ndarray, np.ndarray]:
+    """Return barycentric points (64, 4) and weights: a Gauss rule on the cube, folded onto the tetrahedron."""
+    node, weight = np.polynomial.legendre.leggauss(4)
+    node, weight = 0.5 * (node + 1.0), 0.5 * weight
+    u, v, w = (a.ravel() for a in np.meshgrid(node, node, node, indexing="ij"))
+    wu, wv, ww = (a.ravel() for a in np.meshgrid(weight, weight, weight, indexing="ij"))
+    r, s, t = u, v * (1 - u), w * (1 - u) * (1 - v)
+    return np.stack([1 - r - s - t, r, s, t], axis=1), 6 * wu * wv * ww * (1 - u) ** 2 * (1 - v)
+
+
+QUADRATURE, QUADRATURE_WEIGHT = _rule()

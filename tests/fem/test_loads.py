@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softrl.fem.assembly import multiply_blocks, node_pairs
-from softrl.fem.elements import QuadraticMesh, quadratic_mesh
+from softrl.fem.elements import Solid, quadratic_mesh
 from softrl.fem.loads import (
     USED_TRIPLES,
     WEIGHTS,
@@ -18,15 +18,15 @@ PRESSURE = np.array([2.0e3, -1.0e3])
 
 
 @pytest.fixture(scope="module")
-def solid() -> QuadraticMesh:
+def solid() -> Solid:
     return quadratic_mesh(hollow_box(chambers=2))
 
 
-def volumes(solid: QuadraticMesh, x: np.ndarray) -> np.ndarray:
+def volumes(solid: Solid, x: np.ndarray) -> np.ndarray:
     return enclosed_volumes(x, solid.cavity_triangles, solid.cavity_of_triangle, USED_TRIPLES, WEIGHTS, 2)
 
 
-def force(solid: QuadraticMesh, x: np.ndarray) -> np.ndarray:
+def force(solid: Solid, x: np.ndarray) -> np.ndarray:
     total = np.zeros_like(x)
     add_volume_gradient(
         x, solid.cavity_triangles, solid.cavity_of_triangle, USED_TRIPLES, WEIGHTS, PRESSURE, total
@@ -34,7 +34,7 @@ def force(solid: QuadraticMesh, x: np.ndarray) -> np.ndarray:
     return total
 
 
-def test_volume_of_a_box_is_exact_when_stretched_and_moved(solid: QuadraticMesh) -> None:
+def test_volume_of_a_box_is_exact_when_stretched_and_moved(solid: Solid) -> None:
     exact = 0.01 * 0.01 * 0.0125
     assert volumes(solid, solid.points) == pytest.approx([exact, exact], rel=1e-12)
     change = np.eye(3) + 0.2 * np.random.default_rng(0).standard_normal((3, 3))
@@ -42,14 +42,14 @@ def test_volume_of_a_box_is_exact_when_stretched_and_moved(solid: QuadraticMesh)
     assert volumes(solid, moved) == pytest.approx(exact * np.linalg.det(change) * np.ones(2), rel=1e-9)
 
 
-def test_volume_of_a_bulged_box_is_that_of_the_curved_faces(solid: QuadraticMesh) -> None:
+def test_volume_of_a_bulged_box_is_that_of_the_curved_faces(solid: Solid) -> None:
     # z -> z + k x (w - x) is quadratic, so the curved tetrahedra follow it exactly; it keeps volume (shear)
     x = solid.points.copy()
     x[:, 2] += 20.0 * x[:, 0] * (0.05 - x[:, 0])
     assert volumes(solid, x) == pytest.approx(volumes(solid, solid.points), rel=1e-12)
 
 
-def test_force_is_the_gradient_and_stiffness_the_hessian(solid: QuadraticMesh) -> None:
+def test_force_is_the_gradient_and_stiffness_the_hessian(solid: Solid) -> None:
     rng = np.random.default_rng(1)
     x = solid.points + 1e-3 * rng.standard_normal(solid.points.shape)
     along, step = rng.standard_normal(x.shape), 1e-7
@@ -66,7 +66,7 @@ def test_force_is_the_gradient_and_stiffness_the_hessian(solid: QuadraticMesh) -
     assert np.abs(found - numeric).max() < 1e-6 * np.abs(numeric).max()
 
 
-def test_a_closed_cavity_pushes_with_no_net_force_or_moment(solid: QuadraticMesh) -> None:
+def test_a_closed_cavity_pushes_with_no_net_force_or_moment(solid: Solid) -> None:
     x = solid.points + 1e-3 * np.random.default_rng(2).standard_normal(solid.points.shape)
     push = force(solid, x)
     assert np.abs(push.sum(axis=0)).max() < 1e-12 * np.abs(push).sum()

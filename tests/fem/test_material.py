@@ -9,6 +9,7 @@ from softrl.fem.material import (
     ENERGY,
     LAWS,
     TANGENT,
+    Corotational,
     Material,
     MooneyRivlin,
     StableNeoHookean,
@@ -20,7 +21,7 @@ from softrl.fem.material import (
 
 MATERIALS = [
     StableNeoHookean(1.2e6, 0.45), StVenantKirchhoff(1.2e6, 0.4), Yeoh(2e5, 4e4, 1e4, 0.45),
-    MooneyRivlin(1.5e5, 6e4, 0.45),
+    MooneyRivlin(1.5e5, 6e4, 0.45), Corotational(1.2e6, 0.45),
 ]
 all_laws = pytest.mark.parametrize("material", MATERIALS, ids=lambda m: type(m).__name__)
 
@@ -96,4 +97,4 @@ def test_bad_moduli_are_refused_in_one_line() -> None:
         material_of("yeoh", [1e5], 0.4)
     with pytest.raises(ConfigError, match="expected one of"):
         material_of("hooke", [1e5], 0.4)
-    assert set(LAWS) == {"stable_neo_hookean", "st_venant_kirchhoff", "yeoh", "mooney_rivlin"}
+    assert set(LAWS) == {"stable_neo_hookean", "st_venant_kirchhoff", "corotational", "yeoh", "mooney_rivlin"}

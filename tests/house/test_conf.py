@@ -12,7 +12,7 @@ from softrl.core.config import build, constructor_hints, target_class
 from softrl.pipeline import EXTRA, STAGES
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
-GROUPS = ("robot", "simulator", "task", "agent", "driver", "effect")
+GROUPS = ("robot", "simulator", "task", "agent", "driver", "effect", "bench")
 OPTIONS = [f"{group}={path.stem}" for group in GROUPS for path in sorted((CONF / group).glob("*.yaml"))]
 
 
@@ -40,7 +40,7 @@ def test_option_composes_and_names_a_class_of_ours(option: str) -> None:
     chosen = node[group]
     if group == "robot":
         return
-    for value in chosen.values() if group == "effect" else [chosen]:
+    for value in chosen.values() if group in ("effect", "bench") else [chosen]:
         if isinstance(value, dict) and "_target_" in value:
             keys = set(value) - {"_target_"}
             assert keys <= set(constructor_hints(target_class(value, option)))

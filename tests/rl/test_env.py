@@ -15,7 +15,7 @@ from softrl.core.config import build_target
 from softrl.core.errors import ConfigError
 from softrl.rl.batch import Batch
 from softrl.rl.env import ENVIRONMENTS
-from softrl.rl.evaluate import evaluate, expert, rest
+from softrl.rl.evaluate import evaluate, expert, open_loop, rest
 from softrl.rl.reward import weigh
 from softrl.rl.tasks.curves import CURVES, random_fourier
 from softrl.rl.tasks.task import Task
@@ -93,6 +93,19 @@ def test_the_expert_is_near_and_rest_is_not(name: str, space: Workspace) -> None
     assert good.position_rmse < 3e-4 and good.reward > 0.9 > bad.reward
     if name != "track":
         assert good.force_mae < 0.05 < bad.force_mae
+
+
+def test_a_hidden_force_moves_tips_and_the_expert_takes_its_share_back(space: Workspace) -> None:
+    gain = 0.75
+    task = task_of("track", lap_steps=30, feedback_gain=gain)
+    goals = task.evaluation_goals("circle", space)
+    push = np.tile([0.2, -0.1, 0.0], (2, 1))
+    blind = (
+        evaluate(open_loop, task, space, goals, 2, push).tip[5:] - evaluate(open_loop, task, space, goals, 2).tip[5:]
+    )
+    seeing = evaluate(expert, task, space, goals, 2, push)
+    left = np.linalg.norm(seeing.tip[5:] - seeing.target[5:], axis=-1)
+    np.testing.assert_allclose(left, (1.0 - gain) * np.linalg.norm(blind, axis=-1), rtol=0.15)
 
 
 def test_curves_close_and_have_unit_size() -> None:

@@ -13,6 +13,7 @@ from softrl.artifacts.policy import Policy
 from softrl.artifacts.surrogate import Surrogate
 from softrl.core.config import build, build_target
 from softrl.core.driver import Sample
+from softrl.core.errors import DriverError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import NullTracker
 from softrl.effects.chain import chain_of
@@ -21,7 +22,9 @@ from softrl.rl.workspace import Workspace
 from softrl.robots.robot import Robot
 from softrl.sim2real.drivers.limits import Setpoint
 from softrl.sim2real.drivers.rig import Hardware, Noise, Rig, sample_of
+from softrl.sim2real.drivers.stub import Ground
 from softrl.sim2real.stage import Config
+from softrl.sim2real.surface import Surface
 from softrl.surrogate.stage import Config as SurrogateConfig
 from softrl.surrogate.stage import build_surrogate
 
@@ -46,7 +49,7 @@ def silence() -> Noise:
     """Return sensors that report the truth."""
     return Noise(
         position_white_mm=0.0, position_coloured_mm=0.0, colour_s=1.0, orientation_white_deg=0.0,
-        pressure_white_kpa=0.0, dropped_share=0.0,
+        pressure_white_kpa=0.0, force_white_n=0.0, dropped_share=0.0,
     )  # fmt: skip
 
 
@@ -61,12 +64,21 @@ class BenchDriver:
         self.seed = seed
         self.entries = 0
         self.connected = False
+        self.samples: list[Sample] = []
+        self.surface: Surface | None = None
+
+    def mount(self, normal: np.ndarray, point: np.ndarray) -> None:
+        self.surface = Ground(3000.0, 0.2, 0.2).mounted(normal, point)
+
+    def cut(self, chamber: int | None) -> None:
+        self.rig.cut(chamber)
 
     def __enter__(self) -> Self:
-        self.rig = Rig(self.hardware, (self.seed, self.entries))
+        self.rig = Rig(self.hardware, (self.seed, self.entries), self.surface)
         self.setpoint, self.due = Setpoint(self.robot, 0.01), 0.0
         self.entries += 1
         self.connected = True
+        self.samples = []
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -82,7 +94,15 @@ class BenchDriver:
         self.due -= ticks
         rows, fault = self.rig.advance(ticks, self.setpoint.advance(ticks))
         assert fault is None
-        return [sample_of(row) for row in rows]
+        arrived = [sample_of(row) for row in rows]
+        self.samples += arrived
+        return arrived
+
+    def stop(self) -> None:
+        raise DriverError("emergency stop")
+
+    def release(self) -> None:
+        pass
 
 
 @pytest.fixture(scope="session")
@@ -113,8 +133,15 @@ def policy(surrogate: Surrogate) -> Policy:
     return Policy(
         weights={"weight_0": weight, "bias_0": gain[3]}, activation="tanh", squash="clip", horizon=2,
         position_centre=space.centre, position_scale=space.scale, force_scale=1.0, joint_low=low, joint_high=high,
-        task_name="track", task={}, agent_name="linear", step_s=0.5, metrics={}, robot_name=surrogate.robot_name,
+        task_name="track", task=task_numbers("track"), agent_name="linear", step_s=0.5, metrics={},
+        robot_name=surrogate.robot_name,
     )  # fmt: skip
+
+
+def task_numbers(name: str) -> dict[str, Any]:
+    """Return the numbers of a task as its configuration has them."""
+    node = yaml.safe_load((CONF / "task" / f"{name}.yaml").read_text()) | {"alpha": 0.5}
+    return {key: value for key, value in node.items() if key != "_target_"}
 
 
 @pytest.fixture(scope="session")

@@ -69,17 +69,17 @@ def test_the_watchdog_counts_only_under_pressure(body: Simulator, tripod: Robot,
 def read(noise: Noise, count: int, quaternion: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)) -> list[Any]:
     """Return what sensors make of a robot at rest at the origin."""
     sensors = Sensors(noise, 3, 0.01, np.random.default_rng(0))
-    return [sensors.read(np.zeros(3), np.zeros(3), np.array(quaternion)) for _ in range(count)]
+    return [sensors.read(np.zeros(3), np.zeros(3), np.array(quaternion), np.zeros(3)) for _ in range(count)]
 
 
 def test_noise_has_the_size_and_colour_it_is_given(silence: Noise) -> None:
     noise = replace(silence, position_white_mm=0.05, position_coloured_mm=0.2, colour_s=0.5, pressure_white_kpa=0.03)
     sensed = read(noise, 40000)
-    error_mm = 1e3 * np.stack([position for _, position, _ in sensed])
+    error_mm = 1e3 * np.stack([position for _, position, *_ in sensed])
     assert error_mm.std() == pytest.approx(np.hypot(0.05, 0.2), rel=0.03)
     lagged = float(np.mean(error_mm[50:] * error_mm[:-50]))
     assert lagged == pytest.approx(0.2**2 * np.exp(-1.0), rel=0.15), "correlation after one colour_s"
-    assert np.stack([pressure for pressure, _, _ in sensed]).std() == pytest.approx(30.0, rel=0.02)
+    assert np.stack([pressure for pressure, *_ in sensed]).std() == pytest.approx(30.0, rel=0.02)
 
 
 def test_the_share_of_samples_that_drop_is_the_one_given(silence: Noise) -> None:
@@ -89,7 +89,7 @@ def test_the_share_of_samples_that_drop_is_the_one_given(silence: Noise) -> None
 
 def test_orientation_noise_turns_by_its_own_size(silence: Noise) -> None:
     start = (0.8, 0.0, 0.6, 0.0)
-    quaternion = np.stack([q for _, _, q in read(replace(silence, orientation_white_deg=0.5), 5000, start)])
+    quaternion = np.stack([q for _, _, q, _ in read(replace(silence, orientation_white_deg=0.5), 5000, start)])
     angle = 2.0 * np.arccos(np.clip(quaternion @ np.array(start), -1.0, 1.0))
     assert np.rad2deg(np.sqrt(np.mean(angle**2) / 3.0)) == pytest.approx(0.5, rel=0.05)
     np.testing.assert_allclose(np.linalg.norm(quaternion, axis=1), 1.0)

@@ -12,13 +12,16 @@ from softrl.artifacts.surrogate import Surrogate
 from softrl.core.errors import ArtifactError, ConfigError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import NullTracker
+from softrl.effects.chain import chain_of
 from softrl.effects.effect import Effect
 from softrl.effects.lag import Lag
 from softrl.effects.library import names
 from softrl.effects.viscoelasticity import Viscoelasticity
 from softrl.recordings.recording import RecordingSet
+from softrl.rl.workspace import Workspace
 from softrl.robots.robot import Robot
 from softrl.sim2real.controller import ModelController, PolicyController
+from softrl.sim2real.course import Course, task_of
 from softrl.sim2real.drivers.rig import Noise
 from softrl.sim2real.identification import session_program
 from softrl.sim2real.rollout import Pace, follow
@@ -46,10 +49,11 @@ class Stage:
         self.robot, self.body, self.noise = robot, body, noise
         self.inputs = (policy, surrogate, calibration)
 
-    def run(self, config: Config, *effects: Effect) -> tuple[RecordingSet, dict[str, float]]:
+    def run(self, config: Config, *effects: Effect, known: tuple[Effect, ...] = ()) -> tuple[RecordingSet, dict[str, float]]:
         tracker = NullTracker()
         driver = BenchDriver(self.robot, self.body, self.noise, effects)
-        return run(config, self.robot, *self.inputs, driver, tracker=tracker), tracker.metrics
+        plant = (self.body, chain_of(self.robot, known))
+        return run(config, self.robot, *self.inputs, *plant, driver, tracker=tracker), tracker.metrics
 
 
 @pytest.fixture(scope="module")
@@ -107,36 +111,40 @@ def test_nothing_of_the_hidden_physics_is_written(done: Done, tmp_path: Path) ->
 def test_without_feedback_a_true_robot_is_where_the_model_says(everything: Stage, silence: Noise) -> None:
     robot, surrogate = everything.robot, everything.inputs[1]
     driver = BenchDriver(robot, everything.body, silence)
-    target = np.tile(surrogate.sample_tip[3], (4, 1))
-    rollout = follow(driver, robot, ModelController(surrogate, target), target, Pace(2.0, 1, 2), "still", "still")
-    assert rollout.error_m(target) < 1e-3
+    course = Course.free("still", np.tile(surrogate.sample_tip[3], (4, 1)))
+    policy, space = everything.inputs[0], Workspace(surrogate)
+    controller = ModelController(space, task_of(policy, 4, 0.8), course)
+    rollout = follow(driver, robot, controller, course, Pace(2.0, 1, 2), "still", "still")
+    assert rollout.error_m() < 1e-3
     assert not driver.connected
 
 
 def test_the_average_is_what_is_sent(everything: Stage, silence: Noise) -> None:
     class Alternating:
-        def pressure(self, position: np.ndarray, step: int) -> np.ndarray:
+        def pressure(self, position: np.ndarray, step: int, tip_force: np.ndarray | None = None) -> np.ndarray:
             return np.full(3, 10e3 if step % 2 else 20e3)
 
     driver = BenchDriver(everything.robot, everything.body, silence)
-    rollout = follow(driver, everything.robot, Alternating(), np.zeros((6, 3)), Pace(0.5, 2, 0), "average", "average")
+    course = Course.free("average", np.zeros((6, 3)))
+    rollout = follow(driver, everything.robot, Alternating(), course, Pace(0.5, 2, 0), "average", "average")
     commanded = rollout.recording.pressure_cmd[100::50, 0]
     np.testing.assert_allclose(commanded[1:], 15e3)
 
 
 def test_the_policy_sees_the_curve_as_closed(everything: Stage) -> None:
     policy, surrogate, calibration = everything.inputs
-    target = surrogate.sample_tip[:5]
-    last = PolicyController(policy, surrogate, calibration, target).pressure(target[0], 4)
+    course = Course.free("five", surrogate.sample_tip[:5])
+    last = PolicyController(policy, surrogate, calibration, course).pressure(course.position[0], 4)
     assert np.isfinite(last).all()
 
 
 def test_the_map_of_the_real_robot_is_applied(everything: Stage) -> None:
     policy, surrogate, calibration = everything.inputs
     target = surrogate.sample_tip[:3]
+    course = Course.free("three", target)
     raised = replace(calibration, weights=calibration.weights | {"bias": np.full((2, 3), 700.0)})
-    plain = PolicyController(policy, surrogate, calibration, target).pressure(target[0], 0)
-    mapped = PolicyController(policy, surrogate, raised, target).pressure(target[0], 0)
+    plain = PolicyController(policy, surrogate, calibration, course).pressure(target[0], 0)
+    mapped = PolicyController(policy, surrogate, raised, course).pressure(target[0], 0)
     np.testing.assert_allclose(plain - mapped, 700.0, atol=0.1)
 
 
@@ -155,11 +163,12 @@ def test_each_session_differs_and_stays_within_the_limits(tripod: Robot, config:
 def test_it_refuses_what_does_not_fit(everything: Stage, config: Config) -> None:
     policy, surrogate, calibration = everything.inputs
     driver = BenchDriver(everything.robot, everything.body, everything.noise)
-    with pytest.raises(ConfigError, match="task=force"):
-        pressing = replace(policy, task_name="force")
-        run(config, everything.robot, pressing, surrogate, calibration, driver, tracker=NullTracker())
+    with pytest.raises(ArtifactError, match="task=dance"):
+        pressing = replace(policy, task_name="dance")
+        plant = (everything.body, chain_of(everything.robot, []))
+        run(config, everything.robot, pressing, surrogate, calibration, *plant, driver, tracker=NullTracker())
     with pytest.raises(ArtifactError, match="chambers"):
-        PolicyController(policy, surrogate, replace(calibration, pressure_mean=np.zeros(2)), np.zeros((1, 3)))
+        PolicyController(policy, surrogate, replace(calibration, pressure_mean=np.zeros(2)), Course.free("one", np.zeros((1, 3))))
     with pytest.raises(ConfigError, match="sessions=1"):
         replace(config.identification, sessions=1)
     with pytest.raises(ConfigError, match="command_rate_hz=0"):

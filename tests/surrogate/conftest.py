@@ -14,6 +14,7 @@ from softrl.core.config import build
 from softrl.core.tracking import NullTracker
 from softrl.robots.robot import Robot
 from softrl.surrogate.stage import Config, build_surrogate
+from softrl.surrogate.stiffness import Poses
 
 CONF = Path(__file__).parents[2] / "conf"
 FULL_BEND_RAD, FULL_STRETCH = 0.6, 0.1
@@ -30,18 +31,19 @@ def tiny_config() -> Config:
     return build(load("stage/surrogate.yaml") | load("profile/tiny/surrogate.yaml") | {"seed": 0}, Config, "stage")
 
 
-def lumped_body(robot: Robot) -> Callable[[np.ndarray], np.ndarray]:
-    """Return loads (S, n + 3) Pa and N -> tips (S, 3) m of a body of constant curvature that yields evenly to forces."""
+def lumped_body(robot: Robot) -> Callable[[np.ndarray], Poses]:
+    """Return loads (S, n + 3) Pa and N -> poses of a body of constant curvature that yields evenly to forces."""
 
-    def tip_of(loads: np.ndarray) -> np.ndarray:
+    def pose_of(loads: np.ndarray) -> Poses:
         share = loads[:, :-3] / robot.pressure_max_pa
         bend = -FULL_BEND_RAD * share @ robot.chamber_direction
         angle = np.linalg.norm(bend, axis=1) + 1e-9
         length = robot.length_m * (1.0 + FULL_STRETCH * share.mean(axis=1))
         across = (length * (1.0 - np.cos(angle)) / angle**2)[:, None] * bend
-        return np.column_stack([across, length * np.sin(angle) / angle]) + loads[:, -3:] * SOFTNESS_M_PER_N
+        tip = np.column_stack([across, length * np.sin(angle) / angle]) + loads[:, -3:] * SOFTNESS_M_PER_N
+        return Poses(tip, None)
 
-    return tip_of
+    return pose_of
 
 
 @pytest.fixture(scope="session")

@@ -9,6 +9,7 @@ import pytest
 from softrl.artifacts.surrogate import Surrogate
 from softrl.surrogate.fit import fit_joints, fit_joints_lbfgsb
 from softrl.surrogate.kinematics import chain_from, chain_of, grouped_poses, joint_jacobians
+from softrl.surrogate.parity import fit_joints_by_simulation
 from softrl.surrogate.simulator import SurrogateState, World
 
 CHAIN = chain_from(np.array([0.02, 0.06, 0.1]), np.array([0.04, 0.08, 0.12]), 0.15)
@@ -62,6 +63,12 @@ def test_fits_by_both_methods_agree_and_keep_the_limits() -> None:
     np.testing.assert_allclose(newton.theta[inside], commands()[inside], atol=1e-7)
     assert (newton.theta >= low).all() and (newton.theta <= high).all()
     np.testing.assert_allclose(newton.residual, searched.residual, atol=1e-5)
+
+
+def test_the_papers_search_finds_the_same_joints(surrogate: Surrogate) -> None:
+    found = fit_joints_by_simulation(surrogate, surrogate.sample_tip[:2])
+    np.testing.assert_allclose(found.theta, surrogate.sample_joints[:2], atol=2e-3)
+    assert found.residual.max() < 1e-3
 
 
 def test_a_surrogate_with_falling_heights_is_refused(surrogate: Surrogate) -> None:

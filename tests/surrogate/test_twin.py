@@ -1,15 +1,18 @@
 """Equilibrium of the twin: forces balance, contact obeys its laws, PyBullet settles at the same place."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from softrl.artifacts.surrogate import Surrogate
 from softrl.core.tracking import NullTracker
 from softrl.surrogate.kinematics import chain_of
-from softrl.surrogate.maps import PressureToJoints, network, network_jacobian
+from softrl.surrogate.maps import PressureToJoints, evaluate, network, network_of
 from softrl.surrogate.parity import contact_parity, parity
-from softrl.surrogate.stiffness import chain_compliance, fit_joint_stiffness
-from softrl.surrogate.twin import Plane, Twin
+from softrl.surrogate.springs import Springs, softness_at, springs_of, stiffness_matrix
+from softrl.surrogate.stiffness import Compliance, bending_of, chain_turn, constant_springs, fit_springs
+from softrl.surrogate.twin import Plane, Twin, chain_compliance
 
 TILT = np.deg2rad(15.0)
 NORMAL = np.array([np.sin(TILT), 0.0, -np.cos(TILT)])
@@ -32,10 +35,10 @@ def test_joint_torques_balance_the_reaction(pressed: tuple[Twin, np.ndarray, Pla
     push = np.array([0.2, -0.1, 0.1])
     state = twin.solve(theta, push, plane, friction)
     command = np.tile(theta, (1, len(twin.chain.below)))
-    torque = twin.stiffness * (state.joints - command)
     for b in range(len(theta)):
+        torque = twin.stiffness(theta[b]) @ (state.joints[b] - command[b])
         slope = _jacobian(twin, state.joints[b])
-        np.testing.assert_allclose(torque[b], slope.T @ (push + state.reaction[b]), atol=1e-6)
+        np.testing.assert_allclose(torque, slope.T @ (push + state.reaction[b]), atol=1e-6)
 
 
 def _jacobian(twin: Twin, q: np.ndarray) -> np.ndarray:
@@ -85,18 +88,64 @@ def test_pybullet_presses_as_hard_as_the_twin(surrogate: Surrogate, pressed: tup
     np.testing.assert_allclose(felt, expected, rtol=0.05)
 
 
+def bent_springs(surrogate: Surrogate, taper: float) -> Springs:
+    """Return springs that change with the pose, couple the joints and are softer near the base by ``taper``."""
+    plain = constant_springs(np.array([20.0, 25.0, 1e4]), surrogate.gaps, surrogate.joint_low, surrogate.joint_high)
+    coefficients = plain.coefficients.copy()
+    coefficients[1:4, :3] = [[0.1, -0.2, 0.3], [0.2, 0.1, -0.3], [-0.3, 0.2, 0.1]]
+    coefficients[1, 4], coefficients[2, 5] = 2e-3, -3e-3
+    share = np.exp(-taper * np.linspace(-1.0, 1.0, surrogate.gaps))
+    return Springs(coefficients, share / share.mean(), surrogate.joint_low, surrogate.joint_high)
+
+
 def test_springs_are_found_again(surrogate: Surrogate) -> None:
-    chain, truth = chain_of(surrogate), np.array([20.0, 30.0, 1e4])
-    theta = surrogate.sample_joints[:30]
-    found = fit_joint_stiffness(theta, chain, chain_compliance(theta, chain, truth))
-    np.testing.assert_allclose(found, truth, rtol=1e-6)
+    chain, theta = chain_of(surrogate), np.ascontiguousarray(surrogate.sample_joints[:60])
+    truth = bent_springs(surrogate, 0.4)
+    turn = chain_turn(theta, chain, truth)
+    body = Compliance(chain_compliance(theta, chain, truth), turn)
+    found = fit_springs(theta[::2], chain, Compliance(body.tip[::2], turn[::2]), truth.low, truth.high, 400, 1e-12)
+    unseen = np.ascontiguousarray(theta[1::2])
+    np.testing.assert_allclose(chain_compliance(unseen, chain, found), body.tip[1::2], atol=1e-3 * body.tip.max())
+    np.testing.assert_allclose(found.share, truth.share, rtol=1e-2)
+
+
+def test_softness_and_stiffness_belong_together(surrogate: Surrogate) -> None:
+    springs = bent_springs(surrogate, 0.4)
+    for theta in surrogate.sample_joints[:4]:
+        soft, stiff = softness_at(theta, springs), stiffness_matrix(theta, springs)
+        assert np.linalg.eigvalsh(soft).min() > 0.0
+        np.testing.assert_allclose(soft, soft.T)
+        np.testing.assert_allclose(stiff[3:6, 3:6] @ soft * springs.share[1], np.eye(3), atol=1e-9)
+
+
+def test_an_orientation_turns_by_bending_and_twist(surrogate: Surrogate) -> None:
+    rng = np.random.default_rng(0)
+    axis = rng.normal(size=(5, 3))
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    turn = rng.normal(size=(5, 3, 3))
+    np.testing.assert_allclose(np.einsum("si,sij->sj", axis, bending_of(turn, axis)), 0.0, atol=1e-12)
+
+
+def test_pybullet_and_twin_agree_where_springs_change_with_the_pose(surrogate: Surrogate) -> None:
+    springs = bent_springs(surrogate, 0.4)
+    changed = replace(surrogate, softness_coefficients=springs.coefficients, gap_share=springs.share)
+    free, loaded = parity(changed, surrogate.sample_joints[:2], np.array([0.5, -0.5, 0.5]))
+    assert free < 1e-6 and loaded < 1e-5, f"free {1e3 * free:g} mm, loaded {1e3 * loaded:g} mm"
+
+
+def test_a_surrogate_without_coefficients_has_one_stiffness(surrogate: Surrogate) -> None:
+    plain = replace(surrogate, softness_coefficients=np.empty((0, 6)), gap_share=np.empty(0))
+    for theta in surrogate.sample_joints[:3]:
+        np.testing.assert_allclose(
+            stiffness_matrix(theta, springs_of(plain)), np.diag(np.tile(surrogate.joint_stiffness, surrogate.gaps))
+        )
 
 
 def test_compliance_predicts_a_small_load(surrogate: Surrogate) -> None:
     twin, theta = Twin(surrogate), surrogate.sample_joints[:5]
     force = np.array([0.01, -0.02, 0.01])
     moved = twin.solve(theta, force).tip - twin.tip(theta)
-    expected = chain_compliance(theta, twin.chain, surrogate.joint_stiffness) @ force
+    expected = twin.compliance(theta) @ force
     np.testing.assert_allclose(moved, expected, atol=2e-3 * np.abs(expected).max())
 
 
@@ -112,10 +161,26 @@ def test_the_map_beats_its_baselines_and_goes_round(surrogate: Surrogate, tracke
     np.testing.assert_allclose(maps.joints(maps.pressure(surrogate.sample_joints)), surrogate.sample_joints, atol=5e-4)
 
 
-def test_the_networks_slope_is_its_derivative(surrogate: Surrogate) -> None:
+def test_the_compiled_network_is_the_network_and_its_slope_the_derivative(surrogate: Surrogate) -> None:
     x = np.random.default_rng(0).normal(size=(5, surrogate.chambers))
-    slope = network_jacobian(surrogate.forward, x)
-    for j in range(surrogate.chambers):
-        nudge = 1e-6 * np.eye(surrogate.chambers)[j]
-        numeric = (network(surrogate.forward, x + nudge) - network(surrogate.forward, x - nudge)) / 2e-6
-        np.testing.assert_allclose(slope[:, :, j], numeric, atol=1e-8)
+    compiled = network_of(surrogate.forward)
+    for row in x:
+        value, slope = evaluate(compiled, row, True)
+        np.testing.assert_allclose(value, network(surrogate.forward, row[None])[0], atol=1e-12)
+        for j in range(surrogate.chambers):
+            nudge = 1e-6 * np.eye(surrogate.chambers)[j]
+            ends = [network(surrogate.forward, (row + sign * nudge)[None])[0] for sign in (1.0, -1.0)]
+            np.testing.assert_allclose(slope[j], (ends[0] - ends[1]) / 2e-6, atol=1e-8)
+
+
+def test_joints_out_of_reach_get_the_nearest_and_say_so(surrogate: Surrogate) -> None:
+    maps = PressureToJoints(surrogate)
+    inside = maps.joints(np.random.default_rng(1).uniform(surrogate.pressure_low, surrogate.pressure_high, (20, 3)))
+    span = surrogate.joint_high - surrogate.joint_low
+    assert np.abs(maps.invert(inside).miss / span).max() < 1e-6
+    beyond = inside + 2.0 * span
+    found = maps.invert(beyond)
+    assert (np.abs(found.miss / span).max(axis=1) > 0.5).all()
+    assert (found.pressure >= surrogate.pressure_low - 1e-6).all()
+    assert (found.pressure <= surrogate.pressure_high + 1e-6).all()
+    np.testing.assert_allclose(maps.joints(found.pressure) - beyond, found.miss, atol=1e-9)

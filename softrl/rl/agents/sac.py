@@ -57,7 +57,8 @@ class Sac(Agent):
         best = Best(practice.judge)
         if self.start_from is not None:
             teacher = practice.make(self.start_from.envs, seed + 1)
-            best.consider(clone(self.start_from, model.policy, teacher, practice, seed).actor, 0)
+            cloned = clone(self.start_from, mean_layers(model.policy), "tanh", teacher, practice, seed)
+            best.consider(cloned.actor, 0)
             model.ent_coef_optimizer = None
             model.ent_coef_tensor = torch.tensor(START_ENTROPY)
             model.actor.log_std.weight.data.zero_()

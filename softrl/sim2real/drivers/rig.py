@@ -1,8 +1,8 @@
 """A rig: hardware that is simulated in a process of its own, on its own clock, with physics that nobody is told.
 
-Messages to the rig: ``(number, "start", seed)``, ``(number, "advance", ticks, setpoints)`` and
-``(number, "vent", ticks)``. It answers each by ``(number, rows, fault)``: samples as rows of numbers, and None or one
-line. It ends with its link.
+Messages to the rig: ``(number, "start", seed, surface)``, ``(number, "advance", ticks, setpoints)``,
+``(number, "vent", ticks)`` and ``(number, "cut", chamber)``, None for no chamber. It answers each by
+``(number, rows, fault)``: samples as rows of numbers, and None or one line. It ends with its link.
 """
 
 import logging
@@ -17,9 +17,11 @@ from softrl.core.driver import Sample
 from softrl.core.errors import ConfigError, SoftrlError
 from softrl.core.simulator import Simulator
 from softrl.effects.chain import EffectChain, SignalFilter
+from softrl.sim2real.surface import Surface, force_on_tip
 
 log = logging.getLogger(__name__)
 SETTLE_S = 5.0
+LINE_S = 0.05  # in which a line that is pulled off or put on comes to its pressure
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,7 @@ class Noise:
     position_coloured_mm, colour_s : standard deviation and correlation time of a slow wander per axis
     orientation_white_deg : standard deviation about each axis
     pressure_white_kpa : standard deviation per chamber and sample
+    force_white_n : standard deviation per axis and sample of the force sensor, which a rig with a surface has
     dropped_share : share of the samples that never arrive, in [0, 1)
     """
 
@@ -40,10 +43,13 @@ class Noise:
     colour_s: float
     orientation_white_deg: float
     pressure_white_kpa: float
+    force_white_n: float
     dropped_share: float
 
     def __post_init__(self) -> None:
-        for name in ("position_white_mm", "position_coloured_mm", "orientation_white_deg", "pressure_white_kpa"):
+        for name in (
+            "position_white_mm", "position_coloured_mm", "orientation_white_deg", "pressure_white_kpa", "force_white_n",
+        ):  # fmt: skip
             if getattr(self, name) < 0:
                 raise ConfigError(f"driver.noise.{name}={getattr(self, name):g} must not be negative")
         if self.colour_s <= 0:
@@ -59,23 +65,25 @@ class Sensors:
         self._rng, self._n, self._dropped = rng, chambers, noise.dropped_share
         self._pressure_pa = 1e3 * noise.pressure_white_kpa
         self._white_m, self._coloured_m = 1e-3 * noise.position_white_mm, 1e-3 * noise.position_coloured_mm
+        self._force_n = noise.force_white_n
         self._turn_rad = np.deg2rad(noise.orientation_white_deg)
         self._keep = float(np.exp(-period_s / noise.colour_s))
         self._fresh_m = self._coloured_m * np.sqrt(1.0 - self._keep**2)
         self._wander_m = self._coloured_m * rng.standard_normal(3)
 
     def read(
-        self, pressure: np.ndarray, position: np.ndarray, quaternion: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """Return the three with noise, or None for a sample that never arrives."""
-        draw, lost = self._rng.standard_normal(9 + self._n), self._rng.random() < self._dropped
+        self, pressure: np.ndarray, position: np.ndarray, quaternion: np.ndarray, force: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
+        """Return the four with noise, or None for a sample that never arrives."""
+        draw, lost = self._rng.standard_normal(12 + self._n), self._rng.random() < self._dropped
         self._wander_m = self._keep * self._wander_m + self._fresh_m * draw[:3]
         if lost:
             return None
         return (
-            pressure + self._pressure_pa * draw[9:],
+            pressure + self._pressure_pa * draw[12:],
             position + self._wander_m + self._white_m * draw[3:6],
             turned(quaternion, self._turn_rad * draw[6:9]),
+            force + self._force_n * draw[9:12],
         )
 
 
@@ -112,25 +120,38 @@ class Hardware:
 class Rig:
     """The hardware in motion: valves, chambers, body, load and sensors, one physics step after the other.
 
-    It begins vented and at rest, its clock at zero; ``seed`` is that of its noise.
+    It begins vented and at rest, its clock at zero; ``seed`` is that of its noise, ``surface`` what its tip may touch.
     """
 
-    def __init__(self, hardware: Hardware, seed: Sequence[int]) -> None:
+    def __init__(self, hardware: Hardware, seed: Sequence[int], surface: Surface | None = None) -> None:
         rng = np.random.default_rng(seed)
-        hidden = hardware.hidden
+        hidden = self._hidden = hardware.hidden
         self._body = hardware.body
         self._substeps = round(hardware.physics_rate_hz / hardware.rate_hz)
         self._period_s = 1.0 / hardware.rate_hz
         self._watchdog_s = hardware.watchdog_s
-        self._valve, self._chamber, self._sensor = (SignalFilter(hidden, s) for s in ("valve", "chamber", "sensor"))
+        sites = ("valve", "chamber", "sensor", "gauge")
+        self._valve, self._chamber, self._sensor, self._gauge = (SignalFilter(hidden, s) for s in sites)
         self._sensors = Sensors(hardware.noise, hidden.robot.chambers, self._period_s, rng)
         self._setpoint = np.zeros(hidden.robot.chambers)
         self._ticks = self._silent_ticks = 0
         # under its loads the robot hangs elsewhere than without; it has come to rest before it is switched on
         self._state = hardware.body.reset(rng)
-        self._body_hooks, self._load_hooks = hidden.hooks("body"), hidden.hooks("load")
+        self._robot, self._surface = hidden.robot, surface
+        self._line, self._line_goal = np.ones(hidden.robot.chambers), np.ones(hidden.robot.chambers)
+        self._hook()
         self._settle(SETTLE_S if self._load_hooks else self._period_s)
+        touched = self._load_hooks[-1].state.copy() if surface is not None else None
+        self._hook()
+        if surface is not None:
+            self._load_hooks[-1].state[:] = touched
+
+    def _hook(self) -> None:
+        """Make fresh hooks; the surface's is the last of those that load the tip."""
+        hidden = self._hidden
         self._body_hooks, self._load_hooks = hidden.hooks("body"), hidden.hooks("load")
+        if self._surface is not None:
+            self._load_hooks += EffectChain(hidden.robot, (self._surface,)).hooks("load")
 
     def _settle(self, duration_s: float) -> None:
         dt_s = self._period_s / self._substeps
@@ -162,26 +183,53 @@ class Rig:
         """Return the samples of ``ticks`` periods after all chambers were vented."""
         return self.advance(ticks, np.zeros((1, len(self._setpoint))))
 
+    def cut(self, chamber: int | None) -> tuple[np.ndarray, str | None]:
+        """Pull one chamber's air line off, so that it vents whatever the valve does; None puts all lines back on."""
+        self._line_goal = np.ones_like(self._line)
+        if chamber is not None:
+            self._line_goal[chamber] = 0.0
+        return np.empty((0, 0)), None
+
+    def _lines(self, supplied: np.ndarray, dt_s: float) -> np.ndarray:
+        """Return the pressures (steps, n) behind the air lines."""
+        if (self._line == 1.0).all() and (self._line_goal == 1.0).all():
+            return supplied
+        behind = np.empty_like(supplied)
+        for row, pressure in zip(behind, supplied, strict=True):
+            self._line += (self._line_goal - self._line) * min(dt_s / LINE_S, 1.0)
+            row[:] = self._line * pressure
+        near = np.abs(self._line - self._line_goal) < 1e-6
+        self._line[near] = self._line_goal[near]
+        return behind
+
+    def _felt(self) -> np.ndarray:
+        """Return the force (3,) N of the surface on the tip; not a number without one."""
+        if self._surface is None:
+            return np.full(3, np.nan)
+        position, _ = self._body.observe(self._state)
+        return force_on_tip(self._surface, self._robot, self._load_hooks[-1].state, position)
+
     def _tick(self) -> np.ndarray | None:
         """Return the sample at the end of one period, the setpoint held throughout; None if it is lost."""
         dt_s = self._period_s / self._substeps
-        supplied = self._valve.advance(np.tile(self._setpoint, (self._substeps, 1)), dt_s)
+        supplied = self._lines(self._valve.advance(np.tile(self._setpoint, (self._substeps, 1)), dt_s), dt_s)
         poses = np.empty((self._substeps, 7))
         for pose, acting in zip(poses, self._chamber.advance(supplied, dt_s), strict=True):
             self._step(acting, dt_s)
             pose[:3], pose[3:] = self._body.observe(self._state)
         pose = self._sensor.advance(poses, dt_s)[-1]
         self._ticks += 1
-        sensed = self._sensors.read(supplied[-1], pose[:3], pose[3:])
+        reported = self._gauge.advance(supplied[-1:], self._period_s)[0]
+        sensed = self._sensors.read(reported, pose[:3], pose[3:], self._felt())
         if sensed is None:
             return None
         return np.concatenate([[self._ticks * self._period_s], self._setpoint, *sensed])
 
 
 def sample_of(row: np.ndarray) -> Sample:
-    """Return the sample that a row holds: time, setpoint, measured pressure, position, quaternion; no force sensor."""
-    n = (len(row) - 8) // 2
-    return Sample(row[0].item(), row[1 : n + 1], row[n + 1 : -7], row[-7:-4], row[-4:], np.full(3, np.nan))
+    """Return the sample that a row holds: time, setpoint, measured pressure, position, quaternion, force."""
+    n = (len(row) - 11) // 2
+    return Sample(row[0].item(), row[1 : n + 1], row[n + 1 : -10], row[-10:-7], row[-7:-3], row[-3:])
 
 
 def serve(line: Connection, hardware: Hardware) -> None:
@@ -197,7 +245,8 @@ def serve(line: Connection, hardware: Hardware) -> None:
                 rig = Rig(hardware, *content)
                 line.send((number, nothing, None))
             elif rig is not None:
-                line.send((number, *(rig.vent(*content) if kind == "vent" else rig.advance(*content))))
+                answer = {"advance": rig.advance, "vent": rig.vent, "cut": rig.cut}[kind]
+                line.send((number, *answer(*content)))
     except (EOFError, OSError):
         log.debug("the driver is gone; the rig vents and ends")
     except (SoftrlError, ArithmeticError, ValueError, TypeError) as error:

@@ -2,6 +2,7 @@
 
 import logging
 import multiprocessing
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -14,11 +15,41 @@ from softrl.effects.effect import Effect
 from softrl.robots.robot import Robot
 from softrl.sim2real.drivers.limits import Setpoint
 from softrl.sim2real.drivers.rig import Hardware, Noise, sample_of, serve
+from softrl.sim2real.surface import Surface
 
 log = logging.getLogger(__name__)
 # device time in one message, so that an answer is due soon however long the wait that was asked for
 MESSAGE_S = 1.0
 CLOSE_S = 5.0
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The surface of a rig: what no task knows.
+
+    Attributes
+    ----------
+    stiffness_n_per_m, friction : of the surface
+    misplaced_mm : by which it stands nearer to the robot than it should
+    """
+
+    stiffness_n_per_m: float
+    friction: float
+    misplaced_mm: float
+
+    def __post_init__(self) -> None:
+        if self.stiffness_n_per_m <= 0 or self.friction < 0:
+            raise ConfigError(
+                f"driver.surface: stiffness_n_per_m={self.stiffness_n_per_m:g} must be positive and "
+                f"friction={self.friction:g} not negative"
+            )
+
+    def mounted(self, normal: np.ndarray, point: np.ndarray) -> Surface:
+        """Return the surface where it really stands."""
+        where = np.asarray(point) + 1e-3 * self.misplaced_mm * np.asarray(normal)
+        x, y, z = (float(value) for value in normal)
+        a, b, c = (float(value) for value in where)
+        return Surface((x, y, z), (a, b, c), self.stiffness_n_per_m, self.friction)
 
 
 class RigLink:
@@ -89,6 +120,7 @@ class StubDriver:
     vent_s : device time that the driver stays connected after it has vented
     start_timeout_s, answer_timeout_s : real time after which a silent rig counts as lost
     seed : of the rig's noise
+    surface : how a surface that is mounted differs from what the task says of it
 
     Attributes
     ----------
@@ -108,6 +140,7 @@ class StubDriver:
         start_timeout_s: float,
         answer_timeout_s: float,
         seed: int,
+        surface: Ground | None = None,
     ) -> None:
         if rate_hz <= 0 or physics_rate_hz < rate_hz or physics_rate_hz % rate_hz:
             raise ConfigError(
@@ -118,9 +151,10 @@ class StubDriver:
         self._start_timeout_s, self._answer_timeout_s = start_timeout_s, answer_timeout_s
         chain = EffectChain(robot, tuple(hidden.values()))
         self._hardware = Hardware(body, chain, noise, rate_hz, physics_rate_hz, watchdog_s)
+        self._ground, self._surface = surface, None
         self._link: RigLink | None = None
         self._entries = 0
-        self._entered = False
+        self._entered = self._stopped = False
         self._setpoint = Setpoint(robot, 1.0 / rate_hz)
         self._due = 0.0
         self.samples: list[Sample] = []
@@ -129,11 +163,12 @@ class StubDriver:
         """Switch the rig on and connect; it is vented and at rest."""
         if self._entered:
             raise DriverError(f"the driver of {self._robot.name} is connected already; leave the first 'with' block")
+        self._refuse_if_stopped()
         self._setpoint.vent()
         self._due, self.samples = 0.0, []
         if self._link is None:
             self._link = RigLink(self._hardware)
-        self._ask(self._start_timeout_s, "start", (self._seed, self._entries))
+        self._ask(self._start_timeout_s, "start", (self._seed, self._entries), self._surface)
         self._entries += 1
         self._entered = True
         return self
@@ -156,6 +191,7 @@ class StubDriver:
         ``Sample.commanded`` tells what was sent when.
         """
         self._require_entry()
+        self._refuse_if_stopped()
         return self._setpoint.request(pressure)
 
     def advance(self, dt_s: float) -> list[Sample]:
@@ -174,9 +210,36 @@ class StubDriver:
         self._due -= ticks
         most = max(round(MESSAGE_S * self._rate_hz), 1)
         for start in range(0, ticks, most):
+            self._refuse_if_stopped()
             share = min(most, ticks - start)
             self._ask(self._answer_timeout_s, "advance", share, self._setpoint.advance(share))
         return self.samples[before:]
+
+    def mount(self, normal: np.ndarray, point: np.ndarray) -> None:
+        """Put a surface before the tip, as exactly as a hand would; from the next entry on."""
+        if self._ground is None:
+            raise ConfigError("driver.surface is missing: the rig has no surface to mount; see conf/driver/_rig.yaml")
+        self._surface = self._ground.mounted(normal, point)
+
+    def cut(self, chamber: int | None) -> None:
+        """Pull a chamber's air line off; None puts all lines back on."""
+        self._require_entry()
+        self._ask(self._answer_timeout_s, "cut", chamber)
+
+    def stop(self) -> None:
+        """Stop in an emergency: the caller's next call raises, which vents; nothing is commanded until ``release``."""
+        self._stopped = True
+        self._setpoint.vent()
+
+    def release(self) -> None:
+        """End an emergency stop."""
+        if self._entered:
+            raise DriverError(f"the driver of {self._robot.name} is connected; leave the 'with' block to release it")
+        self._stopped = False
+
+    def _refuse_if_stopped(self) -> None:
+        if self._stopped:
+            raise DriverError(f"emergency stop of {self._robot.name}; driver.release() ends it")
 
     @property
     def rig_pid(self) -> int | None:

@@ -1,0 +1,217 @@
+"""bench=fem: what a step of the full model costs, against the number of unknowns and against scikit-fem."""
+
+import logging
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from softrl.bench.figures import draw_scaling
+from softrl.bench.reference import Reference
+from softrl.bench.refine import refined
+from softrl.bench.watch import Watch, peak_memory_gb
+from softrl.core.errors import ConfigError, SolverError
+from softrl.core.tracking import Tracker
+from softrl.fem.coupling import Pose
+from softrl.fem.material import TANGENT, StableNeoHookean, material_of
+from softrl.fem.model import FemModel, State
+from softrl.fem.newton import factorise
+from softrl.fem.simulator import FemSimulator
+
+log = logging.getLogger(__name__)
+
+
+class Cost(NamedTuple):
+    """What a model costs: unknowns, and metrics by name."""
+
+    unknowns: int
+    metrics: dict[str, float]
+
+
+@dataclass(frozen=True)
+class FemBench:
+    """The full model on the robot's mesh and on finer ones.
+
+    Attributes
+    ----------
+    simulator : the full model, its settings and its mesh
+    pressure_pa : in the first chamber, as a jump
+    dt_s : of the steps;  steps : in a timed run, from rest
+    mesh_unknowns : sizes of the finer meshes; each is measured in a process of its own
+    reference_steps : of the scikit-fem reference; 0 leaves it out
+    convergence_unknowns : two sizes of finer meshes on which the tip's displacement is compared; none leaves it out
+    """
+
+    simulator: FemSimulator
+    pressure_pa: float
+    dt_s: float
+    steps: int
+    mesh_unknowns: tuple[int, ...]
+    reference_steps: int
+    convergence_unknowns: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("pressure_pa", "dt_s", "steps"):
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"bench.fem.{name}={getattr(self, name):g} must be positive")
+        if len(self.convergence_unknowns) not in (0, 2):
+            raise ConfigError(f"bench.fem.convergence_unknowns={self.convergence_unknowns}; expected two sizes, or []")
+
+    def measure(self, watch: Watch, seed: int, tracker: Tracker) -> dict[str, float]:
+        """Return the metrics; there is nothing random here."""
+        unknowns, metrics = self.cost(watch)
+        metrics["unknowns"] = unknowns
+        sizes = [Cost(unknowns, metrics)] + [self._elsewhere(wanted, watch) for wanted in self.mesh_unknowns]
+        for size in sizes[1:]:
+            metrics |= {f"at_{size.unknowns}/{name}": value for name, value in size.metrics.items()}
+        metrics["peak_memory_gb"] = sizes[-1].metrics["peak_memory_gb"]
+        metrics["peak_memory_unknowns"] = sizes[-1].unknowns
+        if len(sizes) > 1:
+            tracker.figure("fem_scaling", draw_scaling([s.unknowns for s in sizes], [s.metrics for s in sizes]))
+        if self.reference_steps:
+            metrics |= self.against_reference(watch)
+        if self.convergence_unknowns:
+            metrics |= self.convergence()
+        return metrics
+
+    def cost(self, watch: Watch) -> Cost:
+        """Return what assembly, factorisation with solution, and a step cost on the simulator's own mesh."""
+        model, load = self.simulator.model, self._load
+        state = self._moving(model)
+        value = model._potential(load)(state.pose, TANGENT)
+        right = model.load_directions(state.pose)[:, 0]
+
+        def assemble() -> None:
+            assembled = model._potential(load)(state.pose, TANGENT)
+            assert assembled.blocks is not None
+            model.coupling.stiffness(assembled.blocks, assembled.gradient, state.pose)
+
+        def solve() -> None:
+            factorise(value, state.pose, model.coupling, model._solver)
+            model._solver.solve(right)
+
+        def steps() -> None:
+            model._stepping = 0.0  # the factors are of another matrix now
+            self._run(model, self.steps)
+
+        assembly, factor_solve, run = watch.time(assemble, solve, steps)
+        metrics = assembly.milliseconds("assembly") | factor_solve.milliseconds("factor_solve")
+        metrics |= type(run)(*(seconds / self.steps for seconds in run)).milliseconds("step")
+        metrics |= run.rate("steps", self.steps)
+        return Cost(model.coupling.unknowns, metrics | {"peak_memory_gb": peak_memory_gb()})
+
+    def against_reference(self, watch: Watch) -> dict[str, float]:
+        """Return how much faster a step is than the same step by scikit-fem and SciPy, taken in turns."""
+        simulator, model = self.simulator, self.simulator.model
+        material = material_of(simulator.law, simulator.moduli_pa, simulator.poisson)
+        if not isinstance(material, StableNeoHookean):
+            log.warning("no scikit-fem reference: it is written for law=stable_neo_hookean, not %s", simulator.law)
+            return {}
+        reference, state = Reference(model, watch.now), self._moving(model)
+        ended: list[Pose] = []
+        parts: list[tuple[float, float]] = []
+
+        def ours() -> None:
+            model._stepping = 0.0  # as the reference: no factors to begin with
+            ended.append(self._step(model, state).pose)
+
+        def theirs() -> None:
+            step = reference.step(state, self._load, self.dt_s)
+            ended.append(step.pose)
+            parts.append((step.assembly_s, step.solve_s))
+
+        own, other = watch.time(ours, theirs, repeats=self.reference_steps)
+        assembly_s, solve_s = np.median(parts, axis=0)
+        return {
+            **own.milliseconds("cold_step"), **other.milliseconds("scikit_fem_step"),
+            "scikit_fem_assembly_ms": 1e3 * float(assembly_s), "scipy_factor_solve_ms": 1e3 * float(solve_s),
+            "speedup_vs_scikit_fem": other.median / own.median,
+            "scikit_fem_node_difference_mm": 1e3 * float(np.abs(ended[0].position - ended[1].position).max()),
+        }  # fmt: skip
+
+    def convergence(self) -> dict[str, float]:
+        """Return how far the tip's displacement at rest is from that of infinitely many unknowns.
+
+        Notes
+        -----
+        Two finer meshes of the same body by halved edges; the displacement is taken to approach its limit as a power of
+        the unknowns, fitted through the three. Where it does so in no such way, the finest mesh stands for the limit.
+        """
+        meshes = [self.simulator.mesh, *(refined(self.simulator.mesh, n) for n in self.convergence_unknowns)]
+        found = [self._displacement(replace(self.simulator, mesh=mesh)) for mesh in meshes]
+        unknowns, tips = np.array([u for u, _ in found], dtype=float), np.array([d for _, d in found])
+        limit, order = extrapolated(unknowns, tips)
+        return {
+            "convergence_error_pct": 100.0 * abs(limit - tips[0]) / limit,
+            "convergence_limit_mm": 1e3 * limit,
+            "convergence_order_in_h": order,
+            **{f"at_{int(u)}/tip_displacement_mm": 1e3 * d for u, d in zip(unknowns, tips, strict=True)},
+        }
+
+    def _displacement(self, simulator: FemSimulator) -> tuple[int, float]:
+        """Return unknowns, and how far (m) the pressure moves the tip at equilibrium, without weight."""
+        model = replace(simulator, robot=replace(simulator.robot, gravity_m_s2=(0.0, 0.0, 0.0))).model
+        pose = model.rest()
+        for share in (0.5, 1.0):
+            solve = model.static(share * self._load, pose)
+            if not solve.converged:
+                raise SolverError(f"no equilibrium at {share * self.pressure_pa:g} Pa in {solve.iterations} iterations")
+            pose = solve.pose
+        return model.coupling.unknowns, float(np.linalg.norm(model.tip(pose) - model.rest_tip))
+
+    def _elsewhere(self, unknowns: int, watch: Watch) -> Cost:
+        """Return the cost on a finer mesh, measured in a process of its own, so that its memory is its own too."""
+        finer = refined(self.simulator.mesh, unknowns)
+        bench = replace(self, simulator=replace(self.simulator, mesh=finer))
+        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+            return pool.submit(_cost, bench, watch).result()
+
+    @property
+    def _load(self) -> np.ndarray:
+        return np.r_[self.pressure_pa, np.zeros(self.simulator.robot.chambers + 2)]
+
+    def _step(self, model: FemModel, state: State) -> State:
+        moved, solve = model.step(state, self._load, self.dt_s)
+        if not solve.converged:
+            raise SolverError(f"a step of {self.dt_s:g} s did not converge in {solve.iterations} iterations")
+        return moved
+
+    def _run(self, model: FemModel, steps: int) -> State:
+        state = model.state()
+        for _ in range(steps):
+            state = self._step(model, state)
+        return state
+
+    def _moving(self, model: FemModel) -> State:
+        """Return the body two steps after the pressure's jump: bent, and moving fast."""
+        return self._run(model, 2)
+
+
+def _cost(bench: FemBench, watch: Watch) -> Cost:
+    return bench.cost(watch)
+
+
+def extrapolated(unknowns: np.ndarray, values: np.ndarray) -> tuple[float, float]:
+    """Return the limit of three ``values`` at three falling mesh widths ``unknowns ** (-1/3)``, and the order in it.
+
+    Not monotone values have no order: the last one and 0 are returned then.
+    """
+    width = unknowns ** (-1.0 / 3.0)
+    steps = np.diff(values)
+    if steps[0] * steps[1] <= 0.0:
+        return float(values[-1]), 0.0
+
+    def mismatch(order: float) -> Any:
+        h = width**order
+        return (h[0] - h[1]) / (h[1] - h[2]) - steps[0] / steps[1]
+
+    low, high = 0.2, 6.0
+    if mismatch(low) * mismatch(high) > 0.0:
+        return float(values[-1]), 0.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if mismatch(low) * mismatch(middle) > 0.0 else (low, middle)
+    h = width**low
+    return float(values[2] + steps[1] * h[2] / (h[1] - h[2])), low

@@ -1,0 +1,154 @@
+"""bench=rom: the reduced bodies beside the full model, on motions that no fit has seen."""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from softrl.bench.figures import draw_motions
+from softrl.bench.watch import Timing, Watch, timing
+from softrl.core.errors import ConfigError
+from softrl.core.progress import progress
+from softrl.core.tracking import Tracker
+from softrl.fem.sampling import step_program
+from softrl.fem.simulator import FemSimulator
+from softrl.pod.galerkin_simulator import GalerkinSimulator
+from softrl.pod.rom import roll
+from softrl.pod.simulator import RomSimulator
+
+log = logging.getLogger(__name__)
+STREAM = 7001  # keeps these motions apart from those that stage=fem draws with the same seed
+
+
+class Path(NamedTuple):
+    """A motion: tips (steps, 3) m, quaternions (steps, 4) w x y z, volume changes (steps, n) m^3."""
+
+    tip: np.ndarray
+    quaternion: np.ndarray
+    volume: np.ndarray
+
+
+@dataclass(frozen=True)
+class RomBench:
+    """The energy ROM, POD Galerkin and the full model, under weight, through the interface that every stage uses.
+
+    Attributes
+    ----------
+    rom, galerkin, fem : the bodies; the full model takes its damping from what the reduced model was made with;
+        ``galerkin`` may be left out
+    motions : unseen ones of ``duration_s`` with pressures and tip forces held ``hold_s``, on the time step ``dt_s``
+    rate_steps : of a timed run of the ROM
+    batch, batch_steps : trajectories and their steps in a timed batch
+    """
+
+    rom: RomSimulator
+    galerkin: GalerkinSimulator | None
+    fem: FemSimulator
+    motions: int
+    duration_s: float
+    hold_s: float
+    dt_s: float
+    rate_steps: int
+    batch: int
+    batch_steps: int
+
+    def __post_init__(self) -> None:
+        for name in ("motions", "duration_s", "hold_s", "dt_s", "rate_steps", "batch", "batch_steps"):
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"bench.rom.{name}={getattr(self, name):g} must be positive")
+
+    def measure(self, watch: Watch, seed: int, tracker: Tracker) -> dict[str, float]:
+        """Return the metrics."""
+        rng = np.random.default_rng([seed, STREAM])
+        clock = np.arange(1, round(self.duration_s / self.dt_s) + 1) * self.dt_s
+        loads = [step_program(self.rom.robot, clock, self.hold_s, rng) for _ in range(self.motions)]
+        full, taken = [], []
+        for load in progress(loads, "full model"):
+            began = watch.now()
+            full.append(self._follow(self._full_model, load))
+            taken.append(watch.now() - began)
+        rom = [self._follow(self.rom, load) for load in loads]
+        metrics = errors("rom", rom, full) | timing(taken).rate("fem_steps", len(clock))
+        tips = {"energy ROM": [path.tip for path in rom]}
+        if self.galerkin is not None:
+            paths, more = self._galerkin(watch, loads)
+            metrics |= errors("galerkin", paths, full) | more
+            tips["POD Galerkin"] = [path.tip for path in paths]
+        tracker.figure("unseen_motions", draw_motions(clock, [path.tip for path in full], tips))
+        still = [np.broadcast_to(path.tip[:1], path.tip.shape) for path in full]
+        metrics["baseline_rest_tip_rms_mm"] = _rms_mm([a - b.tip for a, b in zip(still, full, strict=True)])
+        return metrics | self._rates(watch, rng)
+
+    def _galerkin(self, watch: Watch, loads: list[np.ndarray]) -> tuple[list[Path], dict[str, float]]:
+        """Return the Galerkin body's motions, and its rate and size; building it does not count."""
+        assert self.galerkin is not None
+        began = watch.now()
+        body = self.galerkin.body
+        built = watch.now() - began
+        paths, taken = [], []
+        self._follow(self.galerkin, loads[0][:2])  # rest
+        for load in loads:
+            began = watch.now()
+            paths.append(self._follow(self.galerkin, load))
+            taken.append(watch.now() - began)
+        return paths, timing(taken).rate("galerkin_steps", len(loads[0])) | {
+            "galerkin_modes": body.slope.shape[3], "galerkin_elements": body.elements,
+            "galerkin_sampling_error_pct": 100.0 * body.sampling_error, "galerkin_build_s": built,
+        }  # fmt: skip
+
+    @property
+    def _full_model(self) -> FemSimulator:
+        model = self.rom.reduced_model
+        damping = {name: getattr(model, name) for name in ("rayleigh_mass_per_s", "rayleigh_stiffness_s")}
+        return replace(self.fem, **damping)
+
+    def _follow(self, body: Any, load: np.ndarray) -> Path:
+        """Return the motion of a simulator from its rest under ``load`` (steps, n + 3)."""
+        n, state = body.robot.chambers, body.reset()
+        rows = []
+        for row in load:
+            state = body.step(state, row[:n], self.dt_s, row[n:])
+            rows.append((*body.observe(state), volumes_of(body, state)))
+        return Path(*(np.stack(values) for values in zip(*rows, strict=True)))
+
+    def _rates(self, watch: Watch, rng: np.random.Generator) -> dict[str, float]:
+        model, robot = self.rom.reduced_model, self.rom.robot
+        clock = np.arange(1, self.rate_steps + 1) * self.dt_s
+        load = step_program(robot, clock, self.hold_s, rng)
+        single = _timed(watch, lambda: self.rom.simulate(clock, load[:, : robot.chambers], load[:, robot.chambers :]))
+        starts = rng.integers(0, max(1, len(load) - self.batch_steps), self.batch)
+        batch = np.stack([load[s : s + self.batch_steps] for s in starts])
+        many = _timed(watch, lambda: roll(model, self.dt_s, batch))
+        return single.rate("rom_steps", len(load)) | many.rate("rom_batch_steps", batch.shape[0] * batch.shape[1])
+
+
+def volumes_of(body: Any, state: Any) -> np.ndarray:
+    """Return the changes (n,) m^3 of the chambers' volumes from the stress-free rest."""
+    if isinstance(body, FemSimulator):
+        return body.model.volumes(state.body.pose) - body.model.rest_volume
+    return np.asarray(state.coordinates[: body.robot.chambers])
+
+
+def errors(name: str, found: list[Path], full: list[Path]) -> dict[str, float]:
+    """Return the metrics of ``found`` against the full model's motions."""
+    pairs = list(zip(found, full, strict=True))
+    tip = [np.linalg.norm(a.tip - b.tip, axis=1) for a, b in pairs]
+    turn = [2.0 * np.arccos(np.minimum(1.0, np.abs((a.quaternion * b.quaternion).sum(axis=1)))) for a, b in pairs]
+    missed, moved = (np.concatenate(rows) for rows in ([a.volume - b.volume for a, b in pairs], [b.volume for b in full]))
+    return {
+        f"{name}_tip_rms_mm": _rms_mm([a.tip - b.tip for a, b in pairs]),
+        f"{name}_tip_max_mm": 1e3 * float(np.concatenate(tip).max()),
+        f"{name}_orientation_rms_deg": float(np.rad2deg(np.sqrt((np.concatenate(turn) ** 2).mean()))),
+        f"{name}_volume_err_pct": 100.0 * float(np.sqrt((missed**2).mean() / (moved**2).mean())),
+    }
+
+
+def _rms_mm(differences: list[np.ndarray]) -> float:
+    return 1e3 * float(np.sqrt((np.concatenate(differences) ** 2).sum(axis=1).mean()))
+
+
+def _timed(watch: Watch, work: Callable[[], Any]) -> Timing:
+    work()  # compiles
+    return watch.time(work)[0]

@@ -1,0 +1,39 @@
+"""A chamber that gives way in the middle of a run."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numba as nb
+import numpy as np
+
+from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
+
+
+@nb.njit(SIGNAL_KERNEL, cache=True)
+def failure_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
+    """Take away a share of the pressure from the onset on; in the step of the onset, in proportion."""
+    loss, onset, chamber = parameters[0], parameters[1], int(parameters[2])
+    state[0] += dt
+    reached = min(max((state[0] - onset) / dt, 0.0), 1.0)
+    for i in range(len(value)):
+        if chamber < 0 or chamber == i:
+            value[i] *= 1.0 - loss * reached
+
+
+@dataclass(frozen=True)
+class Failure(Effect):
+    """Acting pressure ``(1 - loss) p`` from ``onset_s`` after the start of each run on, and ``p`` before.
+
+    Notes
+    -----
+    A puncture, a kinked tube, a torn layer, as a step in time (an empirical form, no equation number checked). A run that
+    ends before the onset shows nothing; in real sessions the onset belongs to one run, the later ones have it at 0.
+    """
+
+    site: ClassVar[str] = "chamber"
+    title: ClassVar[str] = "failure of a chamber during the run"
+    kernel: ClassVar = failure_kernel
+
+    loss: float = parameter("1", 0.0, 1.0, 0.0, typical=0.4)
+    onset_s: float = parameter("s", 0.0, 600.0, 5.0, typical=5.0)
+    chamber: int = -1

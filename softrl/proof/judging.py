@@ -1,0 +1,149 @@
+"""Diagnose one blind case, and measure what the answer is worth on motion that the fit has not seen."""
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from softrl.artifacts.diagnosis import Diagnosis
+from softrl.core.tracking import NullTracker
+from softrl.diagnosis.stage import Config as DiagnosisConfig
+from softrl.diagnosis.stage import run as diagnose
+from softrl.effects.chain import Plant, chain_of
+from softrl.effects.library import effect_class
+from softrl.effects.replay import replay
+from softrl.pcc.simulator import PccSimulator
+from softrl.proof import blackbox
+from softrl.recordings.read import read
+from softrl.recordings.recording import Recording, RecordingSet
+from softrl.robots.robot import Robot
+
+MODELS = ("oracle", "nominal", "retuned", "corrected", "blackbox")
+Answer = dict[str, Any]
+
+
+def answer(recordings: Path, robot: Robot, nominal: PccSimulator, config: DiagnosisConfig) -> Answer:
+    """Return what the diagnosis says of a folder of recordings; a crash is an answer too, and a wrong one."""
+    return diagnosed(lambda: read(recordings, robot), robot, nominal, config)
+
+
+def diagnosed(
+    source: Callable[[], RecordingSet], robot: Robot, nominal: PccSimulator, config: DiagnosisConfig
+) -> Answer:
+    """Return what the diagnosis says of the recordings that ``source`` gives."""
+    logger, started = logging.getLogger("softrl"), time.perf_counter()
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        found = plain(diagnose(config, robot, source(), nominal, tracker=NullTracker()))
+    except Exception as error:  # whatever it is, the case counts as a miss and its message is kept
+        found = {"verdict": "crashed", "error": f"{type(error).__name__}: {error}"}
+    finally:
+        logger.setLevel(before)
+    return found | {"seconds": round(time.perf_counter() - started, 2)}
+
+
+def plain(found: Diagnosis) -> Answer:
+    """Return the parts of a diagnosis that are scored."""
+    return {
+        "verdict": "cannot tell" if "cannot_tell" in found.unexplained else found.verdict,
+        "effects": [
+            {"name": e["name"], "site": e["site"], "chamber": e["chamber"], "parameters": e["parameters"]}
+            for e in found.effects
+        ],
+        "rivals": found.rivals,
+        "located": found.located[:5],
+        "sentences": found.sentences,
+        "corrections": found.corrections(),
+        "simulator_parameters": found.simulator_parameters,
+        "retuned": {name: entry["value"] for name, entry in found.retuned.items()},
+        "training_runs": found.data.get("training_runs", []),
+        "heldout_runs": found.data.get("heldout_runs", []),
+    }
+
+
+def worth(folder: Path, name: str, given: Answer, robot: Robot, nominal: PccSimulator, dt_s: float) -> dict[str, Any]:
+    """Return the rms error, mm, of every competitor on held-out runs and on the session out of distribution.
+
+    The oracle knows the truth without noise: its error is the noise. Simulators step by ``dt_s``, as in the fit.
+    """
+    if given["verdict"] == "crashed":
+        return {"heldout": {}, "outside": {}}
+    runs = {run.name: run for run in read(folder / "recordings" / name, robot).recordings}
+    last = read(folder / "outside" / name, robot).recordings
+    with np.load(folder / "truth" / f"{name}.npz", allow_pickle=False) as stored:
+        truth = {key: stored[key] for key in stored.files}
+    heldout = [runs[label] for label in given["heldout_runs"]] or list(runs.values())
+    training = [runs[label] for label in given["training_runs"]] or list(runs.values())
+    box = blackbox.fit(training)
+    plants = {
+        "nominal": Plant(nominal, chain_of(robot, ())),
+        "retuned": Plant(nominal.with_parameters(**given["retuned"]), chain_of(robot, ())),
+        "corrected": corrected(given, robot, nominal),
+    }
+    made = {}
+    for split, chosen in (("heldout", heldout), ("outside", list(last))):
+        apart = {"oracle": [seen(run) - truth[run.name] for run in chosen]}
+        for model, plant in plants.items():
+            apart[model] = [seen(run) - seen(replay(plant, run, dt_s)) for run in chosen]
+        apart["blackbox"] = [seen(run) - box.predict(run) for run in chosen]
+        made[split] = {model: rms_mm(rows) for model, rows in apart.items()}
+    return made
+
+
+def corrected(given: Answer, robot: Robot, nominal: PccSimulator) -> Plant:
+    """Return the simulator with the effects and parameters of an answer."""
+    effects = []
+    for found in given["corrections"]:
+        kind = effect_class(found["name"])
+        fixed = {"chamber": found["chamber"]} if "chamber" in kind.__dataclass_fields__ else {}
+        effects.append(kind(**found["parameters"], **fixed))
+    return Plant(nominal.with_parameters(**given["simulator_parameters"]), chain_of(robot, effects))
+
+
+def shuffled(
+    source: Path, given: Answer, robot: Robot, nominal: PccSimulator, config: DiagnosisConfig, seed: int
+) -> Answer:
+    """Return what the diagnosis says of a case's recordings with a shuffled residual."""
+    return diagnosed(
+        lambda: without_relation(source, given, robot, nominal, config.numerics.dt_s, seed), robot, nominal, config
+    )
+
+
+def without_relation(
+    source: Path, given: Answer, robot: Robot, nominal: PccSimulator, dt_s: float, seed: int
+) -> RecordingSet:
+    """Return recordings of the retuned simulator plus the case's own residual with its phases drawn at random.
+
+    The residual keeps its size and colour and loses all relation to the commands: there is nothing to be found.
+    """
+    plant = Plant(nominal.with_parameters(**given["retuned"]), chain_of(robot, ()))
+    rng = np.random.default_rng(seed)
+    taken = []
+    for run in read(source, robot).recordings:
+        predicted = seen(replay(plant, run, dt_s))
+        left = seen(run) - predicted
+        mixed = predicted + _phases_drawn(left, rng)
+        taken.append(replace(run, position=mixed, quaternion=None, pressure_meas=None))
+    return RecordingSet(robot_name=robot.name, recordings=tuple(taken))
+
+
+def _phases_drawn(series: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    lines = np.fft.rfft(series - series.mean(axis=0), axis=0)
+    turned = np.fft.irfft(lines * np.exp(2j * np.pi * rng.uniform(size=lines.shape)), len(series), axis=0)
+    return np.asarray(turned)
+
+
+def seen(run: Recording) -> np.ndarray:
+    """Return the tip (samples, 3) m of a run."""
+    assert run.position is not None
+    return run.position
+
+
+def rms_mm(rows: list[np.ndarray]) -> float:
+    """Return the rms norm of the rows, mm."""
+    return 1e3 * float(np.sqrt(np.mean(np.sum(np.concatenate(rows) ** 2, axis=1))))

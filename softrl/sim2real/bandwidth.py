@@ -1,0 +1,126 @@
+"""How fast the tip can follow: amplitude over frequency, measured, and as the simulator with its effects predicts."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from softrl.core.driver import Driver
+from softrl.core.errors import ConfigError
+from softrl.effects.chain import EffectChain, Plant
+from softrl.recordings.program import limited, record
+from softrl.recordings.recording import Recording
+from softrl.robots.robot import Robot
+
+KNEE = 1.0 / np.sqrt(2.0)  # -3 dB
+
+
+@dataclass(frozen=True)
+class Bandwidth:
+    """A sweep of one chamber's pressure.
+
+    Attributes
+    ----------
+    frequencies_hz : of the tones, one after the other, rising; the first is the reference
+    middle_kpa, amplitude_kpa : of the pressure; at the highest tone the slew must not bind
+    cycles, least_s : of a tone that count, at least so long; as many more go before
+    dt_s : time between commands
+    """
+
+    frequencies_hz: tuple[float, ...]
+    middle_kpa: float
+    amplitude_kpa: float
+    cycles: int
+    least_s: float
+    dt_s: float
+
+    def __post_init__(self) -> None:
+        if len(self.frequencies_hz) < 3 or (np.diff(self.frequencies_hz) <= 0).any() or self.frequencies_hz[0] <= 0:
+            raise ConfigError(
+                f"stage.bandwidth.frequencies_hz={list(self.frequencies_hz)}; expected three or more, positive and rising"
+            )
+        for name in ("amplitude_kpa", "cycles", "least_s", "dt_s"):
+            if getattr(self, name) <= 0:
+                raise ConfigError(f"stage.bandwidth.{name}={getattr(self, name):g} must be positive")
+
+
+@dataclass(frozen=True)
+class Response:
+    """Amplitudes (tones,) relative to the first tone's, and the frequency of -3 dB.
+
+    Attributes
+    ----------
+    knee_hz : infinite if the amplitude stays above
+    """
+
+    frequency_hz: np.ndarray
+    ratio: np.ndarray
+    knee_hz: float
+
+
+def sweep(robot: Robot, settings: Bandwidth, chamber: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Return the program (time (steps,) s, pressure (steps, n) Pa)."""
+    pressure = np.zeros((sum(count for _, count in _tones(settings)), robot.chambers))
+    start = 0
+    for frequency, count in _tones(settings):
+        time = settings.dt_s * np.arange(1, count + 1)
+        wave = settings.middle_kpa + settings.amplitude_kpa * np.sin(2.0 * np.pi * frequency * time)
+        pressure[start : start + count, chamber] = 1e3 * wave
+        start += count
+    pressure = limited(robot, pressure, settings.dt_s)
+    return settings.dt_s * np.arange(1, len(pressure) + 1), pressure
+
+
+def _tones(settings: Bandwidth) -> Iterator[tuple[float, int]]:
+    """Yield frequency and number of commands of each tone: a run-in and as much again that counts."""
+    for frequency in settings.frequencies_hz:
+        cycles = max(settings.cycles, int(np.ceil(settings.least_s * frequency)))
+        yield frequency, 2 * round(cycles / frequency / settings.dt_s)
+
+
+def response(settings: Bandwidth, time: np.ndarray, position: np.ndarray) -> Response:
+    """Return the response in tips (samples, 3) m at ``time`` (samples,) s since the program began."""
+    found, start = [], 0.0
+    for frequency, count in _tones(settings):
+        middle, start = start + 0.5 * count * settings.dt_s, start + count * settings.dt_s
+        mine = (time > middle) & (time <= start)
+        phase = 2.0 * np.pi * frequency * time[mine]
+        columns = np.column_stack([np.sin(phase), np.cos(phase), np.ones(mine.sum()), time[mine] - middle])
+        sine, cosine = np.linalg.lstsq(columns, position[mine], rcond=None)[0][:2]
+        found.append(np.sqrt(np.sum(sine**2 + cosine**2)))
+    ratio = np.array(found) / found[0]
+    frequency_hz = np.array(settings.frequencies_hz)
+    return Response(frequency_hz, ratio, _knee(frequency_hz, ratio))
+
+
+def _knee(frequency_hz: np.ndarray, ratio: np.ndarray) -> float:
+    """Return where the amplitude first falls below -3 dB for good, on straight lines between the logarithms."""
+    above = np.flatnonzero(ratio >= KNEE)
+    k = int(above[-1])
+    if k == len(ratio) - 1:
+        return float("inf")
+    share = np.log(ratio[k] / KNEE) / np.log(ratio[k] / ratio[k + 1])
+    return float(frequency_hz[k] * (frequency_hz[k + 1] / frequency_hz[k]) ** share)
+
+
+def measure(driver: Driver, robot: Robot, settings: Bandwidth) -> tuple[Recording, Response]:
+    """Return what the robot did under the sweep."""
+    time, pressure = sweep(robot, settings)
+    with driver:
+        recording = record(driver, robot, time, pressure, "bandwidth", "bandwidth")
+    if recording.position is None:
+        raise ConfigError("the bandwidth needs a tip position, which this robot does not report")
+    began = recording.time[0] - settings.dt_s
+    return recording, response(settings, recording.time - began, recording.position)
+
+
+def predict(robot: Robot, plant: Plant, settings: Bandwidth) -> dict[str, Response]:
+    """Return what the simulator says: with all its effects, and without each of them (``without_<effect>``)."""
+    time, pressure = sweep(robot, settings)
+
+    def of(chain: EffectChain) -> Response:
+        return response(settings, time, Plant(plant.simulator, chain).simulate(time, pressure).position)
+
+    effects = plant.chain.effects
+    less = {e.name(): EffectChain(robot, tuple(other for other in effects if other is not e)) for e in effects}
+    return {"predicted": of(plant.chain)} | {f"without_{name}": of(chain) for name, chain in less.items()}

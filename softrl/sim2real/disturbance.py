@@ -1,0 +1,80 @@
+"""An air line is pulled off during a rollout and put back on, and the time until the tip is back."""
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from softrl.core.errors import ConfigError
+from softrl.sim2real.rollout import Rollout
+
+BACK = 1.5  # an error of this many times the one before counts as recovered
+QUIET_STEPS = 3  # it has to stay so for this many commands
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """An air line that is off for a while.
+
+    Attributes
+    ----------
+    course : during which;  chamber : whose line, from 0
+    cut_share : of the course that goes before
+    cut_s : time without it
+    """
+
+    course: str
+    chamber: int
+    cut_share: float
+    cut_s: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.cut_share < 1.0 or self.cut_s <= 0.0:
+            raise ConfigError(
+                f"stage.disturbance: cut_share={self.cut_share:g} must lie between 0 and 1, cut_s={self.cut_s:g} above 0"
+            )
+
+    def steps(self, count: int, period_s: float) -> tuple[int, int]:
+        """Return before which commands of ``count`` the line goes off and comes back."""
+        cut = max(round(self.cut_share * count), 1)
+        back = cut + max(round(self.cut_s / period_s), 1)
+        if back >= count:
+            raise ConfigError(
+                f"stage.disturbance.cut_s={self.cut_s:g}: the line would come back after the course's {count} commands"
+            )
+        return cut, back
+
+
+@runtime_checkable
+class Breakable(Protocol):
+    """A driver whose robot can lose an air line."""
+
+    def cut(self, chamber: int | None) -> None:
+        """Pull the line of a chamber off; None puts all back on."""
+        ...
+
+
+class Recovery(NamedTuple):
+    """What a cut did.
+
+    Attributes
+    ----------
+    before_mm : rms error before it;  worst_mm : largest error from the cut on
+    back_s : from the reconnection until the error is at most 1.5 times that before and stays so; infinite if never
+    """
+
+    before_mm: float
+    worst_mm: float
+    back_s: float
+
+
+def recovery(rollout: Rollout, cut: int, back: int, period_s: float) -> Recovery:
+    """Return how a rollout came through a line that was off from step ``cut`` to step ``back``."""
+    error = 1e3 * rollout.course.position_error(rollout.reached)
+    before = float(np.sqrt(np.mean(error[:cut] ** 2)))
+    calm = error[back:] <= BACK * before
+    for first in range(len(calm) - QUIET_STEPS + 1):
+        if calm[first : first + QUIET_STEPS].all():
+            # the error of a step is that at the end of its period
+            return Recovery(before, float(error[cut:].max()), (first + 1) * period_s)
+    return Recovery(before, float(error[cut:].max()), float("inf"))

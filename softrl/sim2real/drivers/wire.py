@@ -1,0 +1,399 @@
+"""A driver for a device on a wire, in real time: a serial port or datagrams (see ``protocol``).
+
+A thread of its own repeats the setpoint on every sample, so that a busy caller does not starve the device's watchdog, and
+watches the link. It vents the robot at once when the link is one-way, silent, or speaks of a fault, and when the
+caller has been silent for too long.
+"""
+
+import logging
+import secrets
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Self
+
+import numpy as np
+
+from softrl.core.driver import Sample
+from softrl.core.errors import ConfigError, DriverError
+from softrl.robots.robot import Robot
+from softrl.sim2real.drivers.limits import Setpoint
+from softrl.sim2real.drivers.protocol import PRESSURE_PA, Decoder, Flag, Frame, Kind, State, Welcome, counts
+from softrl.sim2real.drivers.regulator import RunningRig, WiredRig
+from softrl.sim2real.drivers.transport import SerialTransport, Transport, UdpTransport
+
+log = logging.getLogger(__name__)
+HELLO_EVERY_S = 0.2
+RECEIVE_S = 0.01
+VENT_REPEATS = 3
+
+
+class WireDriver:
+    """The driver contract over a transport. Time is the device's, as its samples tell it.
+
+    Parameters
+    ----------
+    robot : its limits are enforced here, before anything is sent
+    connect : opens a transport
+    watchdog_s : longest device time under pressure without a command of the caller's
+    link_timeout_s : longest real time without a fresh sample, or without the device taking what was sent
+    vent_s : device time that the driver stays connected after it has vented
+    start_timeout_s : longest wait for the device's first answer
+
+    Attributes
+    ----------
+    samples : all that arrived since the last entry; they outlive a lost link
+    dropped : samples that were not newer than the one before, since the last entry
+    """
+
+    def __init__(
+        self, robot: Robot, connect: Callable[[], Transport], watchdog_s: float, link_timeout_s: float, vent_s: float,
+        start_timeout_s: float,
+    ) -> None:
+        for name, value in (("watchdog_s", watchdog_s), ("link_timeout_s", link_timeout_s), ("vent_s", vent_s)):
+            if value <= 0:
+                raise ConfigError(f"driver.{name}={value:g} must be positive")
+        self._robot, self._connect = robot, connect
+        self._watchdog_s, self._link_timeout_s = watchdog_s, link_timeout_s
+        self._vent_s, self._start_timeout_s = vent_s, start_timeout_s
+        self._entered = False
+        self.samples: list[Sample] = []
+        self.dropped = 0
+
+    def __enter__(self) -> Self:
+        """Connect and begin a session; the device is vented."""
+        if self._entered:
+            raise DriverError(f"the driver of {self._robot.name} is connected already; leave the first 'with' block")
+        self.samples, self.dropped = [], 0
+        self._decoder, self._transport = Decoder(), self._connect()
+        self._session, self._number, self._heard = secrets.randbelow(1 << 16), 0, 0
+        self._pending: deque[tuple[int, float]] = deque()
+        self._fault: str | None = None
+        self._taken = 0
+        self._fresh = threading.Condition()
+        try:
+            welcome = self._hello()
+            self._check(welcome)
+        except BaseException:
+            self._transport.close()
+            raise
+        self._setpoint = Setpoint(self._robot, 1.0 / welcome.rate_hz)
+        self._commanded_s, self._until_s = 0.0, 0.0
+        self._running = self._entered = True
+        self._last_fresh = time.monotonic()
+        self._thread = threading.Thread(target=self._pump, name="softrl-link", daemon=True)
+        self._thread.start()
+        self._begin()
+        return self
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        """Vent and disconnect, whatever happened; a failure to vent never hides the error that led here."""
+        self._entered = False
+        vented = self._vent()
+        self._running = False
+        self._thread.join()
+        self._transport.close()
+        if self._decoder.damaged or self.dropped:
+            log.warning(
+                "link to %s: %d damaged frames and %d late or repeated samples were dropped",
+                self._robot.name, self._decoder.damaged, self.dropped,
+            )  # fmt: skip
+        failure = None if vented else f"no word from {self._robot.name} that it is vented; its own watchdog has to"
+        if error is None and (self._fault or failure):
+            raise DriverError(self._fault or failure)
+        if failure:
+            log.error("%s", failure)
+
+    def command(self, pressure: np.ndarray) -> np.ndarray:
+        """Return the first setpoint (chambers,) Pa on the way to ``pressure``; the rest follows, one a sample."""
+        self._require_entry()
+        with self._fresh:
+            self._raise_fault()
+            self._commanded_s = self._clock_s
+            return self._setpoint.request(pressure)
+
+    def advance(self, dt_s: float) -> list[Sample]:
+        """Wait until ``dt_s`` has passed on the device's clock and return the samples that arrived.
+
+        Time that the caller took since the last call is part of it; a caller who took longer is not caught up with.
+
+        Raises
+        ------
+        DriverError
+            If the link was lost or a watchdog vented the robot; ``samples`` keeps what had arrived.
+        """
+        self._require_entry()
+        with self._fresh:
+            before = self._returned
+            self._until_s += dt_s
+            if self._until_s <= self._clock_s:
+                self._until_s = self._clock_s + dt_s
+            half_s = 0.5 * self._setpoint_period_s
+            while self._clock_s < self._until_s - half_s:
+                self._raise_fault()
+                self._fresh.wait(self._link_timeout_s)
+            self._raise_fault()
+            self._returned = len(self.samples)
+            return self.samples[before:]
+
+    def stop(self) -> None:
+        """Stop in an emergency: vent at once and refuse every command until ``release``; from any thread, at any time."""
+        self._require_entry()
+        with self._fresh:
+            self._halt(Kind.STOP, f"emergency stop of {self._robot.name}; driver.release() ends it in a new session")
+
+    def release(self) -> None:
+        """End an emergency stop that an earlier session left; the driver must not be connected."""
+        if self._entered:
+            raise DriverError(f"the driver of {self._robot.name} is connected; leave the 'with' block to release it")
+        self._decoder, self._transport = Decoder(), self._connect()
+        self._session, self._number, self._heard = secrets.randbelow(1 << 16), 0, 0
+        self._pending = deque()
+        try:
+            self._hello()
+            for _ in range(VENT_REPEATS):
+                self._send(Kind.RELEASE)
+        finally:
+            self._transport.close()
+
+    # ---- the session -------------------------------------------------------------------------------------------
+
+    def _hello(self) -> Welcome:
+        """Return the device's answer to a new session."""
+        give_up = time.monotonic() + self._start_timeout_s
+        while time.monotonic() < give_up:
+            self._send(Kind.HELLO, bytes([self._robot.chambers]))
+            again = time.monotonic() + HELLO_EVERY_S
+            while time.monotonic() < again:
+                for frame in self._decoder.feed(self._transport.receive()):
+                    if frame.kind == Kind.WELCOME and frame.session == self._session:
+                        self._heard = frame.sequence
+                        return Welcome.decode(frame.payload)
+        raise DriverError(
+            f"no device answered within {self._start_timeout_s:g} s; is it on, and does it speak softrl's protocol?"
+        )
+
+    def _check(self, welcome: Welcome) -> None:
+        if welcome.chambers != self._robot.chambers:
+            raise DriverError(
+                f"the device has {welcome.chambers} chambers, robot={self._robot.name} has {self._robot.chambers}"
+            )
+        if welcome.flags & Flag.STOPPED:
+            raise DriverError("the device is in emergency stop; end it at the device, or with driver.release()")
+        self._setpoint_period_s = 1.0 / welcome.rate_hz
+        self._clock_s, self._returned = 0.0, 0
+        self._pending.clear()
+
+    def _begin(self) -> None:
+        """Wait for the first sample, from which time counts."""
+        with self._fresh:
+            give_up = time.monotonic() + self._start_timeout_s
+            while not self.samples and self._fault is None and time.monotonic() < give_up:
+                self._fresh.wait(self._link_timeout_s)
+            fault = self._fault or (None if self.samples else "the device sends no samples")
+            self._until_s = self._commanded_s = self._clock_s
+            self._returned = len(self.samples)
+        if fault is not None:
+            self._entered = self._running = False
+            self._thread.join()
+            self._transport.close()
+            raise DriverError(fault)
+
+    def _vent(self) -> bool:
+        """Vent, stay connected for ``vent_s`` and return whether the device said that it is vented."""
+        with self._fresh:
+            self._setpoint.vent()
+            self._try(Kind.VENT)
+            sent, until_s = self._number, self._clock_s + self._vent_s
+            give_up = time.monotonic() + self._vent_s + 2.0 * self._link_timeout_s
+            while time.monotonic() < give_up and self._alive and (self._acted < sent or self._clock_s < until_s):
+                self._fresh.wait(self._link_timeout_s)
+            return self._acted >= sent
+
+    @property
+    def _alive(self) -> bool:
+        return self._thread.is_alive()
+
+    @property
+    def _acted(self) -> int:
+        """Sequence of the last frame that the device took, 0 if it is not vented."""
+        return self._taken if self.samples and not self.samples[-1].commanded.any() else 0
+
+    # ---- the thread --------------------------------------------------------------------------------------------
+
+    def _pump(self) -> None:
+        """Take samples, answer each by the setpoint, and watch, until the session ends or the line is dead."""
+        while self._running:
+            try:
+                frames = self._decoder.feed(self._transport.receive())
+            except DriverError as error:
+                with self._fresh:
+                    self._fail(str(error))
+                return
+            with self._fresh:
+                fresh = sum(self._take(frame) for frame in frames)
+                self._watch()
+                try:
+                    # without a sample no time has passed, so the setpoint stays where it is
+                    self._repeat(move=fresh > 0)
+                except DriverError as error:
+                    self._fail(str(error))
+                    return
+                self._fresh.notify_all()
+
+    def _take(self, frame: Frame) -> bool:
+        """Keep the sample of a STATE and return whether it was one and new."""
+        if frame.kind != Kind.STATE or frame.session != self._session:
+            return False
+        try:
+            state = State.decode(frame.payload, self._robot.chambers)
+        except ValueError as error:
+            self._fail(f"{error}: driver and device do not speak the same protocol")
+            return False
+        if frame.sequence <= self._heard or state.clock_s <= self._clock_s:
+            self.dropped += 1
+            return False
+        self._heard, self._clock_s, self._taken = frame.sequence, state.clock_s, state.taken
+        self._last_fresh = time.monotonic()
+        while self._pending and self._pending[0][0] <= state.taken:
+            self._pending.popleft()
+        self.samples.append(
+            Sample(state.clock_s, state.setpoint, state.pressure, state.position, state.quaternion, state.tip_force)
+        )
+        self._heed(state.flags)
+        return True
+
+    def _heed(self, flags: Flag) -> None:
+        if flags & Flag.STOPPED:
+            self._fail(f"emergency stop at the device of {self._robot.name}")
+        elif flags & Flag.WATCHDOG:
+            self._fail(f"the device's watchdog vented {self._robot.name}: it had taken no setpoint for too long")
+        elif flags & Flag.REFUSED:
+            self._fail("the device refused a setpoint: its range is smaller than the robot's limits here")
+
+    def _watch(self) -> None:
+        now = time.monotonic()
+        if now - self._last_fresh > self._link_timeout_s:
+            self._fail(f"lost the link: no fresh sample for {self._link_timeout_s:g} s; what had arrived is kept")
+        elif self._pending and now - self._pending[0][1] > self._link_timeout_s:
+            self._fail(f"lost the link: the device has taken nothing that was sent for {self._link_timeout_s:g} s")
+        elif self._entered and self._setpoint.sent.any() and self._clock_s - self._commanded_s > self._watchdog_s:
+            self._fail(f"the watchdog vented the robot: no command for more than {self._watchdog_s:g} s")
+
+    def _repeat(self, move: bool) -> None:
+        """Send the setpoint, one period further if a sample has come."""
+        if self._fault is not None:
+            self._send(Kind.VENT)
+            return
+        if move:
+            self._setpoint.advance(1)
+        if move or time.monotonic() - self._last_sent > self._setpoint_period_s:
+            self._send(Kind.SETPOINT, counts(self._setpoint.sent, PRESSURE_PA))
+
+    # ---- ends --------------------------------------------------------------------------------------------------
+
+    def _fail(self, fault: str) -> None:
+        """Vent at once, and let the caller know at the next call."""
+        if self._fault is None:
+            self._halt(Kind.VENT, fault)
+
+    def _halt(self, kind: Kind, fault: str) -> None:
+        self._fault = fault
+        self._setpoint.vent()
+        for _ in range(VENT_REPEATS):
+            self._try(kind)
+        self._fresh.notify_all()
+
+    def _raise_fault(self) -> None:
+        if self._fault is not None:
+            raise DriverError(f"{self._fault} (after {len(self.samples)} samples)")
+
+    def _send(self, kind: Kind, payload: bytes = b"") -> None:
+        self._number += 1
+        self._last_sent = time.monotonic()
+        self._pending.append((self._number, self._last_sent))
+        self._transport.send(Frame(kind, self._session, self._number, payload).encode())
+
+    def _try(self, kind: Kind) -> None:
+        """Send if the line still takes it."""
+        try:
+            self._send(kind)
+        except DriverError as error:
+            log.error("could not send %s: %s", kind.name, error)
+
+    def _require_entry(self) -> None:
+        if not self._entered:
+            raise DriverError(f"the driver of {self._robot.name} is not connected; use it in a 'with' block")
+
+
+class _OnWire(WireDriver):
+    """A wire driver that may own the rig at its far end."""
+
+    def __init__(
+        self, robot: Robot, medium: str, address: str | None, rig: WiredRig | None,
+        open_at: Callable[[str], Transport], watchdog_s: float, link_timeout_s: float, vent_s: float,
+        start_timeout_s: float,
+    ) -> None:
+        if (address is None) == (rig is None):
+            raise ConfigError(f"driver={medium} needs the address of a device, or a rig of its own: one of the two")
+        self._address, self._rig, self._medium, self._open_at = address, rig, medium, open_at
+        self._far_end: RunningRig | None = None
+        super().__init__(robot, self._open, watchdog_s, link_timeout_s, vent_s, start_timeout_s)
+
+    def _open(self) -> Transport:
+        if self._rig is None:
+            return self._open_at(str(self._address))
+        if self._far_end is not None and not self._far_end.process.is_alive():
+            self._far_end.close()
+            self._far_end = None
+        if self._far_end is None:
+            self._far_end = self._rig.start(self._medium)
+        return self._open_at(self._far_end.address)
+
+    @property
+    def far_end(self) -> RunningRig | None:
+        """The own rig, None before the first entry and with a real device."""
+        return self._far_end
+
+
+class SerialDriver(_OnWire):
+    """A device on a serial port.
+
+    Parameters
+    ----------
+    port : its path, such as /dev/ttyUSB0 or COM3; None with a rig of its own, which brings a pseudo terminal
+    baud : bits per second; 100 STATEs a second of three chambers take 92 000
+    rig : put at the far end, in a process of its own
+    """
+
+    def __init__(
+        self, robot: Robot, port: str | None, baud: int, watchdog_s: float, link_timeout_s: float, vent_s: float,
+        start_timeout_s: float, rig: WiredRig | None = None,
+    ) -> None:  # fmt: skip
+        super().__init__(
+            robot, "serial", port, rig, lambda at: SerialTransport(at, baud, RECEIVE_S), watchdog_s, link_timeout_s,
+            vent_s, start_timeout_s,
+        )  # fmt: skip
+
+
+class UdpDriver(_OnWire):
+    """A device that takes datagrams.
+
+    Parameters
+    ----------
+    host, port : its address; both None with a rig of its own, which listens on this machine only
+    rig : put at the far end, in a process of its own
+    """
+
+    def __init__(
+        self, robot: Robot, host: str | None, port: int | None, watchdog_s: float, link_timeout_s: float,
+        vent_s: float, start_timeout_s: float, rig: WiredRig | None = None,
+    ) -> None:  # fmt: skip
+        address = None if host is None or port is None else f"{host}:{port}"
+        super().__init__(robot, "udp", address, rig, _open_udp, watchdog_s, link_timeout_s, vent_s, start_timeout_s)
+
+
+def _open_udp(address: str) -> Transport:
+    host, _, port = address.rpartition(":")
+    return UdpTransport(host, int(port), RECEIVE_S)

@@ -1,0 +1,95 @@
+"""Benches are right about what they compare; how fast they find this machine is not a test."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softrl.artifacts.mesh import tetrahedron_volumes
+from softrl.bench.fem import FemBench, extrapolated
+from softrl.bench.reference import Reference
+from softrl.bench.refine import quadratic_unknowns, refined
+from softrl.bench.stage import Config, run
+from softrl.bench.watch import Timing, Watch, machine, peak_memory_gb
+from softrl.core.config import build
+from softrl.core.errors import ConfigError
+from softrl.core.tracking import NullTracker
+from softrl.fem.elements import quadratic_mesh
+from softrl.fem.simulator import FemSimulator
+from tests.fem.bodies import NEWTON, box_robot, hollow_box, model_of
+
+BOX = hollow_box(chambers=2)
+SIMULATOR = FemSimulator(
+    robot=box_robot(2), mesh=BOX, law="stable_neo_hookean", moduli_pa=(1e6,), poisson=0.45, element_order=2,
+    rayleigh_mass_per_s=1.0, rayleigh_stiffness_s=0.01, tolerance_m=1e-9, max_iterations=40, reuse_below=0.3,
+    youngs_modulus_scale=1.0, damping_scale=1.0, mass_scale=1.0,
+)  # fmt: skip
+BENCH = FemBench(SIMULATOR, 5e3, 0.005, 1, (), 1, ())
+
+
+def test_the_reference_makes_the_same_step() -> None:
+    pytest.importorskip("skfem")
+    model = model_of(BOX, rayleigh_mass_per_s=2.0, rayleigh_stiffness_s=0.01, gravity_m_s2=(0.0, 1.0, -9.81), newton=NEWTON)
+    load, state = np.array([6e3, -2e3, 0.2, 0.1, -0.3]), model.state()
+    for _ in range(2):
+        state = model.step(state, load, 0.004).state
+    reference = Reference(model)
+    forces = model._elastic(state.pose, 1).gradient
+    assert np.abs(reference.force(state.pose.position) - forces).max() < 1e-9 * np.abs(forces).max()
+    ours, theirs = model.step(state, load, 0.004).state.pose, reference.step(state, load, 0.004)
+    moved = np.abs(ours.position - state.pose.position).max()
+    assert np.abs(ours.position - theirs.pose.position).max() < 1e-5 * moved
+    assert theirs.iterations <= 6, "a wrong matrix would converge slowly"
+
+
+@pytest.mark.parametrize("factor", [1.5, 4.0])
+def test_a_refined_mesh_is_the_same_body(factor: float) -> None:
+    wanted = int(factor * quadratic_unknowns(BOX))
+    finer = refined(BOX, wanted)
+    finer.validate()
+    assert abs(quadratic_unknowns(finer) / wanted - 1.0) < 0.15
+    assert finer.volume() == pytest.approx(BOX.volume(), rel=1e-12)
+    for k in range(2):
+        assert finer.cavity_volume(k) == pytest.approx(BOX.cavity_volume(k), rel=1e-12)
+    quadratic_mesh(finer)  # refuses a surface that does not fit the elements
+    before = tetrahedron_volumes(BOX.points, BOX.tetrahedra).sum()
+    assert tetrahedron_volumes(finer.points, finer.tetrahedra).sum() == pytest.approx(before)
+    assert refined(BOX, 10) is BOX
+
+
+def test_the_limit_of_a_power_law_is_found() -> None:
+    unknowns = np.array([1e4, 3e4, 1e5])
+    limit, order = extrapolated(unknowns, 2.0 - 0.7 * unknowns ** (-2.0 / 3.0))
+    assert limit == pytest.approx(2.0, rel=1e-9) and order == pytest.approx(2.0, rel=1e-6)
+    assert extrapolated(unknowns, np.array([1.0, 2.0, 1.5])) == (1.5, 0.0)
+
+
+def test_the_stage_reports_what_it_promises(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("skfem")
+    tracker = NullTracker()
+    finer = replace(BENCH, mesh_unknowns=(quadratic_unknowns(BOX) + 300,), convergence_unknowns=(1500, 2200))
+    made = run(Config(1, "cpu", 0), SIMULATOR.robot, {"fem": finer}, tracker=tracker)
+    promised = {"assembly_ms", "factor_solve_ms", "step_ms", "steps_per_s", "speedup_vs_scikit_fem",
+                "convergence_error_pct", "peak_memory_gb"}  # fmt: skip
+    assert promised <= set(tracker.metrics) and all(np.isfinite(list(tracker.metrics.values())))
+    assert tracker.metrics["scikit_fem_node_difference_mm"] < 1e-4
+    assert 0.0 < tracker.metrics["convergence_error_pct"] < 50.0
+    assert made.document()["machine"]["cores"] >= 1
+    made.save(tmp_path / "benchmark")
+    assert type(made).load(tmp_path / "benchmark") == made
+
+
+def test_timings_are_medians_and_take_turns() -> None:
+    seen: list[str] = []
+    first, second = Watch(3).time(lambda: seen.append("a"), lambda: seen.append("b"))
+    assert "".join(seen) == "ababab" and first.minimum <= first.median <= first.maximum
+    assert Timing(1.0, 2.0, 4.0).rate("x", 8.0) == {"x_per_s": 4.0, "x_min_per_s": 2.0, "x_max_per_s": 8.0}
+    assert 0.01 < peak_memory_gb() < 100 and machine()["python"]
+
+
+def test_bad_settings_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"bench\.fem\.dt_s"):
+        replace(BENCH, dt_s=0.0)
+    with pytest.raises(ConfigError, match=r"stage\.clock=sun"):
+        build({"repeats": 1, "clock": "sun", "seed": 0}, Config, "stage")

@@ -1,0 +1,78 @@
+"""Scores of a hand-made table, with intervals from the literature's formula worked by hand."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from softrl.proof.score import coverage, gap_closed, metrics, misses, row_of, wilson
+
+ERRORS = {
+    split: {"oracle": 0.2, "nominal": 4.2, "retuned": 2.0, "corrected": 0.6, "blackbox": 3.0}
+    for split in ("heldout", "outside")
+}
+
+
+def key(case: int, stratum: str, *hidden: tuple[str, tuple[str, ...]], loud: float = 5.0) -> dict[str, Any]:
+    entries = [{"name": n, "right": list(r), "chamber": -1, "parameters": {}} for n, r in hidden]
+    return {"case": case, "stratum": stratum, "hidden": entries, "places": ["everywhere"] * len(entries),
+            "signal_to_noise": loud if hidden else 0.0, "measured_pressure": True, "body_discrepancy_mm": 0.1}  # fmt: skip
+
+
+def said(verdict: str, *names: str) -> dict[str, Any]:
+    effects = [{"name": n, "chamber": -1, "parameters": {}} for n in names]
+    return {"verdict": verdict, "effects": effects, "rivals": [], "located": [], "seconds": 10.0}
+
+
+@pytest.mark.parametrize(
+    ("hits", "trials", "low", "high"),
+    [(8, 10, 49.0, 94.3), (0, 10, 0.0, 27.8), (10, 10, 72.2, 100.0), (1, 2, 9.5, 90.5), (95, 100, 88.8, 97.8)],
+)
+def test_wilson_intervals(hits: int, trials: int, low: float, high: float) -> None:
+    share = wilson(hits, trials)
+    assert share.pct == pytest.approx(100.0 * hits / trials)
+    assert (share.low, share.high) == pytest.approx((low, high), abs=0.06)
+
+
+def test_a_table_by_hand() -> None:
+    lag, creep = ("spool", ("lag", "tube_line")), ("powerlaw", ("viscoelasticity",))
+    table = [
+        (key(0, "null"), said("nothing missing")),
+        (key(1, "nuisance"), said("unknown")),  # a false alarm
+        (key(2, "single", lag), said("named", "tube_line")),
+        (key(3, "single", lag), said("named", "payload", "lag")),  # right, but not first
+        (key(4, "single", lag, loud=0.3), said("nothing missing")),  # too faint to count
+        (key(5, "pair", lag, creep), said("named", "viscoelasticity", "lag")),
+        (key(6, "pair", lag, creep), said("named", "lag")),
+        (key(7, "outside", ("twist", ())), said("unknown")),
+        (key(8, "outside", ("twist", ())), said("named", "frame")),
+    ]
+    rows = [row_of(k, s, ERRORS, 1.0) for k, s in table]
+    found = metrics(rows, 1, 4)
+    assert found["cases"] == 9 and found["detectable_singles"] == 2
+    assert found["top1_pct"] == 50.0 and found["top1_low_pct"] == pytest.approx(9.5, abs=0.06)
+    assert found["pairs_both_pct"] == 50.0 and found["false_alarm_pct"] == 50.0 and found["unknown_flagged_pct"] == 50.0
+    assert found["gap_closed_heldout_median_pct"] == pytest.approx(90.0) == found["gap_closed_ood_median_pct"]
+    assert found["blackbox_ood_ratio"] == pytest.approx(5.0) and found["retuned_ood_ratio"] == pytest.approx(2.0 / 0.6)
+    assert (found["shuffled_finds"], found["shuffled_cases"], found["seconds_per_case"]) == (1, 4, 10.0)
+    assert np.isnan(found["interval_coverage_pct"])
+    assert [line.split(",")[0] for line in misses(rows)] == ["case 1", "case 3", "case 6", "case 8"]
+
+
+def test_a_crash_is_a_miss_that_closes_no_gap() -> None:
+    crashed = {"verdict": "crashed", "error": "ValueError: x", "seconds": 1.0}
+    row = row_of(key(0, "single", ("spool", ("lag",))), crashed, {"heldout": {}, "outside": {}}, 1.0)
+    assert not row["top1"] and gap_closed(row, "outside") == 0.0
+    found = metrics([row], 0, 0)
+    assert found["top1_pct"] == 0.0 and found["gap_closed_ood_median_pct"] == 0.0
+    assert "ValueError" in misses([row])[0]
+
+
+def test_intervals_count_where_both_forms_mean_the_same() -> None:
+    hidden = key(0, "single", ("mass", ("payload",)))
+    hidden["hidden"][0]["parameters"] = {"payload.mass": 0.2}
+    answers = said("named", "payload")
+    for low, high, wanted in ((0.15, 0.25, (1, 1)), (0.21, 0.25, (0, 1)), (-np.inf, np.inf, (0, 0))):
+        answers["effects"][0]["parameters"] = {"mass": {"value": 0.22, "low": low, "high": high}}
+        assert coverage(hidden, answers) == wanted
+    assert coverage(hidden, said("named", "tether")) == (0, 0)

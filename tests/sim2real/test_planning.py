@@ -1,0 +1,135 @@
+"""Laws of planned commands: they invert what is known, feedback takes away what is not, limits hold."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from softrl.core.errors import ConfigError
+from softrl.core.simulator import Simulator
+from softrl.effects.chain import Plant, chain_of
+from softrl.effects.effect import Effect
+from softrl.effects.hysteresis import Hysteresis
+from softrl.effects.lag import Lag
+from softrl.effects.offset import Offset
+from softrl.robots.robot import Robot
+from softrl.sim2real.course import Course
+from softrl.sim2real.drivers.rig import Noise
+from softrl.sim2real.planning import Plan, PlannedController, Planning, Route, linearise, plan
+from softrl.sim2real.rollout import Pace, follow
+from tests.sim2real.conftest import BenchDriver
+
+PERIOD_S, APPROACH, STEPS = 0.5, 2, 14
+SETTINGS = Planning(
+    dt_s=0.01, memory_steps=4, probe_kpa=0.2, rounds=2, refinements=2, smoothness_mm_per_kpa=0.01,
+    approach_weight=0.1, feedback=0.5, horizon_steps=3,
+)  # fmt: skip
+HIDDEN = (Lag(fill_s=0.15, vent_s=0.3), Hysteresis(height=0.03, yield_strain=0.02))
+
+
+def here(position: np.ndarray, tip_force: np.ndarray | None = None) -> np.ndarray:
+    return position
+
+
+def route(robot: Robot, body: Simulator, *effects: Effect) -> Route:
+    return Route(robot, Plant(body, chain_of(robot, effects)), PERIOD_S, SETTINGS.dt_s, 2, here)
+
+
+@pytest.fixture(scope="module")
+def guess() -> np.ndarray:
+    """Return pressures (steps, 3) Pa of a smooth loop."""
+    phase = 2.0 * np.pi * np.arange(STEPS) / STEPS
+    return 12e3 + 6e3 * np.column_stack([np.sin(phase), np.cos(phase), np.sin(phase + 2.0)])
+
+
+@pytest.fixture(scope="module")
+def target(tripod: Robot, body: Simulator, guess: np.ndarray) -> np.ndarray:
+    """Return tips (steps, 3) m at rest under those pressures."""
+    settled = (body.step(body.reset(), row, 1e6) for row in guess)
+    return np.stack([body.observe(state)[0] for state in settled])
+
+
+def planned(route: Route, target: np.ndarray, guess: np.ndarray) -> Plan:
+    return plan(route, target, guess, APPROACH, SETTINGS)
+
+
+def error_mm(controller: Any, robot: Robot, body: Simulator, noise: Noise, target: np.ndarray, *hidden: Effect) -> float:
+    driver = BenchDriver(robot, body, noise, hidden)
+    rollout = follow(driver, robot, controller, Course.free("loop", target), Pace(PERIOD_S, 2, APPROACH), "loop", "loop")
+    return 1e3 * rollout.error_m()
+
+
+def test_known_physics_is_inverted_without_feedback(
+    tripod: Robot, body: Simulator, silence: Noise, target: np.ndarray, guess: np.ndarray
+) -> None:
+    blind = replace(SETTINGS, feedback=0.0)
+
+    def run(prepared: Plan) -> float:
+        controller = PlannedController(prepared, APPROACH, blind, tripod, here)
+        return error_mm(controller, tripod, body, silence, target, *HIDDEN)
+
+    nominal = run(planned(route(tripod, body), target, guess))
+    corrected = run(planned(route(tripod, body, *HIDDEN), target, guess))
+    assert corrected < 0.15 * nominal
+    assert corrected < 0.5
+
+
+def test_feedback_takes_away_what_nobody_knew(
+    tripod: Robot, body: Simulator, silence: Noise, target: np.ndarray, guess: np.ndarray
+) -> None:
+    prepared = planned(route(tripod, body), target, guess)
+    hidden = Offset(offset=0.04, chamber=0)
+    blind, seeing = (
+        error_mm(
+            PlannedController(prepared, APPROACH, replace(SETTINGS, feedback=share), tripod, here),
+            tripod, body, silence, target, hidden,
+        )
+        for share in (0.0, 0.5)
+    )  # fmt: skip
+    assert seeing < 0.35 * blind
+
+
+def test_the_prediction_is_what_the_rig_does(
+    tripod: Robot, body: Simulator, silence: Noise, target: np.ndarray, guess: np.ndarray
+) -> None:
+    course = route(tripod, body)
+    request = np.concatenate([guess[:1], guess])
+    predicted = course.predict(request)
+
+    class Playing:
+        def pressure(self, position: np.ndarray, step: int, tip_force: np.ndarray | None = None) -> np.ndarray:
+            return request[step + 1]
+
+    driver = BenchDriver(tripod, body, silence)
+    rollout = follow(driver, tripod, Playing(), Course.free("play", target), Pace(PERIOD_S, 2, 1), "play", "play")
+    np.testing.assert_allclose(rollout.reached, predicted[1:], atol=5e-5)
+
+
+def test_probes_together_tell_what_each_would_tell_alone(tripod: Robot, body: Simulator, guess: np.ndarray) -> None:
+    course = route(tripod, body)
+    predicted = course.predict(guess)
+    together = linearise(course, guess, predicted, SETTINGS)
+    changed = guess.copy()
+    changed[5, 1] -= 200.0
+    alone = (course.predict(changed) - predicted)[5:8] / -200.0
+    stacked = np.stack([together[5 + j, :, j, 1] for j in range(3)])
+    np.testing.assert_allclose(stacked, alone, atol=0.03 * np.abs(alone).max())
+
+
+def test_a_plan_beyond_the_range_stays_within_it(tripod: Robot, body: Simulator, guess: np.ndarray) -> None:
+    far = body.observe(body.step(body.reset(), np.array([60e3, 0.0, 0.0]), 1e6))[0]
+    prepared = planned(route(tripod, body), np.tile(far, (4, 1)), guess[:4])
+    assert prepared.request.max() <= tripod.pressure_max_pa + 1e-3
+    assert prepared.request.min() >= tripod.pressure_min_pa - 1e-3
+    controller = PlannedController(prepared, APPROACH, SETTINGS, tripod, here)
+    for step in range(-APPROACH, 4):
+        sent = controller.pressure(np.zeros(3), step)
+        assert sent.max() <= tripod.pressure_max_pa + 1e-3, "a misfit that cannot be removed does not wind up"
+
+
+def test_impossible_settings_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"feedback=1\.5"):
+        replace(SETTINGS, feedback=1.5)
+    with pytest.raises(ConfigError, match="memory_steps=0"):
+        replace(SETTINGS, memory_steps=0)

@@ -1,0 +1,254 @@
+"""Faults of the link: on a line that misbehaves on purpose, and on real ones whose far end dies, hangs or stays silent."""
+
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from softrl.core.errors import ConfigError, DriverError
+from softrl.core.simulator import Simulator
+from softrl.effects.chain import chain_of
+from softrl.robots.robot import Robot
+from softrl.sim2real.drivers.protocol import PRESSURE_PA, Decoder, Frame, Kind, State, counts
+from softrl.sim2real.drivers.regulator import Regulator, WiredRig
+from softrl.sim2real.drivers.rig import Hardware, Noise
+from softrl.sim2real.drivers.transport import SerialTransport, Transport, UdpTransport
+from softrl.sim2real.drivers.wire import SerialDriver, UdpDriver, WireDriver
+
+LEVEL = np.array([20e3, 10e3, -5e3])
+Spoil = Callable[[list[bytes]], list[bytes]]
+
+
+class Line:
+    """A line to a device in the same process; ``up`` and ``down`` spoil what goes to it and what comes back.
+
+    The device lives one period with each look at the line.
+    """
+
+    def __init__(self, device: Regulator) -> None:
+        self.device, self.decoder = device, Decoder()
+        self.up: Spoil = list
+        self.down: Spoil = list
+        self.states: list[State] = []
+
+    def send(self, data: bytes) -> None:
+        for piece in self.up([data]):
+            for frame in self.decoder.feed(piece):
+                answer = self.device.take(frame)
+                self.answers = [answer] if answer else []
+
+    def receive(self) -> bytes:
+        time.sleep(0.001)
+        data, self.answers = self.answers, []
+        state = self.device.tick()
+        if state is not None:
+            self.states.append(State.decode(Decoder().feed(state)[0].payload, 3))
+            data.append(state)
+        return b"".join(self.down(data))
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture
+def line(tripod: Robot, body: Simulator, silence: Noise) -> Line:
+    return Line(Regulator(Hardware(body, chain_of(tripod, []), silence, 100.0, 100.0, 0.08), 0))
+
+
+def driver_on(line: Transport, robot: Robot, link_timeout_s: float = 0.3) -> WireDriver:
+    return WireDriver(robot, lambda: line, 1e3, link_timeout_s, 0.1, 10.0)
+
+
+def test_a_clean_line_loses_nothing(line: Line, tripod: Robot) -> None:
+    with driver_on(line, tripod) as driver:
+        driver.command(LEVEL)
+        driver.advance(0.5)
+        np.testing.assert_array_equal(driver.samples[-1].commanded, LEVEL)
+    clock = np.array([sample.time_s for sample in driver.samples])
+    np.testing.assert_allclose(np.diff(clock), 0.01, atol=1e-9)
+    assert not driver.samples[-1].commanded.any() and driver.dropped == 0
+
+
+def spoilers(rng: np.random.Generator) -> dict[str, Spoil]:
+    held: list[bytes] = []
+
+    def reorder(pieces: list[bytes]) -> list[bytes]:
+        held.extend(pieces)
+        if len(held) < 3:
+            return []
+        out = [held[k] for k in rng.permutation(len(held))]
+        held.clear()
+        return out
+
+    def corrupt(pieces: list[bytes]) -> list[bytes]:
+        return [bytes([p[0] ^ (rng.random() < 0.3), *p[1:]]) for p in pieces]
+
+    return {
+        "dropped": lambda pieces: [p for p in pieces if rng.random() > 0.3],
+        "repeated": lambda pieces: [p for p in pieces for _ in range(rng.integers(1, 4))],
+        "reordered": reorder,
+        "corrupted": corrupt,
+    }
+
+
+@pytest.mark.parametrize("fault", ["dropped", "repeated", "reordered", "corrupted"])
+def test_a_bad_line_delays_but_never_deceives(line: Line, tripod: Robot, fault: str) -> None:
+    with driver_on(line, tripod, link_timeout_s=5.0) as driver:
+        line.up, line.down = (spoilers(np.random.default_rng(seed))[fault] for seed in (0, 1))
+        driver.command(LEVEL)
+        driver.advance(1.0)
+        line.up = line.down = list
+        acted = np.stack([state.setpoint for state in line.states])
+    clock = [sample.time_s for sample in driver.samples]
+    assert (np.diff(clock) > 0.0).all()
+    moves = np.diff(acted, axis=0) * np.sign(LEVEL)
+    assert moves.min() >= 0.0, "never back to an older setpoint"
+    assert moves.max() <= 0.01 * tripod.slew_pa_per_s * (1 + 1e-9)
+    np.testing.assert_array_equal(acted[-1], LEVEL)
+
+
+def silent(pieces: list[bytes]) -> list[bytes]:
+    return []
+
+
+@pytest.mark.parametrize(("way", "told"), [("down", "no fresh sample"), ("up", "watchdog|has taken nothing")])
+def test_a_line_that_is_cut_one_way_ends_in_a_vented_robot(line: Line, tripod: Robot, way: str, told: str) -> None:
+    with pytest.raises(DriverError, match=told) as error, driver_on(line, tripod) as driver:
+        driver.command(LEVEL)
+        driver.advance(0.3)
+        before = len(driver.samples)
+        cut = len(line.states)
+        setattr(line, way, silent)
+        driver.advance(5.0)
+    assert "\n" not in str(error.value)
+    assert len(driver.samples) >= before, "what had arrived is kept"
+    assert not line.states[-1].setpoint.any()
+    if way == "up":
+        under_pressure = [s.clock_s for s in line.states[cut:] if s.setpoint.any()]
+        assert under_pressure[-1] - line.states[cut - 1].clock_s <= 0.1
+
+
+def test_frozen_readings_are_not_taken_for_fresh_ones(line: Line, tripod: Robot) -> None:
+    with pytest.raises(DriverError, match="no fresh sample"), driver_on(line, tripod) as driver:
+        driver.command(LEVEL)
+        driver.advance(0.2)
+        last = line.down
+        frozen: list[bytes] = []
+        line.down = lambda pieces: (frozen.extend(pieces), last(frozen[:1]))[1]
+        driver.advance(5.0)
+
+
+def test_an_emergency_stop_lasts_until_it_is_released(line: Line, tripod: Robot) -> None:
+    driver = driver_on(line, tripod)
+    with pytest.raises(DriverError, match="emergency stop"), driver:
+        driver.command(LEVEL)
+        driver.advance(0.2)
+        driver.stop()
+        driver.command(LEVEL)
+    assert not line.states[-1].setpoint.any()
+    with pytest.raises(DriverError, match="release"), driver:
+        pass
+    driver.release()
+    with driver:
+        driver.command(LEVEL)
+        driver.advance(0.3)
+        np.testing.assert_array_equal(driver.samples[-1].commanded, LEVEL)
+
+
+def test_another_robot_is_refused(line: Line, tripod: Robot) -> None:
+    finger = Robot(**{**vars(tripod), "name": "finger", "chamber_angle_deg": (0.0,)})
+    with pytest.raises(DriverError, match="3 chambers"), driver_on(line, finger):
+        pass
+
+
+@pytest.fixture(scope="module")
+def rig(tripod: Robot, body: Simulator, silence: Noise) -> WiredRig:
+    return WiredRig(tripod, body, {}, silence, 100.0, 100.0, 0.08, 1.0, 120.0, 0)
+
+
+@pytest.fixture(scope="module", params=["serial", "udp"])
+def driver(request: pytest.FixtureRequest, tripod: Robot, rig: WiredRig) -> Iterator[SerialDriver | UdpDriver]:
+    """Return a driver over a real transport, its rig in another process; a rig that a test kills is started anew."""
+    common = {"watchdog_s": 1e3, "link_timeout_s": 1.0, "vent_s": 0.1, "start_timeout_s": 120.0, "rig": rig}
+    made = (
+        SerialDriver(tripod, None, 460800, **common)
+        if request.param == "serial"
+        else UdpDriver(tripod, None, None, **common)
+    )
+    yield made
+    if made.far_end is not None:
+        made.far_end.close()
+
+
+def fill_and_signal(driver: SerialDriver | UdpDriver, sign: signal.Signals) -> str:
+    """Return the error of a session in which the rig gets a signal while the robot is under pressure."""
+    kept = 0
+    with pytest.raises(DriverError) as error, driver:
+        driver.command(LEVEL)
+        driver.advance(0.2)
+        kept = len(driver.samples)
+        assert driver.far_end is not None and driver.far_end.process.pid is not None
+        os.kill(driver.far_end.process.pid, sign)
+        driver.advance(60.0)
+    assert len(driver.samples) >= kept > 10, f"what had arrived is kept: {error.value}"
+    return str(error.value)
+
+
+def test_a_rig_that_hangs_is_told_and_comes_back_vented(driver: SerialDriver | UdpDriver) -> None:
+    told = fill_and_signal(driver, signal.SIGSTOP)
+    assert "lost the link" in told and "\n" not in told
+    assert driver.far_end is not None and driver.far_end.process.pid is not None
+    os.kill(driver.far_end.process.pid, signal.SIGCONT)
+    with driver:
+        assert not driver.advance(0.1)[-1].commanded.any()
+
+
+def test_a_device_whose_driver_falls_silent_vents_itself(driver: SerialDriver | UdpDriver) -> None:
+    with driver:
+        pass
+    assert driver.far_end is not None
+    address, decoder = driver.far_end.address, Decoder()
+    states: list[State] = []
+    transport: Transport
+    if isinstance(driver, SerialDriver):
+        transport = SerialTransport(address, 460800, 0.01)
+    else:
+        host, port = address.split(":")
+        assert host == "127.0.0.1", "nobody outside this machine may reach it"
+        transport = UdpTransport(host, int(port), 0.01)
+
+    def listen() -> None:
+        for frame in decoder.feed(transport.receive()):
+            if frame.kind == Kind.STATE and frame.session == 77:
+                states.append(State.decode(frame.payload, 3))
+
+    number, give_up = 1, time.monotonic() + 60.0
+    transport.send(Frame(Kind.HELLO, 77, number, b"\x03").encode())
+    while not (states and states[-1].setpoint.any()) and time.monotonic() < give_up:
+        if states:
+            number += 1
+            transport.send(Frame(Kind.SETPOINT, 77, number, counts(LEVEL, PRESSURE_PA)).encode())
+        listen()
+    while states[-1].setpoint.any() and time.monotonic() < give_up:
+        listen()
+    transport.close()
+    taken = max(state.taken for state in states)
+    last = next(state.clock_s for state in states if state.taken == taken)
+    assert states[-1].clock_s - last <= 0.1, "by the device's own clock"
+
+
+def test_a_rig_that_dies_is_told(driver: SerialDriver | UdpDriver) -> None:
+    told = fill_and_signal(driver, signal.SIGKILL)
+    assert "lost the link" in told and "\n" not in told
+
+
+def test_an_address_or_a_rig_not_both(tripod: Robot, rig: WiredRig) -> None:
+    with pytest.raises(ConfigError, match="one of the two"):
+        SerialDriver(tripod, None, 460800, 1.0, 0.1, 0.1, 1.0)
+    with pytest.raises(DriverError, match="cannot open serial port /dev/nothing"), SerialDriver(
+        tripod, "/dev/nothing", 460800, 1.0, 0.1, 0.1, 1.0
+    ):
+        pass
