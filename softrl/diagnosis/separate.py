@@ -1,48 +1,66 @@
-"""What to record next: the program under which hypotheses that fit alike would part most, beside the noise."""
+"""What to record next: pieces of a program under which hypotheses that fit alike part most, beside the noise."""
 
 from typing import Any
+
+import numpy as np
 
 from softrl.core.errors import SolverError
 from softrl.diagnosis.hypothesise import Trial
 from softrl.diagnosis.problem import Problem
 from softrl.excite.block import blocks
-from softrl.excite.plan import Effort, Pair, plan, separation, sums
 from softrl.excite.rival import Rival
-from softrl.excite.separation import Sensing
+from softrl.excite.separation import Sensing, normal, responses, tangent
 
-MINUTES = 3.0
+PIECES = 3
 STEP_S = 0.02
 REST_S = 2.0
-EFFORT = Effort(shortlist=2, exchanges=0, fit_evaluations=1)
+
+
+def separation(first: Rival, second: Rival, pressure: np.ndarray, sensing: Sensing) -> float:
+    """Return the difference of two responses, in standard deviations of the noise.
+
+    Parameters
+    ----------
+    first, second : at their fitted parameters; the second may change them to resemble the first, to first order
+    pressure : (steps, chambers) Pa, the program
+    sensing : step and noise
+    """
+    truth = responses([first.at(first.point)], pressure, sensing)[0]
+    return float(normal(truth, tangent(second, second.point, pressure, sensing)).distance())
 
 
 def separating_program(problem: Problem, first: Trial, second: Trial, noise_m: float) -> dict[str, Any] | None:
-    """Return the program that tells two fitted hypotheses apart best, or None if their bodies do not run.
+    """Return the pieces that tell two fitted hypotheses apart best per second, or None if their bodies do not run.
 
     Parameters
     ----------
     problem : whose robot and simulator the hypotheses are about
-    first, second : fitted; the second may change its parameters to resemble the first under any program, to first order
+    first, second : fitted
     noise_m : rms of the noise of one sample of the motion, over its components
 
     Returns
     -------
     dict
-        program in words, duration_s, and separation: the difference that is left in standard deviations of the noise
+        program in words, duration_s, and separation: the difference that is left in standard deviations of the noise,
+        of all pieces together
+
+    Notes
+    -----
+    Every piece is judged from rest; ``stage=excite`` plans a whole program and refits the hypotheses to it.
     """
-    robot = problem.robot
     sensing = Sensing(STEP_S, problem.numerics.bin_s, max(noise_m, 1e-6), None)
     one, other = (_rival(problem, trial) for trial in (first, second))
-    pair = Pair(one, other, one.point, other.point)
+    pieces = blocks(problem.robot, STEP_S, REST_S, 0)
     try:
-        chosen = plan([pair], blocks(robot, STEP_S, REST_S, 0), sensing, 60.0 * MINUTES, EFFORT)
-        reached = sum(separation(sums(pair, block.pressure, sensing)) for block in chosen)
+        apart = np.array([separation(one, other, piece.pressure, sensing) for piece in pieces])
     except SolverError:
         return None
+    length = STEP_S * np.array([len(piece.pressure) for piece in pieces])
+    best = np.argsort(-(apart**2) / length)[:PIECES]
     return {
-        "program": "; then ".join(block.label for block in chosen),
-        "duration_s": STEP_S * sum(len(block.pressure) for block in chosen),
-        "separation": float(reached),
+        "program": "; then ".join(pieces[k].label for k in best),
+        "duration_s": float(length[best].sum()),
+        "separation": float(np.linalg.norm(apart[best])),
     }
 
 
