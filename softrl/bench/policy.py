@@ -42,9 +42,7 @@ class PolicyBench:
         shape = CURVES["figure_eight"](self.decisions)
         target = space.centre + RADIUS_SHARE * space.largest(shape, space.centre) * shape
         tips = target + 1e-3 * rng.standard_normal(target.shape)
-        controller = PolicyController(
-            self.policy, self.surrogate, self.calibration, Course.free("figure_eight", target)
-        )
+        controller = PolicyController(self.policy, self.surrogate, self.calibration, Course.free("circle", target))
 
         def run() -> list[float]:
             taken = []
