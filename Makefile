@@ -4,7 +4,7 @@ RUN := $(VENV)/bin/python
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test test-slow ui lint type clean
+.PHONY: help setup run paper test test-slow ui lint type clean
 
 help:  ## list the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -21,6 +21,9 @@ $(READY): pyproject.toml constraints.txt
 
 run: $(READY)  ## the whole loop with the quick profile: from a robot to a diagnosis
 	$(RUN) -m softrl stage=all profile=quick
+
+paper: $(READY)  ## the paper's tables beside ours: five seeds at full size, many hours; stop and start it as you like
+	$(RUN) -m softrl stage=paper profile=paper stage.keep=experiments/paper.json
 
 test: $(READY)  ## tests of laws and of the command line, under 10 minutes
 	$(RUN) -m pytest -n 2 --dist loadfile

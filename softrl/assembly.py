@@ -106,6 +106,11 @@ class Assembly:
             found = read_recordings(path, self.robot)
             self.used["recordings"] = self.inputs["recordings"] = f"{path}:{fingerprint.of_folder(path)}"
             return found
+        if not optional and self._absent(RecordingSet):
+            raise ArtifactError(
+                f"there are no recordings of robot {self.robot.name}: name a dataset folder with recordings=<folder>, or "
+                "record some with stage=sim2real (stage=excite out=<folder> plans commands that stage=simulate can replay)"
+            )
         return None if optional else self._artifact(RecordingSet)
 
     def _artifact(self, kind: type[Artifact]) -> Any:

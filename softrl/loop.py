@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from softrl.core.errors import ConfigError
 from softrl.core.progress import progress
+from softrl.paper import run_paper
 from softrl.pipeline import STAGES, Outcome, outputs, run_stage
 from softrl.report.table import table
 
@@ -25,7 +26,9 @@ def run_configured(cfg: DictConfig) -> None:
     """Run what the command line asks for: one stage, or all of them in order."""
     chosen: Any = HydraConfig.get()
     folder, stage = Path(chosen.runtime.output_dir), chosen.runtime.choices.stage
-    if stage == "all":
+    if stage == "paper":
+        finished = run_paper(_plain(cfg), list(chosen.overrides.task), folder, _compose)
+    elif stage == "all":
         finished = _run_all(list(chosen.overrides.task), folder)
     else:
         finished = [run_stage(stage, _plain(cfg), folder)]

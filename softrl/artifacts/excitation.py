@@ -19,7 +19,8 @@ class Excitation(Artifact):
     time : (steps,) s, each row of pressure is held until its time
     pressure : (steps, chambers) Pa gauge
     blocks : {label, start_s, duration_s}, in order
-    pairs : {first, second, points ({label: scaled parameters}), separation_sigma ({planned, default, random}: distance
+    pairs : {first, second, parameters ({label: {effect.name: value}} at which both resemble each other under the default
+        program), separation_sigma ({planned, default, random}: distance
         left after a full refit, in standard deviations of the noise, of the way round that is told apart worse)}
     """
 

@@ -21,8 +21,12 @@ class ReducedModel(Artifact):
     frame : (r, r) m^3 and m, z per y
     energy : (monomials,) J, elastic energy W; none of degree 0 and 1
     mass_root : (r r, monomials) kg^0.5 m, rows of R with M = R' R in y
-    stiffness_root : (r r, monomials) J^0.5, rows of R with T' K_elastic T = R' R in y: what stiffness-proportional
-        damping multiplies
+    stiffness_root : (r r, monomials) J^0.5, rows of R with T' K T = R' R in y: what stiffness-proportional damping
+        multiplies, less its share that lags
+    lag_root : (r r, monomials) J^0.5, likewise the share that lags; without columns nothing lags
+    lag_ratio : time constant of the lags over ``rayleigh_stiffness_s``
+    lag_rotation : (3 r, monomials) rad per y s, further turn of the tip by the lagged rate times
+        ``rayleigh_stiffness_s``
     centre_of_mass : (3, monomials) m, displacement of the centre of mass
     rotation : (3, monomials) rad, rotation vector of the tip relative to rest
     rest_tip : (3,) m;  rest_volume : (n,) m^3;  mass : kg
@@ -38,7 +42,8 @@ class ReducedModel(Artifact):
     Notes
     -----
     ``dW/dz`` is the load (Pa, N) that holds ``z``; equations of motion ``M z'' + D z' + dW/dz = load`` with
-    ``D = rayleigh_mass M + rayleigh_stiffness T' K T``.
+    ``D z' = rayleigh_mass M z' + rayleigh_stiffness (B z' + G u)`` with B and G of ``stiffness_root`` and ``lag_root``,
+    and ``rayleigh_stiffness lag_ratio u' = z' - u``: a slow motion meets B + G = T' K T, a sudden one B.
     """
 
     schema: ClassVar[int] = 2
@@ -48,6 +53,9 @@ class ReducedModel(Artifact):
     energy: np.ndarray
     mass_root: np.ndarray
     stiffness_root: np.ndarray
+    lag_root: np.ndarray
+    lag_ratio: float
+    lag_rotation: np.ndarray
     centre_of_mass: np.ndarray
     rotation: np.ndarray
     rest_tip: np.ndarray
@@ -85,6 +93,8 @@ class ReducedModel(Artifact):
         for name, rows in (
             ("mass_root", order**2),
             ("stiffness_root", order**2),
+            ("lag_root", order**2),
+            ("lag_rotation", 3 * order),
             ("centre_of_mass", 3),
             ("rotation", 3),
         ):

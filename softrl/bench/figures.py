@@ -15,7 +15,8 @@ def draw_scaling(unknowns: Sequence[int], metrics: Sequence[dict[str, float]]) -
         spread = [[m - a for m, a in zip(middle, low, strict=True)], [b - m for m, b in zip(middle, high, strict=True)]]
         times.errorbar(unknowns, middle, yerr=spread, marker="o", capsize=3, label=label)
     times.set(xscale="log", yscale="log", xlabel="unknowns", ylabel="ms (median, shortest to longest)")
-    times.legend(frameon=False)
+    times.set(ylim=(None, 4.0 * max(m["step_max_ms"] for m in metrics)))
+    times.legend(frameon=False, loc="upper left", fontsize=8)
     # the first size shares its process with the rest of the bench
     memory.plot(unknowns[1:], [m["peak_memory_gb"] for m in metrics[1:]], "o-")
     memory.set(xlabel="unknowns", ylabel="peak memory in GB", ylim=(0.0, None))
@@ -34,8 +35,8 @@ def draw_motions(time_s: np.ndarray, full: Sequence[np.ndarray], bodies: dict[st
                 path.plot(time_s, 1e3 * (tips[k][:, axis] - full[k][0, axis]), style, color=f"C{axis}", lw=1)
         for name, tips in bodies.items():
             distance.plot(time_s, 1e3 * np.linalg.norm(tips[k] - full[k], axis=1), label=name)
-        path.set(ylabel="tip in mm from its start")
-        distance.set(ylabel="distance to the full model in mm", ylim=(0.0, None))
+        path.set(ylabel="tip from start, mm")
+        distance.set(ylabel="apart in mm", ylim=(0.0, None))
     rows[0, 0].legend(frameon=False, fontsize=7)
     rows[0, 1].legend(frameon=False, fontsize=8)
     for axis in rows[-1]:

@@ -12,6 +12,7 @@ from scipy.sparse.linalg import splu
 
 from softrl.core.errors import ConfigError, SolverError
 from softrl.fem.coupling import Pose
+from softrl.fem.damping import viscous_moduli
 from softrl.fem.loads import USED_TRIPLES, WEIGHTS, add_volume_gradient, add_volume_stiffness
 from softrl.fem.model import FemModel, State
 
@@ -41,6 +42,7 @@ class Reference:
         self._fem: Any = importlib.import_module("skfem")
         self._help: Any = importlib.import_module("skfem.helpers")
         self.model, self._now = model, now
+        self._viscous = viscous_moduli(model._material)
         # the law's own parameters, and the modulus that weighs the mean change of volume of an element, if any
         self._lame, self._bulk = model._parameters, float(getattr(model, "_bulk_pa", 0.0))
         quadratic = model.quadratic
@@ -62,7 +64,7 @@ class Reference:
         before, flight = state.pose.position, state.pose.position + dt * state.velocity
         spent = {"assembly": 0.0, "solve": 0.0}
         began = self._now()
-        damping = model.rayleigh_stiffness_s / dt * self.stiffness(state.pose.position)
+        damping = model.rayleigh_stiffness_s / dt * self.viscosity(before + 0.5 * dt * state.velocity)
         inertia = np.repeat(model.nodal_mass, 3) * (1.0 / dt**2 + model.rayleigh_mass_per_s / dt)
         lumped = sp.diags(self._ordered(inertia))
         spent["assembly"] += self._now() - began
@@ -92,6 +94,10 @@ class Reference:
         push, swell = self._dilatation(x)
         weight = sp.diags(self._bulk / self._volume)
         return self._stiffness.assemble(self.basis, x=x, push=push[:, None]) + swell.T @ weight @ swell
+
+    def viscosity(self, position: np.ndarray) -> sp.csr_matrix:
+        """Return what stiffness-proportional damping multiplies, at nodes ``position`` (nodes, 3) m."""
+        return self._viscosity.assemble(self.basis, x=self.basis.interpolate(self._vector(position)))
 
     def force(self, position: np.ndarray) -> np.ndarray:
         """Return the elastic forces (nodes, 3) N at nodes ``position`` (nodes, 3) m."""
@@ -127,12 +133,20 @@ class Reference:
             slope = (lam + mu) * (j - 1.0) - mu + w["push"]
             return mu * ddot(f, grad(v)) + slope * j * trace(mul(inv(f), grad(v)))
 
+        first, second = self._viscous
+
+        @fem.BilinearForm
+        def viscosity(u: Any, v: Any, w: Any) -> Any:
+            f = transpose(grad(w["x"]))
+            a, b = mul(f, grad(u)), mul(f, grad(v))
+            return first * trace(a) * trace(b) + 0.5 * second * ddot(a + transpose(a), b + transpose(b))
+
         @fem.BilinearForm
         def swell(u: Any, mean: Any, w: Any) -> Any:
             f = grad(w["x"])
             return mean * det(f) * trace(mul(inv(f), grad(u)))
 
-        self._stiffness, self._force, self._swell = stiffness, force, swell
+        self._stiffness, self._force, self._viscosity, self._swell = stiffness, force, viscosity, swell
 
     def _rows(self, mesh: Any) -> np.ndarray:
         """Return scikit-fem's numbers (nodes, 3) of the components of the model's nodes."""

@@ -26,7 +26,7 @@ class PressureSensor(Effect):
     Notes
     -----
     Static calibration error of a gauge (no equation number checked). The motion does not change under the same
-    commands; in a replay that puts the measured pressure behind the valve, what acted is what the gauge would have had to see.
+    commands; in a replay that puts the measured pressure behind the valve, what acted is what the gauge must have seen.
     """
 
     site: ClassVar[str] = "sensor"

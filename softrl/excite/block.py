@@ -74,8 +74,11 @@ def _of_all(robot: Robot, dt_s: float, rng: np.random.Generator) -> list[tuple[s
         ("slow multisine", multisine(robot, 30.0, (0.05, 0.5), 0.9, dt_s, rng)[1]),
         ("fast multisine", multisine(robot, 15.0, (0.5, 5.0), 0.9, dt_s, rng)[1]),
         ("small multisine", multisine(robot, 20.0, (0.1, 2.0), 0.3, dt_s, rng)[1]),
-        ("random steps of 1 s", random_steps(robot, 16, 1.0, dt_s, rng)[1]),
-        ("random steps of 5 s", random_steps(robot, 7, 5.0, dt_s, rng)[1]),
+        *(
+            (f"random steps of {hold_s:g} s ({name})", random_steps(robot, round(24.0 / hold_s), hold_s, dt_s, rng)[1])
+            for hold_s in (0.5, 1.0, 2.0, 5.0)
+            for name in "abcdef"
+        ),
         ("rest of 20 s", np.zeros((round(20.0 / dt_s), n))),
     ]
     if n > 1:

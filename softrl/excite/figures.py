@@ -34,12 +34,14 @@ def draw_separations(pairs: list[dict[str, Any]]) -> Figure:
     names = list(pairs[0]["separation_sigma"])
     height = 0.8 / len(names)
     for k, name in enumerate(names):
-        values = [max(pair["separation_sigma"][name], 0.1) for pair in pairs]
-        axes.barh(np.arange(len(pairs)) + k * height, values, height, label=name)
+        values = [pair["separation_sigma"][name] for pair in pairs]
+        bars = axes.barh(np.arange(len(pairs)) + k * height, values, height, label=name)
+        axes.bar_label(bars, fmt="%.3g", padding=3, fontsize="small")
     axes.set_yticks(np.arange(len(pairs)) + 0.4 - 0.5 * height)
     axes.set_yticklabels([f"{pair['first']}\nagainst {pair['second']}" for pair in pairs])
-    axes.set(xscale="log", xlabel="separation after refitting (standard deviations of the noise)")
+    axes.set(xlabel="separation after refitting (standard deviations of the noise)")
     axes.invert_yaxis()
+    axes.margins(x=0.15)
     axes.legend()
     return figure
 

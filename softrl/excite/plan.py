@@ -8,27 +8,43 @@ stand where a fit to the usual program confuses them most.
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from softrl.excite.block import Block, joined
 from softrl.excite.rival import Rival
 from softrl.excite.separation import Normal, Sensing, normal, refitted, responses, tangent
+from softrl.recordings.program import limited
+from softrl.robots.robot import Robot
+
+PIECE_S = 0.5  # grid of places at which a piece may be put into a program
+QUICK_FIT = 3  # evaluations of a rival that follows a growing program
+
+
+class Way(NamedTuple):
+    """One way round: a rival at scaled parameters (p,) is the truth, another one searches for it from its own."""
+
+    truth: Rival
+    at_truth: np.ndarray
+    rival: Rival
+    at_rival: np.ndarray
 
 
 class Pair(NamedTuple):
-    """Two rivals and the scaled points (p,) at which they resemble each other under the usual program."""
+    """Two rivals, both ways round: the first one is the truth, then the second one is."""
 
-    first: Rival
-    second: Rival
-    point_first: np.ndarray
-    point_second: np.ndarray
+    ways: tuple[Way, Way]
+
+    @property
+    def labels(self) -> tuple[str, str]:
+        """What both are called."""
+        return self.ways[0].truth.label, self.ways[1].truth.label
 
     @property
     def name(self) -> str:
         """Both labels, as in metric names."""
-        return f"{slug(self.first.label)}_{slug(self.second.label)}"
+        return "_".join(slug(label) for label in self.labels)
 
 
 @dataclass(frozen=True)
@@ -39,11 +55,15 @@ class Effort:
     ----------
     shortlist : candidates that are simulated in place, after all were ranked by the sums of their own responses
     exchanges : rounds in which every block may be exchanged
+    proposals : pieces that are tried at random places of the best program, and kept where full refits say they help
+    repeats : times that a block may stand in a program; what a repeat adds is noise averaged out, and models err alike
     fit_evaluations : of each refit
     """
 
     shortlist: int
     exchanges: int
+    repeats: int
+    proposals: int
     fit_evaluations: int
 
 
@@ -56,20 +76,31 @@ def pairs_of(rivals: Sequence[Rival], usual: np.ndarray, sensing: Sensing, effor
     """Return all pairs; the second of each is fitted to the first one's response to the program ``usual``."""
     found = []
     for first, second in itertools.combinations(rivals, 2):
-        target = responses([first.at(first.point)], usual, sensing)[0]
-        point, _ = refitted(second, second.point, target, usual, sensing, effort.fit_evaluations)
-        found.append(Pair(first, second, first.point, point))
+        start = Way(first, first.point, second, second.point)
+        fitted = pursued(start, usual, sensing, effort.fit_evaluations)[0].at_rival
+        found.append(Pair((Way(first, first.point, second, fitted), Way(second, fitted, first, first.point))))
     return found
 
 
-def sums(pair: Pair, pressure: np.ndarray, sensing: Sensing) -> tuple[Normal, Normal]:
-    """Return the sums of both ways round: first against second's tangent space, and second against first's."""
-    one = tangent(pair.first, pair.point_first, pressure, sensing)
-    other = tangent(pair.second, pair.point_second, pressure, sensing)
-    return normal(one.response, other), normal(other.response, one)
+def pursued(way: Way, pressure: np.ndarray, sensing: Sensing, evaluations: int) -> tuple[Way, float]:
+    """Return ``way`` with the rival as close to the truth as it comes under a program, and the distance left in sigma."""
+    target = responses([way.truth.at(way.at_truth)], pressure, sensing)[0]
+    point, left = refitted(way.rival, way.at_rival, target, pressure, sensing, evaluations)
+    return way._replace(at_rival=point), left
 
 
-def separation(both: tuple[Normal, Normal]) -> float:
+def sums(pair: Pair, pressure: np.ndarray, sensing: Sensing) -> tuple[Normal, ...]:
+    """Return the sums of both ways round: the truth against the tangent space of its rival."""
+    return tuple(
+        normal(
+            responses([way.truth.at(way.at_truth)], pressure, sensing)[0],
+            tangent(way.rival, way.at_rival, pressure, sensing),
+        )
+        for way in pair.ways
+    )
+
+
+def separation(both: Sequence[Normal]) -> float:
     """Return the separation in sigma: the smaller way round."""
     return min(part.distance() for part in both)
 
@@ -84,33 +115,34 @@ def plan(
 ) -> list[Block]:
     """Return the blocks, in order, that together last at most ``budget_s`` and tell the pairs apart best.
 
-    Greedy: the candidates that promise most per second, judged by adding up sums of responses from rest, are simulated
-    at the end of the program so far, and the best stays. Then each block is exchanged for another as long as that
-    helps. No random numbers.
+    Notes
+    -----
+    After Atkinson and Fedorov's exchange of design and rival (no equation number checked). The candidates that promise
+    most per second, judged by adding up sums of responses from rest, are simulated at the end of the program so far, and
+    the best stays; then the rivals search anew under the longer program, and so on. At last each block is exchanged for
+    another as long as that helps. No random numbers.
     """
     lengths = [sensing.dt_s * len(block.pressure) for block in candidates]
     alone = [[sums(pair, block.pressure, sensing) for pair in pairs] for block in candidates]
     chosen: list[int] = []
-    reached = 0.0
-    while True:
-        free = budget_s - sum(lengths[k] for k in chosen)
-        ranked = _ranked(chosen, [k for k in range(len(candidates)) if lengths[k] <= free], alone, lengths)
-        trials = [(_score([*chosen, k], candidates, pairs, sensing), k) for k in ranked[: effort.shortlist]]
-        if not trials:
-            break
-        best, k = max(trials, key=lambda trial: (trial[0] - reached) / lengths[trial[1]])
-        if best <= reached and chosen:
-            break
-        chosen, reached = [*chosen, k], best
-    for _ in range(effort.exchanges):
-        before = reached
+
+    def allowed(others: Sequence[int]) -> list[int]:
+        free = budget_s - sum(lengths[k] for k in others)
+        return [k for k in range(len(candidates)) if lengths[k] <= free and others.count(k) < effort.repeats]
+
+    while ranked := _ranked(chosen, allowed(chosen), alone, lengths)[: effort.shortlist]:
+        reached = _score(chosen, candidates, pairs, sensing)
+        gains = [(_score([*chosen, k], candidates, pairs, sensing) - reached) / lengths[k] for k in ranked]
+        chosen.append(ranked[int(np.argmax(gains))])
+        pressure = joined([candidates[k] for k in chosen])
+        pairs = [_pursued_pair(pair, pressure, sensing, QUICK_FIT) for pair in pairs]
+    for _ in range(effort.exchanges if chosen else 0):
+        reached = before = _score(chosen, candidates, pairs, sensing)
         for place in range(len(chosen)):
             others = chosen[:place] + chosen[place + 1 :]
-            free = budget_s - sum(lengths[k] for k in others)
-            fitting = [k for k in range(len(candidates)) if lengths[k] <= free and k != chosen[place]]
-            for k in _ranked(others, fitting, alone, None)[: effort.shortlist]:
+            for k in _ranked(others, allowed(others), alone, None)[: effort.shortlist]:
                 trial = [*chosen[:place], k, *chosen[place + 1 :]]
-                value = _score(trial, candidates, pairs, sensing)
+                value = _score(trial, candidates, pairs, sensing) if k != chosen[place] else reached
                 if value > reached:
                     chosen, reached = trial, value
         if reached <= before:
@@ -118,44 +150,113 @@ def plan(
     return [candidates[k] for k in chosen]
 
 
+@dataclass(frozen=True)
+class Program:
+    """Pressures and where they come from.
+
+    Attributes
+    ----------
+    pressure : (steps, chambers) Pa
+    labels : what the pieces are called
+    piece : (steps,) number of the label of each row
+    """
+
+    pressure: np.ndarray
+    labels: tuple[str, ...]
+    piece: np.ndarray
+
+    def with_piece(self, block: Block, place: int, robot: Robot, dt_s: float) -> "Program":
+        """Return the program with rows from ``place`` on replaced by a block; the slew is kept at its ends."""
+        end = min(place + len(block.pressure), len(self.pressure))
+        pressure, piece = self.pressure.copy(), self.piece.copy()
+        pressure[place:end] = block.pressure[: end - place]
+        piece[place:end] = len(self.labels)
+        return Program(limited(robot, pressure, dt_s), (*self.labels, block.label), piece)
+
+    def segments(self, dt_s: float) -> list[dict[str, Any]]:
+        """Return {label, start_s, duration_s} of the pieces that are left, in order."""
+        edges = [0, *(np.flatnonzero(np.diff(self.piece)) + 1), len(self.piece)]
+        return [
+            {"label": self.labels[int(self.piece[a])], "start_s": float(a * dt_s), "duration_s": float((b - a) * dt_s)}
+            for a, b in itertools.pairwise(edges)
+        ]
+
+
+def refine(
+    pairs: Sequence[Pair],
+    candidates: Sequence[Block],
+    program: Program,
+    robot: Robot,
+    sensing: Sensing,
+    effort: Effort,
+    rng: np.random.Generator,
+) -> Program:
+    """Return ``program`` with pieces of ``candidates`` put in where rivals, searching anew, stay farther apart.
+
+    The plan follows the rivals' tangents, which promise more than a refit leaves; here each proposal is judged by a few
+    steps of the refit itself.
+    """
+    pairs = [_pursued_pair(pair, program.pressure, sensing, effort.fit_evaluations) for pair in pairs]
+    reached = score([_left(pair, program.pressure, sensing) for pair in pairs])
+    grid = max(round(PIECE_S / sensing.dt_s), 1)
+    for _ in range(effort.proposals):
+        piece = candidates[int(rng.integers(len(candidates)))]
+        place = grid * int(rng.integers(max((len(program.pressure) - len(piece.pressure)) // grid, 0) + 1))
+        trial = program.with_piece(piece, place, robot, sensing.dt_s)
+        moved = [_pursued_pair(pair, trial.pressure, sensing, QUICK_FIT) for pair in pairs]
+        value = score([_left(pair, trial.pressure, sensing) for pair in moved])
+        if value > reached:
+            program, pairs, reached = trial, moved, value
+    return program
+
+
+def program_of(chosen: Sequence[Block]) -> Program:
+    """Return blocks one after the other as a program."""
+    piece = np.repeat(np.arange(len(chosen)), [len(block.pressure) for block in chosen])
+    return Program(joined(list(chosen)), tuple(block.label for block in chosen), piece)
+
+
+def _left(pair: Pair, pressure: np.ndarray, sensing: Sensing) -> float:
+    """Return the distance in sigma that is left where the rivals stand, of the way round that leaves less."""
+    plants = [plant for way in pair.ways for plant in (way.truth.at(way.at_truth), way.rival.at(way.at_rival))]
+    rows = responses(plants, pressure, sensing)
+    return float(min(np.linalg.norm(rows[1] - rows[0]), np.linalg.norm(rows[3] - rows[2])))
+
+
+def _pursued_pair(pair: Pair, pressure: np.ndarray, sensing: Sensing, evaluations: int) -> Pair:
+    first, second = (pursued(way, pressure, sensing, evaluations)[0] for way in pair.ways)
+    return Pair((first, second))
+
+
 def _ranked(
     chosen: Sequence[int],
-    fitting: Sequence[int],
-    alone: Sequence[Sequence[tuple[Normal, Normal]]],
+    allowed: Sequence[int],
+    alone: Sequence[Sequence[Sequence[Normal]]],
     lengths: Sequence[float] | None,
 ) -> list[int]:
-    """Return ``fitting``, best first, by what each adds to ``chosen``: per second, or in all without ``lengths``."""
-    count = len(alone[0]) if alone else 0
+    """Return ``allowed``, best first, by what each adds to ``chosen``: per second, or in all without ``lengths``."""
 
     def value(numbers: Sequence[int]) -> float:
         if not numbers:
             return 0.0
-        separations = []
-        for pair in range(count):
-            first, second = alone[numbers[0]][pair]
-            for k in numbers[1:]:
-                first, second = first + alone[k][pair][0], second + alone[k][pair][1]
-            separations.append(separation((first, second)))
-        return score(separations)
+        found = []
+        for pair in range(len(alone[0])):
+            ways = zip(*(alone[k][pair] for k in numbers), strict=True)
+            found.append(separation([sum(parts[1:], parts[0]) for parts in ways]))
+        return score(found)
 
     base = value(chosen)
-    gains = {k: (value([*chosen, k]) - base) / (lengths[k] if lengths else 1.0) for k in fitting}
+    gains = {k: (value([*chosen, k]) - base) / (lengths[k] if lengths else 1.0) for k in allowed}
     return sorted(gains, key=lambda k: -gains[k])
 
 
 def _score(numbers: Sequence[int], candidates: Sequence[Block], pairs: Sequence[Pair], sensing: Sensing) -> float:
+    if not numbers:
+        return 0.0
     pressure = joined([candidates[k] for k in numbers])
     return score([separation(sums(pair, pressure, sensing)) for pair in pairs])
 
 
 def refitted_separation(pair: Pair, pressure: np.ndarray, sensing: Sensing, effort: Effort) -> float:
     """Return the separation of a pair under ``pressure`` after full refits, each rival to the other's response."""
-    ways = (
-        (pair.first, pair.point_first, pair.second, pair.point_second),
-        (pair.second, pair.point_second, pair.first, pair.point_first),
-    )
-    left = []
-    for truth, at_truth, rival, at_rival in ways:
-        target = responses([truth.at(at_truth)], pressure, sensing)[0]
-        left.append(refitted(rival, at_rival, target, pressure, sensing, effort.fit_evaluations)[1])
-    return min(left)
+    return min(pursued(way, pressure, sensing, effort.fit_evaluations)[1] for way in pair.ways)

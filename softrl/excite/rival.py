@@ -107,7 +107,7 @@ def _axes_of(number: int, effect: Effect) -> list[Axis]:
     return found
 
 
-def parse(text: str, robot: Robot) -> tuple[Effect, ...]:
+def parse(text: str, robot: Robot, size: float = 1.0) -> tuple[Effect, ...]:
     """Return the typical effects of a hypothesis such as ``lag+payload``, ``gain@2`` (chamber 2) or ``nothing``.
 
     Raises
@@ -115,11 +115,11 @@ def parse(text: str, robot: Robot) -> tuple[Effect, ...]:
     ConfigError
         If an effect is unknown, or has no such chamber.
     """
-    return tuple(typical(name, robot) for name in text.split("+") if name.strip() != NOTHING)
+    return tuple(typical(name, robot, size) for name in text.split("+") if name.strip() != NOTHING)
 
 
-def typical(name: str, robot: Robot) -> Effect:
-    """Return the effect ``name``, or ``name@chamber`` counted from 1, at its typical parameters."""
+def typical(name: str, robot: Robot, size: float = 1.0) -> Effect:
+    """Return the effect ``name``, or ``name@chamber`` counted from 1, at ``size`` of its typical strength."""
     match = re.fullmatch(r"\s*(\w+?)\s*(?:@\s*(\d+)|\(chamber (\d+)\))?\s*", name)
     if match is None:
         raise ConfigError(
@@ -127,7 +127,10 @@ def typical(name: str, robot: Robot) -> Effect:
             "it acts in one alone, and + between effects that act together"
         )
     cls, number = effect_class(match[1]), match[2] or match[3]
-    values: dict[str, Any] = {f.name: f.metadata["typical"] for f in cls.parameter_fields()}
+    values: dict[str, Any] = {}
+    for f in cls.parameter_fields():
+        neutral, shown = f.metadata["neutral"], f.metadata["typical"]
+        values[f.name] = shown if f.metadata["log"] else neutral + size * (shown - neutral)
     if number is not None:
         if not any(field.name == "chamber" for field in fields(cls)) or not 1 <= int(number) <= robot.chambers:
             raise ConfigError(
@@ -144,6 +147,7 @@ def rivals_of(
     robot: Robot,
     simulator: Simulator,
     tuned_factor: float,
+    size: float = 1.0,
 ) -> list[Rival]:
     """Return the rivals that were listed, or else those that a diagnosis left open.
 
@@ -153,7 +157,7 @@ def rivals_of(
         If there are fewer than two.
     """
     if hypotheses:
-        found = [Rival(text, robot, simulator, parse(text, robot), tuned_factor) for text in hypotheses]
+        found = [Rival(text, robot, simulator, parse(text, robot, size), tuned_factor) for text in hypotheses]
     elif diagnosis is not None:
         found = _open_in(diagnosis, robot, simulator, tuned_factor)
     else:

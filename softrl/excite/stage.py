@@ -12,9 +12,20 @@ from softrl.core.errors import ConfigError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
 from softrl.core.units import si_factor
-from softrl.excite.block import Block, blocks, joined
+from softrl.excite.block import Block, blocks
 from softrl.excite.figures import draw_program, draw_separations
-from softrl.excite.plan import Effort, Pair, pairs_of, plan, refitted_separation
+from softrl.excite.plan import (
+    Effort,
+    Pair,
+    Program,
+    Way,
+    pairs_of,
+    plan,
+    program_of,
+    refine,
+    refitted_separation,
+    score,
+)
 from softrl.excite.rival import rivals_of
 from softrl.excite.separation import Sensing
 from softrl.recordings.program import random_steps
@@ -59,6 +70,7 @@ class Config:
     minutes : length of the program
     rest_s : at zero pressure after each block
     runs : recordings of the program that the dataset in ``out`` asks for; a diagnosis needs two or more
+    size : of the listed effects relative to their typical strength; parameters of shape stay
     tuned_factor : a rival may change the simulator's parameters by this factor either way
     sensing : noise and sampling
     effort : how hard to search
@@ -71,6 +83,7 @@ class Config:
     minutes: float
     rest_s: float
     runs: int
+    size: float
     tuned_factor: float
     sensing: SensorNoise
     effort: Effort
@@ -79,7 +92,7 @@ class Config:
     seed: int
 
     def __post_init__(self) -> None:
-        for name in ("minutes", "rest_s", "runs"):
+        for name in ("minutes", "rest_s", "runs", "size"):
             if getattr(self, name) <= 0:
                 raise ConfigError(f"stage.{name}={getattr(self, name):g} must be positive")
         if self.tuned_factor <= 1.0:
@@ -102,20 +115,25 @@ def run(
     noise = config.sensing
     pressure_pa = None if noise.pressure_kpa is None else 1e3 * noise.pressure_kpa
     sensing = Sensing(noise.dt_s, noise.sample_s, 1e-3 * noise.position_mm, pressure_pa)
-    rivals = rivals_of(config.hypotheses, diagnosis, robot, simulator, config.tuned_factor)
-    count = round(60.0 * config.minutes / noise.dt_s)
+    rivals = rivals_of(config.hypotheses, diagnosis, robot, simulator, config.tuned_factor, config.size)
+    candidates, count = blocks(robot, noise.dt_s, config.rest_s, config.seed), round(60.0 * config.minutes / noise.dt_s)
+    shortest = min(len(block.pressure) for block in candidates)
+    if count < shortest:
+        raise ConfigError(
+            f"stage.minutes={config.minutes:g} is too short: the shortest block lasts {noise.dt_s * shortest:.0f} s"
+        )
     usual = usual_program(robot, config.usual, noise.dt_s, count, config.seed)
     pairs = pairs_of(rivals, usual, sensing, config.effort)
-    candidates = blocks(robot, noise.dt_s, config.rest_s, config.seed)
     chosen = plan(pairs, candidates, sensing, 60.0 * config.minutes, config.effort)
-    if not chosen:
-        shortest = noise.dt_s * min(len(block.pressure) for block in candidates)
-        raise ConfigError(f"stage.minutes={config.minutes:g} is too short: the shortest block lasts {shortest:.0f} s")
-    random = random_steps(
-        robot, count // round(2.0 / noise.dt_s) + 1, 2.0, noise.dt_s, np.random.default_rng(config.seed)
-    )
-    programs = {"planned": joined(chosen), "default": usual, "random": random[1][:count]}
-    excitation = _conclude(robot, chosen, pairs, programs, sensing, config.effort)
+    hold = max(round(2.0 / noise.dt_s), 1)
+    random = random_steps(robot, count // hold + 1, 2.0, noise.dt_s, np.random.default_rng(config.seed))[1][:count]
+    programs = {
+        "planned": program_of(chosen),
+        "default": program_of([Block("usual program", usual)]),
+        "random": program_of([Block("random steps of 2 s", random)]),
+    }
+    programs["planned"] = _refined(programs, pairs, candidates, robot, sensing, config)
+    excitation = _conclude(robot, pairs, programs, sensing, config.effort)
     _report(excitation, tracker)
     if config.out is not None:
         write_commands(Path(config.out), robot, excitation, config.runs)
@@ -150,39 +168,59 @@ def write_commands(folder: Path, robot: Robot, excitation: Excitation, runs: int
     log.info("wrote %d runs of commands to %s", runs, folder)
 
 
-def _conclude(
-    robot: Robot,
-    chosen: list[Block],
+def _refined(
+    programs: dict[str, Program],
     pairs: list[Pair],
-    programs: dict[str, np.ndarray],
+    candidates: list[Block],
+    robot: Robot,
     sensing: Sensing,
-    effort: Effort,
+    config: Config,
+) -> Program:
+    """Return the best program by full refits, the baselines included, with pieces exchanged while that helps."""
+    apart = {
+        name: score([refitted_separation(pair, program.pressure, sensing, config.effort) for pair in pairs])
+        for name, program in programs.items()
+    }
+    best = max(apart, key=lambda name: apart[name])
+    log.info("the search goes on from the %s program", best)
+    rng = np.random.default_rng(config.seed)
+    refined = refine(pairs, candidates, programs[best], robot, sensing, config.effort, rng)
+    after = score([refitted_separation(pair, refined.pressure, sensing, config.effort) for pair in pairs])
+    return refined if after >= apart[best] else programs[best]
+
+
+def _conclude(
+    robot: Robot, pairs: list[Pair], programs: dict[str, Program], sensing: Sensing, effort: Effort
 ) -> Excitation:
-    lengths = [sensing.dt_s * len(block.pressure) for block in chosen]
-    starts = np.concatenate([[0.0], np.cumsum(lengths)])
-    found = []
-    for pair in pairs:
-        apart = {name: refitted_separation(pair, rows, sensing, effort) for name, rows in programs.items()}
-        points = {
-            pair.first.label: dict(zip([a.name for a in pair.first.axes], map(float, pair.point_first), strict=True)),
-            pair.second.label: dict(
-                zip([a.name for a in pair.second.axes], map(float, pair.point_second), strict=True)
-            ),
-        }
-        found.append(
-            {"first": pair.first.label, "second": pair.second.label, "name": pair.name, "points": points,
-             "separation_sigma": apart}
-        )  # fmt: skip
+    planned = programs["planned"]
     return Excitation(
         robot_name=robot.name,
-        time=sensing.dt_s * np.arange(1, len(programs["planned"]) + 1),
-        pressure=programs["planned"],
-        blocks=[
-            {"label": block.label, "start_s": float(start), "duration_s": float(length)}
-            for block, start, length in zip(chosen, starts, lengths, strict=False)
+        time=sensing.dt_s * np.arange(1, len(planned.pressure) + 1),
+        pressure=planned.pressure,
+        blocks=planned.segments(sensing.dt_s),
+        pairs=[
+            {
+                "first": pair.labels[0],
+                "second": pair.labels[1],
+                "name": pair.name,
+                "parameters": {way.truth.label: _values(way) for way in pair.ways},
+                "separation_sigma": {
+                    name: refitted_separation(pair, program.pressure, sensing, effort)
+                    for name, program in programs.items()
+                },
+            }
+            for pair in pairs
         ],
-        pairs=found,
     )
+
+
+def _values(way: Way) -> dict[str, float]:
+    """Return the parameters of the truth, with the effect before the name."""
+    found = {}
+    for axis, u in zip(way.truth.axes, way.at_truth, strict=True):
+        owner = "simulator" if axis.effect < 0 else way.truth.effects[axis.effect].name()
+        found[f"{owner}.{axis.name}"] = axis.physical(float(u))
+    return found
 
 
 def _report(excitation: Excitation, tracker: Tracker) -> None:

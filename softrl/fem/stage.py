@@ -102,6 +102,7 @@ def run(
     samples, trajectories, reused = _compute(body, loads, chains, programs, parallel or LOCAL, kept)
     tracker.metric("parts_resumed", reused)
     log.info("%d equilibria and %d trajectories in %.0f s", len(samples), len(trajectories), time.monotonic() - began)
+    _record_failures(loads, samples, tracker)
     _refuse_failures(len(loads) - len(samples), config)
     snapshots = _collect(body, loads, samples, clock, trajectories)
     _report(snapshots, samples, config.trajectories, tracker)
@@ -228,6 +229,16 @@ def _move(body: Body, program: np.ndarray) -> Trajectory | None:
     except SolverError as failure:
         log.warning("a trajectory is left out: %s", failure)
         return None
+
+
+def _record_failures(loads: np.ndarray, samples: list[Found], tracker: Tracker) -> None:
+    """Keep the loads that found no equilibrium with the run, one a line."""
+    missing = np.setdiff1d(np.arange(len(loads)), [number for number, _, _ in samples])
+    if len(missing):
+        n = loads.shape[1] - 3
+        names = ["sample", *(f"p{k + 1}_pa" for k in range(n)), "force_x_n", "force_y_n", "force_z_n"]
+        rows = [",".join([str(number), *(f"{value:.9g}" for value in loads[number])]) for number in missing]
+        tracker.text("failed_loads.csv", "\n".join([",".join(names), *rows]) + "\n")
 
 
 def _refuse_failures(failed: int, config: Config) -> None:

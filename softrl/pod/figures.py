@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from softrl.pod.convergence import Point
 from softrl.pod.fit import Choice
 from softrl.pod.report import Prediction
 
@@ -35,6 +36,23 @@ def draw_choice(choices: list[Choice]) -> Figure:
     axes.set(xlabel="degree of W", ylabel="tip rms [mm]", title="energy: cross-validation")
     axes.set_xticks(sorted({choice.degree for choice in choices}))
     axes.legend(fontsize=8)
+    return figure
+
+
+def draw_convergence(choices: list[Choice], points: list[Point]) -> Figure:
+    """Return the tip error over the degree of the energy, and over the number of equilibria."""
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    degrees = sorted({choice.degree for choice in choices})
+    best = [min(c.tip_error_m for c in choices if c.degree == degree) for degree in degrees]
+    left.semilogy(degrees, 1e3 * np.array(best), "ko-", ms=4)
+    left.set(xlabel="degree of W", ylabel="tip rms [mm]", title="equilibria, cross-validation", xticks=degrees)
+    counts = [point.equilibria for point in points]
+    right.semilogy(counts, [1e3 * point.static_m for point in points], "ko-", ms=4, label="held-out equilibria")
+    if np.isfinite([point.dynamic_m for point in points]).all():
+        right.semilogy(counts, [1e3 * point.dynamic_m for point in points], "rs-", ms=4, label="unseen trajectories")
+    right.set(xlabel="equilibria in the fit", ylabel="tip rms [mm]", title="number of snapshots")
+    right.legend(fontsize=8)
     return figure
 
 

@@ -2,7 +2,7 @@
 
 import logging
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from softrl.pod.symmetry import KINDS, Equilibria, reflected, symmetries
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
+LAG_FLOOR = 0.005  # of the viscosity lags everywhere: keeps the root smooth at rest, where nothing else does
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ def fit_model(
         1e3 * best.tip_error_m,
         len(samples.load),
     )
-    maps = _fit_maps(settings, robot, samples, frame, fold, best.symmetry)
+    maps = _fit_maps(settings, robot, samples, frame, fold)
     return replace(draft, energy=energy, symmetry=best.symmetry, **maps), choices
 
 
@@ -100,6 +101,8 @@ def linear_model(model: ReducedModel) -> ReducedModel:
         energy=model.energy[:few].copy(),
         mass_root=model.mass_root[:, :1].copy(),
         stiffness_root=model.stiffness_root[:, :1].copy(),
+        lag_root=model.lag_root[:, :0].copy(),
+        lag_rotation=model.lag_rotation[:, :0].copy(),
         centre_of_mass=model.centre_of_mass[:, : 1 + r].copy(),
         rotation=model.rotation[:, : 1 + r].copy(),
     )
@@ -123,6 +126,9 @@ def _draft(robot: Robot, snapshots: Snapshots, samples: Equilibria, pod: PodBasi
         energy=np.zeros(1 + r),
         mass_root=np.eye(r).reshape(-1, 1),
         stiffness_root=np.zeros((r * r, 1)),
+        lag_root=np.zeros((r * r, 0)),
+        lag_ratio=1.0,
+        lag_rotation=np.zeros((3 * r, 0)),
         centre_of_mass=np.zeros((3, 1 + r)),
         rotation=np.zeros((3, 1)),
         rest_tip=snapshots.rest_tip,
@@ -229,23 +235,67 @@ def _linear_energy(samples: Equilibria, frame: np.ndarray) -> np.ndarray:
     return np.r_[np.zeros(r + 1), hessian[rows, columns] * np.where(rows == columns, 0.5, 1.0)]
 
 
+class Targets(NamedTuple):
+    """What a map is fitted to: ``values`` (S, columns) and the ``weight`` of each column in the choice of a degree."""
+
+    values: np.ndarray
+    weight: np.ndarray
+    degree_max: int
+    through_origin: bool
+
+
 def _fit_maps(
-    settings: FitSettings, robot: Robot, samples: Equilibria, frame: np.ndarray, fold: np.ndarray, kind: str
-) -> dict[str, np.ndarray]:
-    """Return the coefficients of all maps besides the energy."""
-    operations = symmetries(robot.chamber_direction, kind)
-    images = reflected(samples, operations)
-    folds = np.tile(fold, len(operations))
-    points = np.linalg.solve(frame, images.coordinate.T).T
-    maps = {}
-    for name, matrices in (("mass_root", images.mass), ("stiffness_root", images.stiffness)):
-        in_frame = frame.T @ matrices @ frame
-        targets = root_targets(in_frame, np.linalg.cholesky(in_frame.mean(axis=0)))
-        degree = best_degree(points, targets, folds, settings.root_degree_max, through_origin=False)
-        maps[name] = fit_map(points, targets, degree, through_origin=False)
-        log.info("%s of degree %d", name, degree)
-    for name, targets in (("centre_of_mass", images.centre_of_mass), ("rotation", images.rotation)):
-        degree = best_degree(points, targets, folds, settings.map_degree_max, through_origin=True)
-        maps[name] = fit_map(points, targets, degree, through_origin=True)
-        log.info("%s of degree %d", name, degree)
+    settings: FitSettings, robot: Robot, samples: Equilibria, frame: np.ndarray, fold: np.ndarray
+) -> dict[str, Any]:
+    """Return the coefficients of all maps besides the energy; each takes the symmetries that predict it best.
+
+    A mesh is never quite symmetric, which a precise map cannot overlook but one of few samples can.
+    """
+    ratio = _lag_ratio(samples)
+    maps: dict[str, Any] = {"lag_ratio": ratio}
+    least: dict[str, float] = {}
+    for kind in _kinds(robot):
+        operations = symmetries(robot.chamber_direction, kind)
+        images = reflected(samples, operations)
+        folds = np.tile(fold, len(operations))
+        points = np.linalg.solve(frame, images.coordinate.T).T
+        seen = slice(0, len(fold))  # the samples themselves, which come first
+        for name, goal in _targets(settings, images, frame, ratio).items():
+            scaled = goal.values / goal.weight
+            found = best_degree(points, scaled, folds, seen, goal.degree_max, goal.through_origin)
+            if found.error < least.get(name, np.inf):
+                least[name] = found.error
+                maps[name] = fit_map(points, goal.values, found.degree, goal.through_origin)
+                log.debug("%s of degree %d with symmetries %s", name, found.degree, kind)
     return maps
+
+
+def _targets(settings: FitSettings, images: Equilibria, frame: np.ndarray, ratio: float) -> dict[str, Targets]:
+    """Return by name what the maps are fitted to."""
+    lagging = images.lag_stiffness / ratio + LAG_FLOOR * images.stiffness
+    instant = images.stiffness - lagging
+    yardstick = frame.T @ (np.linalg.inv(images.compliance) + images.stiffness).mean(axis=0) @ frame
+    weight = np.tile(np.sqrt(np.diag(yardstick)), len(frame))
+    goals = {}
+    for name, matrices, whole in (
+        ("mass_root", images.mass, images.mass),
+        ("stiffness_root", instant, images.stiffness),
+        ("lag_root", lagging, images.stiffness),
+    ):
+        factor = np.linalg.cholesky(frame.T @ whole.mean(axis=0) @ frame)
+        roots = root_targets(frame.T @ matrices @ frame, factor)
+        goals[name] = Targets(roots, weight, settings.root_degree_max, False)
+    for name, values in (
+        ("centre_of_mass", images.centre_of_mass),
+        ("rotation", images.rotation),
+        ("lag_rotation", (images.lag_spin @ frame).reshape(len(images.load), -1)),
+    ):
+        goals[name] = Targets(values, np.ones(values.shape[1]), settings.map_degree_max, True)
+    return goals
+
+
+def _lag_ratio(samples: Equilibria) -> float:
+    """Return the viscosity of the lags over their stiffness, one number for all: 1 where nothing lags."""
+    stiffness = float(np.einsum("sij,sji->", samples.compliance, samples.lag_stiffness))
+    viscosity = float(np.einsum("sij,sji->", samples.compliance, samples.lag_viscosity))
+    return viscosity / stiffness if stiffness > 0.0 else 1.0

@@ -15,6 +15,7 @@ from softrl.core import fingerprint
 from softrl.core.errors import ArtifactError, ConfigError, SolverError
 from softrl.core.resume import Kept, pack, unpack
 from softrl.core.simulator import Hook, Motion
+from softrl.fem.damping import viscous, viscous_moduli
 from softrl.fem.material import STRESS, TANGENT, Material, material_of
 from softrl.fem.model import FemModel
 from softrl.fem.newton import NewtonSettings
@@ -168,6 +169,14 @@ class GalerkinSimulator:
             raise SolverError("simulator galerkin: the material's law ends at this state; use smaller loads or steps")
         return self.youngs_modulus_scale * gradient, self.youngs_modulus_scale * hessian
 
+    def _viscous(self, q: np.ndarray) -> np.ndarray:
+        """Return what stiffness-proportional damping multiplies (r, r), as the full model has it."""
+        body, r = self.body, len(q)
+        hessian = np.zeros((r, r))
+        moduli = viscous_moduli(self._material)
+        elastic(viscous, moduli, 0.0, body.slope, body.weight, q, TANGENT, np.zeros(r), hessian)
+        return self.youngs_modulus_scale * hessian
+
     def _outer(self, q: np.ndarray, load: np.ndarray, weight: float) -> np.ndarray:
         """Return the force (r,) of pressures, tip force and weight."""
         body, n = self.body, self.robot.chambers
@@ -188,9 +197,9 @@ class GalerkinSimulator:
         body, n, unit = self.body, self.robot.chambers, np.eye(len(before))
         mass, damp = self.mass_scale / dt_s**2, self.damping_scale / dt_s
         gradient, own = self._elastic(before, TANGENT)
-        drag = damp * (
-            self.snapshots.rayleigh_mass_per_s * self.mass_scale * unit + self.snapshots.rayleigh_stiffness_s * own
-        )
+        drag = damp * self.snapshots.rayleigh_mass_per_s * self.mass_scale * unit
+        if self.snapshots.rayleigh_stiffness_s > 0 and self.damping_scale > 0:
+            drag += damp * self.snapshots.rayleigh_stiffness_s * self._viscous(before)
         flight, q, factors, age = before + dt_s * velocity, before.copy(), None, 0
         for _ in range(ITERATIONS):
             if factors is None or age >= PATIENCE:

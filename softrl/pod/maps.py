@@ -1,5 +1,7 @@
 """Polynomial maps of the reduced coordinates: roots of mass and stiffness, centre of mass, rotation of the tip."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from softrl.pod.polynomial import basis, count, degree_of
@@ -27,12 +29,20 @@ def evaluate(coefficients: np.ndarray, points: np.ndarray) -> np.ndarray:
     return basis(r, degree_of(r, coefficients.shape[1])).values(points) @ coefficients.T
 
 
+class Degree(NamedTuple):
+    """A degree, and its mean squared error over folds that the fit did not see."""
+
+    degree: int
+    error: float
+
+
 def best_degree(
-    points: np.ndarray, targets: np.ndarray, fold: np.ndarray, degree_max: int, through_origin: bool
-) -> int:
+    points: np.ndarray, targets: np.ndarray, fold: np.ndarray, judged: slice, degree_max: int, through_origin: bool
+) -> Degree:
     """Return the degree up to ``degree_max`` whose error over folds that the fit did not see is smallest.
 
-    ``fold`` (S,) numbers the part of each sample. A degree with more monomials than samples is not tried.
+    ``fold`` (S,) numbers the part of each sample; the error is that of the rows ``judged``.
+    A degree with more monomials than samples is not tried.
     """
     errors: dict[int, float] = {}
     for degree in range(1 if through_origin else 0, degree_max + 1):
@@ -42,8 +52,9 @@ def best_degree(
         for part in np.unique(fold):
             seen = fold != part
             left[~seen] = evaluate(fit_map(points[seen], targets[seen], degree, through_origin), points[~seen])
-        errors[degree] = float(((left - targets) ** 2).mean())
-    return min(errors, key=lambda degree: errors[degree])
+        errors[degree] = float(((left - targets)[judged] ** 2).mean())
+    best = min(errors, key=lambda degree: errors[degree])
+    return Degree(best, errors[best])
 
 
 def root_targets(matrices: np.ndarray, factor: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """The energy ROM from Python: equilibria, inverse statics, trajectories, energies."""
 
-from typing import Any
+import logging
+from typing import Any, NamedTuple
 
 import numba as nb
 import numpy as np
@@ -10,8 +11,11 @@ from softrl.artifacts.reduced_model import ReducedModel
 from softrl.core.errors import SolverError
 from softrl.effects.effect import PORT_KERNEL
 from softrl.pod.inverse import solve_pressures
-from softrl.pod.kernel import Tables, run_kernel, tip_pose
+from softrl.pod.kernel import run_kernel, tip_pose
 from softrl.pod.polynomial import basis, degree_of
+from softrl.pod.potential import Tables
+
+log = logging.getLogger(__name__)
 
 QUASI_STATIC_S = 1e6  # one implicit step of this length is an equilibrium
 LOAD_STEPS = 4  # an equilibrium is approached in this many equal steps of the load
@@ -60,8 +64,10 @@ def tables_of(
                 quadratic,
                 model.mass_root,
                 model.stiffness_root,
+                model.lag_root,
                 mass * weight.transpose(1, 0, 2),
                 model.rotation,
+                model.lag_rotation,
                 model.rest_volume,
                 model.rest_tip,
                 np.diag(np.linalg.inv(compliance[:n, :n])) * model.rest_volume,
@@ -72,6 +78,8 @@ def tables_of(
                         damping_scale * mass_scale * model.rayleigh_mass_per_s,
                         damping_scale * youngs_modulus_scale * model.rayleigh_stiffness_s,
                         WALL * np.linalg.eigvalsh(quadratic)[-1],
+                        damping_scale * model.rayleigh_stiffness_s * model.lag_ratio,
+                        damping_scale * model.rayleigh_stiffness_s,
                     ]
                 ),
             ),
@@ -152,6 +160,7 @@ def static_points(tables: Tables, loads: np.ndarray) -> tuple[np.ndarray, np.nda
             y,
             velocity,
             np.zeros(r),
+            np.zeros(r),
             QUASI_STATIC_S,
             np.ascontiguousarray(ramp * load),
             tables,
@@ -161,19 +170,19 @@ def static_points(tables: Tables, loads: np.ndarray) -> tuple[np.ndarray, np.nda
         )
         again = y.copy()
         missed, _ = run_kernel(
-            again, np.zeros(r), np.zeros(r), QUASI_STATIC_S, load[None].copy(), tables, no_hooks(), path[:0], *_EMPTY
+            again, *np.zeros((3, r)), QUASI_STATIC_S, load[None].copy(), tables, no_hooks(), path[:0], *_EMPTY
         )
         found[s], failed[s] = again, missed > 0 or not np.isfinite(again).all()
     return found, failed
 
 
 def tip_poses(model: ReducedModel, coordinate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return tip positions (S, 3) m and quaternions (S, 4) w x y z at coordinates z (S, n + 3)."""
+    """Return tip positions (S, 3) m and quaternions (S, 4) w x y z at coordinates z (S, n + 3), nothing lagging."""
     tables = tables_of(model)
     position, quaternion = np.empty((len(coordinate), 3)), np.empty((len(coordinate), 4))
-    values, point = np.empty(len(tables.parent)), np.empty(model.order)
+    values, point, still = np.empty(len(tables.parent)), np.empty(model.order), np.zeros(model.order)
     for k, y in enumerate(coordinate @ tables.inverse.T):
-        tip_pose(y, tables, values, point, position[k], quaternion[k])
+        tip_pose(y, still, tables, values, point, position[k], quaternion[k])
     return position, quaternion
 
 
@@ -195,6 +204,56 @@ def pressure_for_tip(
     return pressure, distance
 
 
+def warn_beyond(model: ReducedModel, farthest: float) -> None:
+    """Warn if ``farthest``, the largest ``|y|`` of a motion, lies where the model has no samples."""
+    if farthest > 1.0:
+        log.warning(
+            "reduced model of %s: the body went to %.2f times the reach of its snapshots; beyond 1 its energy is "
+            "extrapolated and rises like a wall, so trust the motion less",
+            model.robot_name,
+            farthest,
+        )
+
+
+class Rolled(NamedTuple):
+    """Trajectories: coordinates z (B, T, n + 3) m^3 and m, and the tip's quaternion (B, T, 4) w x y z."""
+
+    coordinate: np.ndarray
+    quaternion: np.ndarray
+
+
+def roll_poses(
+    model: ReducedModel,
+    dt_s: float,
+    loads: np.ndarray,
+    start: np.ndarray | None = None,
+    velocity: np.ndarray | None = None,
+    gravity_m_s2: np.ndarray | None = None,
+) -> Rolled:
+    """Return trajectories under ``loads`` (B, T, n + 3) Pa and N, held over each step.
+
+    Parameters
+    ----------
+    start, velocity : (B, n + 3) z and its rate before the first step, at which nothing lags; zero if None
+    gravity_m_s2 : (3,); the model's own if None
+    """
+    tables = tables_of(model, gravity_m_s2)
+    batch, steps, r = loads.shape
+    path, position, quaternion = np.empty((batch, steps, r)), np.empty((steps, 3)), np.empty((batch, steps, 4))
+    first = np.zeros((batch, r)) if start is None else start @ tables.inverse.T
+    rate = np.zeros((batch, r)) if velocity is None else velocity @ tables.inverse.T
+    held = np.ascontiguousarray(loads, dtype=float)
+    failed, farthest = 0, 0.0
+    for b in range(batch):
+        moving = first[b].copy(), rate[b].copy(), rate[b].copy(), np.zeros(r)
+        missed, far = run_kernel(*moving, dt_s, held[b], tables, no_hooks(), path[b], position, quaternion[b])
+        failed, farthest = failed + missed, max(farthest, far)
+    if failed > 0.01 * batch * steps or not np.isfinite(path).all():
+        raise SolverError(f"reduced model: {failed} of {batch * steps} steps of {dt_s:g} s did not converge")
+    warn_beyond(model, farthest)
+    return Rolled(path @ model.frame.T, quaternion)
+
+
 def roll(
     model: ReducedModel,
     dt_s: float,
@@ -203,34 +262,21 @@ def roll(
     velocity: np.ndarray | None = None,
     gravity_m_s2: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return trajectories z (B, T, n + 3) m^3 and m under ``loads`` (B, T, n + 3) Pa and N, held over each step.
-
-    Parameters
-    ----------
-    start, velocity : (B, n + 3) z and its rate before the first step; zero if None
-    gravity_m_s2 : (3,); the model's own if None
-    """
-    tables = tables_of(model, gravity_m_s2)
-    batch, steps, r = loads.shape
-    path = np.empty((batch, steps, r))
-    first = np.zeros((batch, r)) if start is None else start @ tables.inverse.T
-    rate = np.zeros((batch, r)) if velocity is None else velocity @ tables.inverse.T
-    held = np.ascontiguousarray(loads, dtype=float)
-    failed = 0
-    for b in range(batch):
-        missed, _ = run_kernel(
-            first[b].copy(), rate[b].copy(), np.zeros(r), dt_s, held[b], tables, no_hooks(), path[b], *_EMPTY
-        )
-        failed += missed
-    if failed > 0.01 * batch * steps or not np.isfinite(path).all():
-        raise SolverError(f"reduced model: {failed} of {batch * steps} steps of {dt_s:g} s did not converge")
-    return path @ model.frame.T
+    """Return the coordinates z (B, T, n + 3) m^3 and m of ``roll_poses``."""
+    return roll_poses(model, dt_s, loads, start, velocity, gravity_m_s2).coordinate
 
 
 def mechanical_energy(
-    model: ReducedModel, coordinate: np.ndarray, velocity: np.ndarray, gravity_m_s2: np.ndarray | None = None
+    model: ReducedModel,
+    coordinate: np.ndarray,
+    velocity: np.ndarray,
+    gravity_m_s2: np.ndarray | None = None,
+    lag: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return kinetic, elastic and weight's energy (S,) J at z and its rate (S, n + 3), within the samples' ball."""
+    """Return kinetic, elastic and weight's energy (S,) J at z and its rate (S, n + 3), within the samples' ball.
+
+    ``lag`` (S, n + 3) is the lagged rate, in which further elastic energy is stored; none if None.
+    """
     r = model.order
     inverse = np.linalg.inv(model.frame)
     y, rate = coordinate @ inverse.T, velocity @ inverse.T
@@ -239,4 +285,9 @@ def mechanical_energy(
     height = values[:, : model.centre_of_mass.shape[1]] @ model.centre_of_mass.T
     root = values[:, : model.mass_root.shape[1]] @ model.mass_root.T
     moving = np.einsum("sij,sj->si", root.reshape(-1, r, r), rate)
-    return 0.5 * (moving**2).sum(axis=1) + values @ model.energy - model.mass * height @ gravity
+    energy = 0.5 * (moving**2).sum(axis=1) + values @ model.energy - model.mass * height @ gravity
+    if lag is None or not model.lag_root.size:
+        return energy
+    loose = (values[:, : model.lag_root.shape[1]] @ model.lag_root.T).reshape(-1, r, r)
+    pulled = np.einsum("sij,sj->si", loose, lag @ inverse.T)
+    return energy + 0.5 * model.lag_ratio * model.rayleigh_stiffness_s**2 * (pulled**2).sum(axis=1)

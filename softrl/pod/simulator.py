@@ -11,8 +11,9 @@ import numpy as np
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.core.errors import ArtifactError, ConfigError, SolverError
 from softrl.core.simulator import Hook, Motion
-from softrl.pod.kernel import Tables, run_kernel, tip_pose
-from softrl.pod.rom import LOAD_STEPS, QUASI_STATIC_S, no_hooks, tables_of, typed_hooks
+from softrl.pod.kernel import run_kernel, tip_pose
+from softrl.pod.potential import Tables
+from softrl.pod.rom import LOAD_STEPS, QUASI_STATIC_S, no_hooks, tables_of, typed_hooks, warn_beyond
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
@@ -24,10 +25,14 @@ _reported: dict[str, float] = {}
 
 
 class RomState(NamedTuple):
-    """Coordinates z (n + 3,), chambers' volumes then tip relative to stress-free rest, m^3 and m; their velocity."""
+    """Coordinates z (n + 3,), chambers' volumes then tip relative to stress-free rest, m^3 and m; their velocity.
+
+    ``lag`` (n + 3,) is the velocity as the body's inside follows it.
+    """
 
     coordinates: np.ndarray
     velocity: np.ndarray
+    lag: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -99,7 +104,7 @@ class RomSimulator:
         y = np.zeros(r)
         for _ in range(LOAD_STEPS):
             before = y.copy()
-            self._run(y, np.zeros(r), np.zeros(r), QUASI_STATIC_S, load, loads_only, 0)
+            self._run(y, *np.zeros((3, r)), QUASI_STATIC_S, load, loads_only, 0)
             load[:] = load[-1]
             if np.abs(y - before).max() < 1e-8:
                 break
@@ -109,35 +114,36 @@ class RomSimulator:
         self,
         y: np.ndarray,
         velocity: np.ndarray,
+        lag: np.ndarray,
         rest: np.ndarray,
         dt_s: float,
         load: np.ndarray,
         hooks: tuple[Any, ...],
         poses: int,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Advance ``y`` and ``velocity`` in place; return ``poses`` positions (., 3) and quaternions (., 4)."""
+        """Advance ``y``, ``velocity`` and ``lag`` in place; return ``poses`` positions (., 3) and quaternions (., 4)."""
         position, quaternion = np.empty((poses, 3)), np.empty((poses, 4))
         path = np.empty((0, len(y)))
-        failed, farthest = run_kernel(y, velocity, rest, dt_s, load, self._tables, hooks, path, position, quaternion)
+        failed, farthest = run_kernel(
+            y, velocity, lag, rest, dt_s, load, self._tables, hooks, path, position, quaternion
+        )
         if failed > FAILED_SHARE * len(load) or not np.isfinite(y).all():
             raise SolverError(
                 f"simulator rom: {failed} of {len(load)} steps of {dt_s:g} s did not converge; "
                 "try a smaller dt_s, pressures within the snapshots' range, or weaker effects"
             )
-        self._report(farthest)
+        if poses:
+            warn_beyond(self.reduced_model, farthest)
+        else:
+            self._report(farthest)
         return position, quaternion
 
     def _report(self, farthest: float) -> None:
-        """Warn when the body goes where the model has no samples, and again only when it goes much farther."""
+        """Warn when a single step leaves the samples, and again only when one goes much farther."""
         name = self.reduced_model.robot_name
         if farthest > max(1.0, FARTHER * _reported.get(name, 0.0)):
             _reported[name] = farthest
-            log.warning(
-                "reduced model of %s: the body went to %.2f times the reach of its snapshots; beyond 1 its energy is "
-                "extrapolated and rises like a wall, so trust the motion less",
-                name,
-                farthest,
-            )
+            warn_beyond(self.reduced_model, farthest)
 
     def _loads(self, pressure: np.ndarray, tip_force: np.ndarray | None) -> np.ndarray:
         """Return the loads (steps, n + 3) Pa and N."""
@@ -152,12 +158,12 @@ class RomSimulator:
     def equilibrium(self, pressure: np.ndarray) -> RomState:
         """Return the state at rest under ``pressure`` (n,) Pa and weight."""
         z = self.reduced_model.frame @ self._equilibrium(no_hooks(), np.asarray(pressure, dtype=float))
-        return RomState(z, np.zeros_like(z))
+        return RomState(z, np.zeros_like(z), np.zeros_like(z))
 
     def reset(self, rng: np.random.Generator | None = None) -> RomState:
         """Return the state at rest under zero pressure and weight; ``rng`` is unused."""
         z = self.reduced_model.frame @ self._rest
-        return RomState(z, np.zeros_like(z))
+        return RomState(z, np.zeros_like(z), np.zeros_like(z))
 
     def step(
         self,
@@ -173,16 +179,17 @@ class RomSimulator:
         Strains that body effects see count from the equilibrium under weight alone.
         """
         tables = self._tables
-        y, velocity = tables.inverse @ state.coordinates, tables.inverse @ state.velocity
-        self._run(y, velocity, self._rest, float(dt_s), self._loads(pressure, tip_force), _running(body, load), 0)
-        return RomState(tables.frame @ y, tables.frame @ velocity)
+        y, velocity, lag = (tables.inverse @ part for part in state)
+        held = self._loads(pressure, tip_force)
+        self._run(y, velocity, lag, self._rest, float(dt_s), held, _running(body, load), 0)
+        return RomState(*(tables.frame @ part for part in (y, velocity, lag)))
 
     def observe(self, state: RomState) -> tuple[np.ndarray, np.ndarray]:
         """Return tip position (3,) m and quaternion (4,) w x y z."""
         tables = self._tables
         position, quaternion = np.empty(3), np.empty(4)
         values, point = np.empty(len(tables.parent)), np.empty(len(tables.frame))
-        tip_pose(tables.inverse @ state.coordinates, tables, values, point, position, quaternion)
+        tip_pose(tables.inverse @ state.coordinates, tables.inverse @ state.lag, tables, values, point, position, quaternion)
         return position, quaternion
 
     def simulate(
@@ -200,8 +207,8 @@ class RomSimulator:
         hooks = typed_hooks(body, load) if body or load else no_hooks()
         rest = self._equilibrium(hooks) if load else self._rest
         held = self._loads(pressure, tip_force)
-        y, velocity = rest.copy(), np.zeros_like(rest)
-        position, quaternion = self._run(y, velocity, rest, float(time[1] - time[0]), held, hooks, len(held))
+        moving = rest.copy(), *np.zeros((2, len(rest)))
+        position, quaternion = self._run(*moving, rest, float(time[1] - time[0]), held, hooks, len(held))
         return Motion(np.asarray(time, dtype=float), position, quaternion, held[:, : self.robot.chambers].copy())
 
 

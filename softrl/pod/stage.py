@@ -10,8 +10,9 @@ from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ArtifactError, ConfigError
 from softrl.core.tracking import Tracker
 from softrl.pod.basis import PodBasis, pod_basis, projection_errors
+from softrl.pod.convergence import by_equilibria, report_coordinates, report_equilibria
 from softrl.pod.energy import Weights
-from softrl.pod.figures import draw_choice, draw_motion, draw_parity, draw_spectrum
+from softrl.pod.figures import draw_choice, draw_convergence, draw_motion, draw_parity, draw_spectrum
 from softrl.pod.fit import FitSettings, fit_model, linear_model
 from softrl.pod.report import report_motions, report_speed, report_statics, report_weight, statics
 from softrl.pod.symmetry import equilibria
@@ -33,6 +34,7 @@ class Config:
     value_weight, hessian_weight : of the energy's values and Hessians in its fit, gradients weigh 1
     folds : of the cross-validation that chooses degree, ridge and symmetry
     heldout_share : share of the equilibria that no fit and no choice sees
+    convergence_shares : of the seen equilibria, to which the model is fitted once more for the convergence figure
     """
 
     pod_energy: float
@@ -45,6 +47,7 @@ class Config:
     hessian_weight: float
     folds: int
     heldout_share: float
+    convergence_shares: tuple[float, ...]
     seed: int
 
     def __post_init__(self) -> None:
@@ -56,6 +59,8 @@ class Config:
                             "value_weight": 0, "hessian_weight": 0, "folds": 2}.items():  # fmt: skip
             if getattr(self, name) < least:
                 raise ConfigError(f"stage.{name}={getattr(self, name):g} must be at least {least}")
+        if not all(0.0 < share <= 1.0 for share in self.convergence_shares):
+            raise ConfigError(f"stage.convergence_shares={self.convergence_shares}; expected shares in (0, 1]")
         if not self.ridges or min(self.ridges) <= 0.0:
             raise ConfigError(f"stage.ridges={self.ridges}; expected one or more positive numbers")
 
@@ -87,6 +92,11 @@ def run(config: Config, robot: Robot, snapshots: Snapshots, *, tracker: Tracker)
     if len(snapshots.trajectory_load):
         moving = report_motions(model, linear, snapshots, tracker)
         tracker.figure("motion", draw_motion(snapshots.trajectory_time, moving, 0))
+    parts = samples.rows(seen), samples.rows(heldout)
+    report_coordinates(model, snapshots, parts, tracker)
+    points = by_equilibria(config.convergence_shares, settings, choices[0], robot, snapshots, parts, pod)
+    report_equilibria(points, tracker)
+    tracker.figure("convergence", draw_convergence(choices, points))
     report_speed(model, snapshots, rng, tracker)
     report_weight(model, tracker)
     return model

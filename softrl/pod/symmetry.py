@@ -29,6 +29,9 @@ class Equilibria(NamedTuple):
     compliance: np.ndarray
     stiffness: np.ndarray
     mass: np.ndarray
+    lag_stiffness: np.ndarray
+    lag_viscosity: np.ndarray
+    lag_spin: np.ndarray
     centre_of_mass: np.ndarray
     rotation: np.ndarray
 
@@ -47,6 +50,9 @@ def equilibria(snapshots: Snapshots) -> Equilibria:
         snapshots.energy,
         snapshots.compliance,
         *on_coordinate,
+        snapshots.lag_stiffness,
+        snapshots.lag_viscosity,
+        snapshots.lag_spin,
         snapshots.centre_of_mass,
         rotation_vector(snapshots.tip_quaternion),
     )
@@ -97,6 +103,9 @@ def reflected(samples: Equilibria, operations: list[Symmetry]) -> Equilibria:
                 g @ samples.compliance @ g.T,
                 g @ samples.stiffness @ g.T,
                 g @ samples.mass @ g.T,
+                g @ samples.lag_stiffness @ g.T,
+                g @ samples.lag_viscosity @ g.T,
+                np.linalg.det(vector) * vector @ samples.lag_spin @ g.T,
                 samples.centre_of_mass @ vector.T,
                 np.linalg.det(vector) * samples.rotation @ vector.T,
             )

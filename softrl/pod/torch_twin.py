@@ -32,6 +32,7 @@ class TorchRom(torch.nn.Module):
     hessian: Tensor
     mass_root: Tensor
     stiffness_root: Tensor
+    lag_root: Tensor
     degrees: Tensor
     quadratic: Tensor
 
@@ -47,34 +48,48 @@ class TorchRom(torch.nn.Module):
         super().__init__()
         tables = tables_of(model, gravity_m_s2, youngs_modulus_scale, damping_scale, mass_scale)
         self.order = r = model.order
-        for name in ("frame", "inverse", "gradient", "mass_root", "stiffness_root", "degrees", "quadratic"):
+        for name in ("frame", "inverse", "gradient", "mass_root", "stiffness_root", "lag_root", "degrees", "quadratic"):
             self.register_buffer(name, torch.tensor(getattr(tables, name), dtype=dtype))
         pairs = np.zeros((r, r), dtype=int)
         pairs[np.triu_indices(r)] = np.arange(r * (r + 1) // 2)
         pairs = pairs + np.triu(pairs, 1).T
         self.register_buffer("hessian", torch.tensor(tables.hessian[pairs.ravel()], dtype=dtype))
-        self.mass_scale, self.mass_damping, self.stiffness_damping, self.wall = (float(s) for s in tables.scales)
-        most = max(tables.gradient.shape[1], tables.mass_root.shape[1], tables.stiffness_root.shape[1])
+        scales = [float(scale) for scale in tables.scales]
+        self.mass_scale, self.mass_damping, self.stiffness_damping, self.wall, self.lag_time = scales[:5]
+        self._roots = max(root.shape[1] for root in (tables.mass_root, tables.stiffness_root, tables.lag_root))
+        most = max(tables.gradient.shape[1], self._roots)
         self._levels: list[tuple[Tensor, Tensor]] = []
         for degree in range(1, int(tables.degrees[most - 1]) + 1):
             level = np.flatnonzero(tables.degrees == degree)
             first = int(np.flatnonzero(tables.degrees == degree - 1)[0])
             self._levels.append((torch.tensor(tables.parent[level] - first), torch.tensor(tables.variable[level])))
 
-    def residual(self, z: Tensor, velocity: Tensor, acceleration: Tensor, load: Tensor) -> Tensor:
-        """Return M a + D v + dW/dz - weight - load, (B, n + 3) Pa and N; zero along a motion."""
+    def residual(
+        self, z: Tensor, velocity: Tensor, acceleration: Tensor, load: Tensor, lag: Tensor | None = None
+    ) -> Tensor:
+        """Return M a + D v + dW/dz - weight - load, (B, n + 3) Pa and N; zero along a motion.
+
+        Without ``lag``, the lagged rate (B, n + 3), the body's inside is taken to keep up, as in a slow motion.
+        """
         y, rate, change = z @ self.inverse.T, velocity @ self.inverse.T, acceleration @ self.inverse.T
-        mass, damping = self._mass_and_damping(y)
-        inside = _times(self.mass_scale * mass, change) + _times(damping, rate) + self._slope(y)
+        mass, damping, loose = self._operators(y)
+        late = rate if lag is None else lag @ self.inverse.T
+        viscous = _times(damping, rate) + self.stiffness_damping * _times(loose, late)
+        inside = _times(self.mass_scale * mass, change) + viscous + self._slope(y)
         return inside @ self.inverse - load
 
-    def step(self, z: Tensor, velocity: Tensor, load: Tensor, dt_s: float) -> tuple[Tensor, Tensor]:
-        """Return z and its rate ``dt_s`` later, (B, n + 3) each, by implicit Euler with the load held.
+    def step(
+        self, z: Tensor, velocity: Tensor, lag: Tensor, load: Tensor, dt_s: float
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Return z, its rate and the lagged rate ``dt_s`` later, (B, n + 3) each, by implicit Euler, the load held.
 
         The iteration runs outside the graph; a last Newton step from its end carries the exact first derivatives.
         """
-        start, rate, force = z @ self.inverse.T, velocity @ self.inverse.T, load @ self.frame
-        mass, damping = self._mass_and_damping(start)
+        start, rate, late = z @ self.inverse.T, velocity @ self.inverse.T, lag @ self.inverse.T
+        mass, damping, loose = self._operators(start)
+        hold = self.lag_time / (self.lag_time + dt_s)
+        force = load @ self.frame - self.stiffness_damping * hold * _times(loose, late)
+        damping = damping + self.stiffness_damping * (1.0 - hold) * loose
         free = self.mass_scale * mass / dt_s**2
         inertia = free + damping / dt_s
         right = _times(free, start + dt_s * rate) + _times(damping, start) / dt_s + force
@@ -84,11 +99,16 @@ class TorchRom(torch.nn.Module):
         left = self._slope(y) + _times(inertia, y) - right
         y = y - torch.linalg.solve(jacobian, left.unsqueeze(-1)).squeeze(-1)
         moved = (y - start) / dt_s
-        later, _ = self._mass_and_damping(y)
+        late = hold * late + (1.0 - hold) * moved
+        later, _, tighter = self._operators(y)
         before, after = (moved * _times(mass, moved)).sum(1), (moved * _times(later, moved)).sum(1)
         still = after <= 0.0
         ratio = torch.where(still, torch.ones_like(after), before / torch.where(still, torch.ones_like(after), after))
-        return y @ self.frame.T, (moved * ratio.sqrt().unsqueeze(1)) @ self.frame.T
+        stored, held = (late * _times(loose, late)).sum(1), (late * _times(tighter, late)).sum(1)
+        more = held > stored
+        loss = torch.where(more, stored, torch.ones_like(held)) / torch.where(more, held, torch.ones_like(held))
+        late = late * torch.where(more, loss, torch.ones_like(loss)).clamp(min=1e-30).sqrt().unsqueeze(1)
+        return y @ self.frame.T, (moved * ratio.sqrt().unsqueeze(1)) @ self.frame.T, late @ self.frame.T
 
     def _solve(self, y: Tensor, inertia: Tensor, right: Tensor) -> Tensor:
         """Return the solution of the implicit step, by Newton with halved steps where the slope along them turns."""
@@ -159,15 +179,15 @@ class TorchRom(torch.nn.Module):
         bending = bending + 6.0 * self.wall * beyond
         return inner + cross + cross.transpose(1, 2) + (bending - along) * outer + along * identity
 
-    def _mass_and_damping(self, y: Tensor) -> tuple[Tensor, Tensor]:
-        """Return mass at scale 1 and damping (B, r, r) in y."""
+    def _operators(self, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return mass at scale 1, damping without what lags, and the viscosity that lags (B, r, r) in y."""
         u, _ = self._ball(y)
-        values = self._monomials(u, max(self.mass_root.shape[1], self.stiffness_root.shape[1]))
-        mass, stiffness = (
+        values = self._monomials(u, self._roots)
+        mass, stiffness, loose = (
             _square((values[:, : root.shape[1]] @ root.T).reshape(-1, self.order, self.order))
-            for root in (self.mass_root, self.stiffness_root)
+            for root in (self.mass_root, self.stiffness_root, self.lag_root)
         )
-        return mass, self.mass_damping * mass + self.stiffness_damping * stiffness
+        return mass, self.mass_damping * mass + self.stiffness_damping * stiffness, loose
 
 
 def _ray(degree: Tensor, radius: Tensor) -> tuple[Tensor, Tensor, Tensor]:

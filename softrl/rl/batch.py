@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrl.artifacts.policy import observation_size
-from softrl.rl.tasks.task import Goals, Task
+from softrl.rl.tasks.task import Goals, Seen, Task
 from softrl.rl.workspace import Workspace
 from softrl.surrogate.twin import TwinState
 
@@ -75,23 +75,34 @@ class Batch:
         self.observation_size = observation_size(task.horizon)
         self.theta, self.tip, self.contact_force = np.zeros((size, 3)), np.zeros((size, 3)), np.zeros(size)
         self.curve, self.phase, self.direction = (np.zeros(size, dtype=int) for _ in range(3))
-        self.elapsed = np.zeros(size, dtype=int)
+        self.elapsed, self.push = np.zeros(size, dtype=int), np.zeros((size, 3))
 
     def start(
-        self, which: np.ndarray, theta: np.ndarray, curve: np.ndarray, phase: np.ndarray, direction: np.ndarray
+        self,
+        which: np.ndarray,
+        theta: np.ndarray,
+        curve: np.ndarray,
+        phase: np.ndarray,
+        direction: np.ndarray,
+        push: np.ndarray | None = None,
     ) -> None:
-        """Start the episodes ``which`` from equilibrium under ``theta``, on given curves, phases and directions (+1, -1)."""
+        """Start the episodes ``which`` from equilibrium under ``theta``, on given curves, phases and directions (+1, -1).
+
+        ``push`` (which, 3) N acts on the tips and is shown to nobody; none by default.
+        """
         self.theta[which], self.curve[which], self.phase[which] = theta, curve, phase
         self.direction[which], self.elapsed[which] = direction, 0
-        state = self._equilibrium(self.theta[which], None)
+        self.push[which] = 0.0 if push is None else push
+        state = self._equilibrium(self.theta[which], self.push[which], None)
         self.tip[which], self.contact_force[which] = state.tip, state.contact_force
 
     def start_random(self, which: np.ndarray, rng: np.random.Generator) -> None:
-        """Start the episodes ``which`` (indices) from sampled commands, on random curves."""
+        """Start the episodes ``which`` (indices) from sampled commands, on random curves, under random forces."""
         count, samples = len(which), self.space.surrogate.sample_joints
         self.start(
             which, samples[rng.integers(len(samples), size=count)], rng.integers(len(self.goals.position), size=count),
             rng.integers(self.goals.position.shape[1], size=count), rng.choice([-1, 1], size=count),
+            self.task.disturbance_n * rng.uniform(-1.0, 1.0, (count, 3)),
         )  # fmt: skip
 
     def targets(self) -> tuple[np.ndarray, np.ndarray]:
@@ -107,7 +118,7 @@ class Batch:
     def expert_action(self) -> np.ndarray:
         """Return the model-based controller's actions (B, 3) in -1 .. 1."""
         position, force = self.targets()
-        theta = self.task.expert(position[:, 0], force[:, 0], self.space)
+        theta = self.task.answer(Seen(position[:, 0], force[:, 0], self.tip, self.theta), self.space)
         low, high = self.scales.joint_low, self.scales.joint_high
         return np.clip(2.0 * (theta - low) / (high - low) - 1.0, -1.0, 1.0)
 
@@ -115,12 +126,14 @@ class Batch:
         """Move to the equilibria under ``action`` (B, 3) and judge them against the targets they were for."""
         position, force = (target[:, 0] for target in self.targets())
         self.theta = command_of(action, self.scales.joint_low, self.scales.joint_high)
-        state = self._equilibrium(self.theta, self.tip)
+        state = self._equilibrium(self.theta, self.push, self.tip)
         self.tip, self.contact_force = state.tip, state.contact_force
         self.elapsed += 1
         position_error = self.task.position_error(self.tip, position, self.plane)
         force_error = np.abs(self.contact_force - force)
         return Step(self.observation(), self.task.reward(position_error, force_error), position_error, force_error)
 
-    def _equilibrium(self, theta: np.ndarray, before: np.ndarray | None) -> TwinState:
-        return self.space.twin.solve(theta, None, self.plane, self.task.friction, before)
+    def _equilibrium(self, theta: np.ndarray, push: np.ndarray, before: np.ndarray | None) -> TwinState:
+        return self.space.twin.solve(
+            theta, push if push.any() else None, self.plane, self.task.friction, before, refuse=False
+        )

@@ -32,14 +32,19 @@ class Evaluation(NamedTuple):
     wanted_force: np.ndarray
 
 
-def evaluate(controller: Controller, task: Task, space: Workspace, goals: Goals, episodes: int) -> Evaluation:
-    """Return the errors over one lap per episode, starts spread over the curves, both directions, from rest each time."""
+def evaluate(
+    controller: Controller, task: Task, space: Workspace, goals: Goals, episodes: int, push: np.ndarray | None = None
+) -> Evaluation:
+    """Return the errors over one lap per episode, starts spread over the curves, both directions, from rest each time.
+
+    ``push`` (episodes, 3) N acts on the tips, hidden from the controller; none by default.
+    """
     batch = Batch(task, space, goals, episodes)
     curves, lap = goals.force.shape
     number = np.arange(episodes)
     phase = (number // curves) * lap // max(1, -(-episodes // curves))
     direction = np.where(number % 2 == 0, 1, -1)
-    batch.start(number, np.tile(space.rest, (episodes, 1)), number % curves, phase, direction)
+    batch.start(number, np.tile(space.rest, (episodes, 1)), number % curves, phase, direction, push)
     rows = []
     for _ in range(lap):
         position, force = batch.targets()
@@ -53,6 +58,20 @@ def evaluate(controller: Controller, task: Task, space: Workspace, goals: Goals,
 def expert(batch: Batch) -> np.ndarray:
     """Act as the model-based controller."""
     return batch.expert_action()
+
+
+def open_loop(batch: Batch) -> np.ndarray:
+    """Act as the model's inverse, blind to where the tip is."""
+    position, force = batch.targets()
+    low, high = batch.scales.joint_low, batch.scales.joint_high
+    theta = batch.task.expert(position[:, 0], force[:, 0], batch.space)
+    return np.clip(2.0 * (theta - low) / (high - low) - 1.0, -1.0, 1.0)
+
+
+def corner_pushes(size: float, episodes: int) -> np.ndarray:
+    """Return forces (episodes, 3) N of length ``size`` along the diagonals of a cube, in turn."""
+    corners = np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)]) / 3**0.5
+    return size * corners[np.arange(episodes) % len(corners)]
 
 
 def rest(batch: Batch) -> np.ndarray:

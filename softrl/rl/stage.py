@@ -12,7 +12,7 @@ from softrl.core.tracking import Tracker
 from softrl.rl.actor import Actor, act_scaled
 from softrl.rl.agents.agent import Agent, Lesson, Practice
 from softrl.rl.batch import Batch, scales_of
-from softrl.rl.evaluate import Controller, Evaluation, evaluate, expert, rest
+from softrl.rl.evaluate import Controller, Evaluation, corner_pushes, evaluate, expert, open_loop, rest
 from softrl.rl.figures import draw_history, draw_laps
 from softrl.rl.tasks.task import Goals, Task
 from softrl.rl.vector_env import TwinVecEnv
@@ -90,7 +90,8 @@ def _report(config: Config, task: Task, space: Workspace, lesson: Lesson, tracke
                 metrics[f"heldout/{label}{curve}_force_error_n"] = found.force_mae
             if not label:
                 laps[curve] = found
-    metrics["val/reward"] = max(reward for _, reward in lesson.history)
+        metrics |= _under_load(config, task, space, lesson.actor, curve, goals)
+    metrics["val/reward"] = float(np.nanmax([reward for _, reward in lesson.history]))
     for step, reward in lesson.history:
         tracker.metric("val/reward", reward, step)
     for name, value in metrics.items():
@@ -98,6 +99,21 @@ def _report(config: Config, task: Task, space: Workspace, lesson: Lesson, tracke
     tracker.figure("evaluation", draw_laps(laps, task.plane(space)))
     tracker.figure("training", draw_history(lesson.history))
     return metrics
+
+
+def _under_load(
+    config: Config, task: Task, space: Workspace, actor: Actor, curve: str, goals: Goals
+) -> dict[str, float]:
+    """Return the errors under hidden forces on the tip, of the policy, the expert, and an inverse that is blind to them."""
+    if task.disturbance_n == 0.0:
+        return {}
+    push = corner_pushes(task.disturbance_n, config.episodes)
+    controllers = {"": controller_of(actor), "expert_": expert, "open_loop_": open_loop}
+    return {
+        f"heldout/{label}loaded_{curve}_position_rmse_mm": 1e3
+        * evaluate(controller, task, space, goals, config.episodes, push).position_rmse
+        for label, controller in controllers.items()
+    }
 
 
 def _policy(

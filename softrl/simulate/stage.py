@@ -4,6 +4,7 @@ import logging
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -22,6 +23,15 @@ from softrl.robots.robot import Robot
 log = logging.getLogger(__name__)
 
 SIMULATED = "simulated_by"  # note in dataset.yaml
+_SPREADS = (
+    ("position", "noise_m"),
+    ("orientation", "noise_rad"),
+    ("bend_angle", "noise_rad"),
+    ("pressure", "noise_pa"),
+    ("position", "colour_m"),
+    ("bend_angle", "colour_rad"),
+    ("pressure", "colour_pa"),
+)
 
 
 @dataclass(frozen=True)
@@ -35,6 +45,10 @@ class Config:
     settle_s : time under the first row before the first sample, for recordings that do not begin at rest
     position_noise_m, orientation_noise_rad, bend_angle_noise_rad, pressure_noise_pa : standard deviation of
         white noise
+    position_colour_m, bend_angle_colour_rad, pressure_colour_pa : standard deviation of coloured noise beside it
+    colour_s : time in which the coloured noise forgets; the same for all channels
+    dropped_share : of the samples after the first one of each run, at random, that are lost
+    measured_pressure, orientation : whether the robot measures chamber pressures, and the tip's orientation
     out : folder of a dataset to write, or null
     seed : of the noise
     """
@@ -46,6 +60,13 @@ class Config:
     orientation_noise_rad: float
     bend_angle_noise_rad: float
     pressure_noise_pa: float
+    position_colour_m: float
+    bend_angle_colour_rad: float
+    pressure_colour_pa: float
+    colour_s: float
+    dropped_share: float
+    measured_pressure: bool
+    orientation: bool
     out: str | None
     seed: int
 
@@ -54,15 +75,13 @@ class Config:
             raise ConfigError(f"stage.dt_s={self.dt_s:g} must be positive")
         if self.drive not in ("command", "measured"):
             raise ConfigError(f"stage.drive={self.drive} is unknown; expected command or measured")
-        for name in (
-            "settle_s",
-            "position_noise_m",
-            "orientation_noise_rad",
-            "bend_angle_noise_rad",
-            "pressure_noise_pa",
-        ):
+        for name in ("settle_s", *(f"{channel}_{kind}" for channel, kind in _SPREADS)):
             if not getattr(self, name) >= 0.0:
                 raise ConfigError(f"stage.{name}={getattr(self, name):g} must not be negative")
+        if not self.colour_s > 0.0:
+            raise ConfigError(f"stage.colour_s={self.colour_s:g} s must be positive")
+        if not 0.0 <= self.dropped_share < 1.0:
+            raise ConfigError(f"stage.dropped_share={self.dropped_share:g} must lie in 0..1, below 1")
 
 
 def run(
@@ -103,21 +122,58 @@ def write_dataset(folder: Path, simulated: RecordingSet) -> None:
 
 
 def add_noise(recording: Recording, config: Config, rng: np.random.Generator) -> Recording:
-    """Return ``recording`` with white noise on its measured channels; the commands stay exact."""
-    draw = rng.standard_normal
-    noisy = {}
-    for channel, spread in (
-        ("pressure_meas", config.pressure_noise_pa),
-        ("position", config.position_noise_m),
-        ("bend_angle", config.bend_angle_noise_rad),
-        ("quaternion", 0.5 * config.orientation_noise_rad),  # half: a quaternion turns by half the angle
+    """Return ``recording`` as its sensors report it: with noise, samples lost, and only the channels that there are.
+
+    The commands stay exact.
+    """
+    noisy: dict[str, Any] = {}
+    for channel, white, coloured in (
+        ("pressure_meas", config.pressure_noise_pa, config.pressure_colour_pa),
+        ("position", config.position_noise_m, config.position_colour_m),
+        ("bend_angle", config.bend_angle_noise_rad, config.bend_angle_colour_rad),
+        ("quaternion", 0.5 * config.orientation_noise_rad, 0.0),  # half: a quaternion turns by half the angle
     ):
         values = getattr(recording, channel)
         if values is not None:
-            noisy[channel] = values + spread * draw(values.shape)
-    if "quaternion" in noisy:
-        noisy["quaternion"] = noisy["quaternion"] / np.linalg.norm(noisy["quaternion"], axis=1, keepdims=True)
-    return replace(recording, **noisy)
+            changed = values + white * rng.standard_normal(values.shape)
+            if coloured > 0.0:
+                changed += coloured * coloured_noise(recording.time, values.shape, config.colour_s, rng)
+            noisy[channel] = changed
+    turned = noisy.get("quaternion")
+    if turned is not None:
+        noisy["quaternion"] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+    if not config.orientation:
+        noisy["quaternion"] = None
+    if not config.measured_pressure:
+        noisy["pressure_meas"] = None
+    return _thinned(replace(recording, **noisy), config.dropped_share, rng)
+
+
+def coloured_noise(time: np.ndarray, shape: tuple[int, ...], colour_s: float, rng: np.random.Generator) -> np.ndarray:
+    """Return noise of unit variance whose correlation falls as ``exp(-|t - s| / colour_s)``, at any times (steps,) s.
+
+    Notes
+    -----
+    Ornstein-Uhlenbeck process, sampled exactly (textbook form, no equation number checked).
+    """
+    kept = np.exp(-np.diff(time, prepend=time[0]) / colour_s)
+    kept[0] = 0.0
+    fresh = rng.standard_normal(shape)
+    noise = np.empty(shape)
+    last = np.zeros(shape[1:])
+    for k, share in enumerate(kept):
+        noise[k] = last = share * last + np.sqrt(1.0 - share * share) * fresh[k]
+    return noise
+
+
+def _thinned(recording: Recording, share: float, rng: np.random.Generator) -> Recording:
+    """Return ``recording`` without a ``share`` of its samples, lost at random; the first one is kept."""
+    if share == 0.0:
+        return recording
+    kept = rng.random(len(recording.time)) >= share
+    kept[:2] = True
+    changed: dict[str, Any] = {n: values[kept] for n, values in recording.channels() if n not in recording.markers}
+    return replace(recording, **changed)
 
 
 def _report(recorded: RecordingSet, simulated: RecordingSet, seconds: float, tracker: Tracker) -> None:
@@ -132,7 +188,9 @@ def _report(recorded: RecordingSet, simulated: RecordingSet, seconds: float, tra
         squares = [
             ((getattr(ours, channel) - getattr(theirs, channel)) ** 2).reshape(len(theirs.time), -1).sum(axis=1)
             for theirs, ours in pairs
-            if getattr(theirs, channel) is not None and getattr(ours, channel) is not None
+            if len(ours.time) == len(theirs.time)  # none was dropped
+            and getattr(theirs, channel) is not None
+            and getattr(ours, channel) is not None
         ]
         if squares:
             tracker.metric(f"recorded/{name}", scale * float(np.sqrt(np.mean(np.concatenate(squares)))))

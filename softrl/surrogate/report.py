@@ -82,6 +82,8 @@ def _map_errors(s: Surrogate) -> dict[str, float]:
     )
     back = maps.pressure(joints) - pressure
     errors["heldout/roundtrip_pressure_kpa"] = float(np.sqrt(np.mean(back**2)) / 1e3)
+    again = maps.joints(maps.pressure(joints)) - joints
+    errors["heldout/roundtrip_joint_angle_deg"] = float(np.rad2deg(np.sqrt(np.mean(again[:, :2] ** 2))))
     network_back = maps.pressure_by_network(joints) - pressure
     errors["heldout/roundtrip_network_pressure_kpa"] = float(np.sqrt(np.mean(network_back**2)) / 1e3)
     return errors

@@ -11,7 +11,8 @@ from softrl.surrogate.fit import fit_joints
 from softrl.surrogate.kinematics import Chain, chain_of, grouped_poses, joint_jacobians, pose, quaternion_of
 from softrl.surrogate.springs import Springs, softness_at, springs_of, stiffness_matrix
 
-ITERATIONS = 300
+ITERATIONS = 600
+CALM_AFTER, CALMER_AFTER = 80, 250  # iterations from which steps are shortened: deep contact overshoots
 TOLERANCE_N = 1e-9  # change of the reaction between two iterations
 Plane = tuple[np.ndarray, np.ndarray]
 
@@ -88,6 +89,7 @@ class Twin:
         plane: Plane | None = None,
         friction: float = 0.0,
         start: np.ndarray | None = None,
+        refuse: bool = True,
     ) -> TwinState:
         """Return the equilibria under commands (B, 3), tip forces (B, 3) N and a plane.
 
@@ -96,6 +98,8 @@ class Twin:
         plane : (normal (3,) towards the robot's side, point (3,) m)
         friction : Coulomb's coefficient
         start : (B, 3) m, tips before the motion, from which sliding is counted; the unloaded tips by default
+        refuse : if not, an equilibrium that was not found is answered by where the search ended; a chain that is pressed
+            ten times harder than it is meant to buckles, and a learner that explores does press
 
         Raises
         ------
@@ -119,7 +123,7 @@ class Twin:
         *state, failed = _equilibria(
             theta, forces, normal, point, float(friction), before, self.chain, self.springs, self.contact_stiffness
         )
-        if failed:
+        if failed and refuse:
             raise SolverError(
                 f"{failed} of {batch} equilibria of the twin were not found in {ITERATIONS} iterations; "
                 f"expected loads near the tip's range, the largest force here is {np.abs(forces).max():.3g} N"
@@ -158,7 +162,8 @@ def _equilibria(
         soft = softness_at(theta[b], springs)
         press, change = 0.0, 1.0
         grip[:] = 0.0
-        for _ in range(ITERATIONS):
+        for turn in range(ITERATIONS):
+            share = 1.0 if turn < CALM_AFTER else (0.5 if turn < CALMER_AFTER else 0.15)
             pose(q, chain, tips[b], rotation, jacobian)
             for i in range(3):
                 load[i] = force[b, i] + press * normal[i] + grip[i]
@@ -172,7 +177,7 @@ def _equilibria(
                 for a in range(3):
                     j = 3 * k + a
                     yielded = soft[a, 0] * torque[0] + soft[a, 1] * torque[1] + soft[a, 2] * torque[2]
-                    forward[j] = command[j] + yielded - q[j]
+                    forward[j] = share * (command[j] + yielded - q[j])
                     move = max(move, abs(forward[j]))
                     for i in range(3):
                         expected[i] += jacobian[i, j] * forward[j]

@@ -179,3 +179,19 @@ def test_stage_runs_on_a_fitted_reduced_model_whose_motions_leave_no_residual() 
     with torch.no_grad():
         true, wrong = (float(physics(rows[:, -1], r).pow(2).mean().sqrt()) for r in (rate, 1.05 * rate))
     assert true < 0.3 * wrong, f"residual of motions {true:.3g}, of rates 5 % off {wrong:.3g}"
+
+
+@pytest.mark.slow
+def test_training_from_chunks_on_disk_is_the_same_stage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    robot, snapshots, model = fitted(3)
+    plain, chunked = NullTracker(), NullTracker()
+    run(config(), robot, model, snapshots, tracker=plain)
+    run(config(runs_per_chunk=2), robot, model, snapshots, tracker=chunked)
+    assert set(chunked.metrics) - set(plain.metrics) == {"chunks_resumed", "samples_within_reach_pct"}
+    assert chunked.metrics["training_samples"] == plain.metrics["training_samples"] == 600
+    assert chunked.metrics["heldout/position_onestep_mm"] < chunked.metrics["heldout/state_stays_position_onestep_mm"]
+    assert 50.0 < chunked.metrics["samples_within_reach_pct"] <= 100.0
+    full, reduced = chunked.metrics["full_order_samples"], chunked.metrics["reduced_model_samples"]
+    assert chunked.metrics["full_order_share_pct"] == pytest.approx(100.0 * full / (full + reduced))
+    assert list(tmp_path.iterdir()) == []

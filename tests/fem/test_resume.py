@@ -12,6 +12,7 @@ import pytest
 
 from softrl.artifacts.mesh import Mesh
 from softrl.artifacts.snapshots import Snapshots
+from softrl.core.errors import SolverError
 from softrl.core.resume import Kept
 from softrl.core.tracking import NullTracker
 from softrl.fem.material import StableNeoHookean
@@ -65,3 +66,19 @@ def test_other_settings_do_not_meet_kept_parts(box: Mesh) -> None:
     moved = body._replace(mesh=replace(box, points=box.points * 1.001))
     assert _mark(body) == _mark(same)
     assert len({_mark(body), _mark(moved), _mark(body._replace(config=replace(SETTINGS, seed=1)))}) == 3
+
+
+def test_loads_that_fail_are_recorded(box: Mesh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    texts: dict[str, str] = {}
+
+    class Keeper(NullTracker):
+        def text(self, name: str, content: str) -> None:
+            texts[name] = content
+
+    hopeless = replace(SETTINGS, max_iterations=1, tolerance_m=1e-14, trajectories=0)
+    with pytest.raises(SolverError, match="3 of 3 loads"):
+        run(hopeless, box_robot(2), box, tracker=Keeper())
+    lines = texts["failed_loads.csv"].splitlines()
+    assert lines[0] == "sample,p1_pa,p2_pa,force_x_n,force_y_n,force_z_n"
+    assert [line.split(",")[0] for line in lines[1:]] == ["0", "1", "2"]

@@ -24,14 +24,15 @@ LEVEL = {
     "surrogate": 15,
     "rl": 16,
     "sim2real": 17,
-    "diagnosis": 13,
+    "diagnosis": 14,
     "simulate": 17,
     "bench": 18,
     "proof": 18,
     "assembly": 20,
     "pipeline": 21,
-    "loop": 22,
-    "__main__": 23,
+    "paper": 22,
+    "loop": 23,
+    "__main__": 24,
 }
 OWNER = {
     "mlflow": {"core"},

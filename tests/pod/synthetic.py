@@ -8,6 +8,7 @@ from softrl.artifacts.snapshots import Snapshots
 from softrl.robots.robot import Robot
 
 YOUNG_PA, MASS_KG = 1e6, 0.5
+LAG_SHARE, LAG_RATIO = 0.2, 1.3  # of the viscosity lags, by so many times the stiffness damping
 STROKE_N_PER_PA = 1e-3  # effective area of a chamber
 
 
@@ -138,21 +139,24 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
 def march(law: Law, loads: np.ndarray, dt: float, mass_damping: float, stiffness_damping: float) -> np.ndarray:
     """Return z (steps, n + 3) by implicit Euler in SI with mass, damping at the start of each step; from rest.
 
-    The law's stiffness in the damping is its Hessian at rest.
+    The law's stiffness in the damping is its Hessian at rest; a share of it lags.
     """
-    z, v, path = np.zeros(loads.shape[1]), np.zeros(loads.shape[1]), []
+    z, v, u, path = np.zeros(loads.shape[1]), np.zeros(loads.shape[1]), np.zeros(loads.shape[1]), []
     stiffness = law.hessian(z)
+    hold = LAG_RATIO * stiffness_damping / (LAG_RATIO * stiffness_damping + dt)
     for load in loads:
         mass = law.mass(z)
-        damping = mass_damping * mass + stiffness_damping * stiffness
+        damping = mass_damping * mass + stiffness_damping * (1.0 - LAG_SHARE * hold) * stiffness
+        pull = LAG_SHARE * stiffness_damping * hold * stiffness @ u
         trial = z + dt * v
         for _ in range(40):
-            residual = mass @ (trial - z - dt * v) / dt**2 + damping @ (trial - z) / dt + law.gradient(trial) - load
+            residual = mass @ (trial - z - dt * v) / dt**2 + damping @ (trial - z) / dt + pull + law.gradient(trial) - load
             step = np.linalg.solve(law.hessian(trial) + mass / dt**2 + damping / dt, residual)
             trial = trial - step
             if np.abs(step[law.chambers :]).max() < 1e-15:
                 break
         v, z = (trial - z) / dt, trial
+        u = hold * u + (1.0 - hold) * v
         path.append(z)
     return np.array(path)
 
@@ -184,6 +188,9 @@ def synthetic_snapshots(robot: Robot, samples: int, seed: int, trajectories: int
         compliance=compliance,
         tangent_stiffness=compliance @ stiffness @ compliance,
         tangent_mass=compliance @ masses @ compliance,
+        lag_stiffness=np.tile(LAG_RATIO * LAG_SHARE * stiffness, (samples, 1, 1)),
+        lag_viscosity=np.tile(LAG_RATIO**2 * LAG_SHARE * stiffness, (samples, 1, 1)),
+        lag_spin=np.zeros((samples, 3, n + 3)),
         centre_of_mass=np.array([law.centre_of_mass(point) for point in z]),
         tip_quaternion=np.array([quaternion(law.rotation(point)) for point in z]),
         displacement=shape.astype(np.float32),

@@ -44,7 +44,8 @@ def test_unseen_motion_is_recovered(body: Body) -> None:
     travel = np.linalg.norm(prediction.full[..., -3:], axis=-1).max()
     # the law's own march leaves kinetic energy to its changing mass; ours does not: a few thousandths of the travel
     assert prediction.tip_errors().max() < 5e-3 * travel
-    assert prediction.tip_errors()[:, 0].max() < 1e-6 * travel
+    # and half a per cent of the viscosity lags besides what does in the law
+    assert prediction.tip_errors()[:, 0].max() < 1e-3 * travel
     assert motions(linear_model(model), snapshots).tip_errors().max() > 5.0 * prediction.tip_errors().max()
 
 

@@ -7,8 +7,10 @@ import pytest
 
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
-from softrl.pod.kernel import fill_potential, fill_square, run_kernel, solve_general
+from softrl.pod.kernel import run_kernel
+from softrl.pod.linear import solve_general
 from softrl.pod.polynomial import basis
+from softrl.pod.potential import fill_potential, fill_square
 from softrl.pod.rom import mechanical_energy, no_hooks, roll, static_coordinates, tables_of
 from softrl.robots.robot import Robot
 
@@ -77,11 +79,14 @@ def test_an_unforced_body_never_gains_energy(body: Body, dt_s: float) -> None:
     tables = tables_of(model)
     y = tables.inverse @ static_coordinates(model, load)[0]
     velocity, energy = np.random.default_rng(0).standard_normal(model.order), []
+    lag = velocity.copy()
     for _ in range(200):
-        energy.append(mechanical_energy(model, (model.frame @ y)[None], (model.frame @ velocity)[None])[0])
+        state = [(model.frame @ part)[None] for part in (y, velocity, lag)]
+        energy.append(mechanical_energy(model, state[0], state[1], lag=state[2])[0])
         failed, _ = run_kernel(
             y,
             velocity,
+            lag,
             np.zeros(model.order),
             dt_s,
             np.zeros((1, model.order)),

@@ -21,7 +21,7 @@ from softrl.recordings.read import read
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.write import write
 from softrl.robots.robot import Robot
-from softrl.simulate.stage import Config, run
+from softrl.simulate.stage import Config, coloured_noise, run
 
 CONF = Path(__file__).parents[2] / "conf"
 
@@ -141,8 +141,53 @@ def test_noise_is_seeded_and_of_the_size_asked_for() -> None:
     np.testing.assert_allclose(np.sqrt(np.mean(turned**2) / 3.0), 0.01, rtol=0.1)
 
 
+def test_coloured_noise_has_its_variance_and_its_memory_at_any_times() -> None:
+    time = np.cumsum(np.random.default_rng(0).uniform(0.01, 0.03, 40000))
+    noise = coloured_noise(time, (len(time), 2), 0.5, np.random.default_rng(1))
+    np.testing.assert_allclose(noise.std(axis=0), 1.0, rtol=0.1)
+    for lag in (5, 25, 50):
+        expected = np.exp(-np.mean(time[lag:] - time[:-lag]) / 0.5)
+        np.testing.assert_allclose(np.mean(noise[lag:] * noise[:-lag]), expected, atol=0.08)
+    assert abs(np.mean(noise[:, 0] * noise[:, 1])) < 0.08
+
+
+def test_white_and_coloured_noise_add_in_square() -> None:
+    body = simulator("tripod")
+    given = commands(body.robot)
+    clean, noisy = (
+        run(config(**changed), body.robot, body, EffectChain(body.robot), given, tracker=NullTracker())
+        for changed in ({}, {"position_noise_m": 3e-4, "position_colour_m": 4e-4, "colour_s": 0.05})
+    )
+    added = np.concatenate([a.position - b.position for a, b in zip(noisy.recordings, clean.recordings, strict=True)])
+    np.testing.assert_allclose(added.std(), 5e-4, rtol=0.1)
+
+
+def test_dropped_samples_leave_the_others_as_they_were(tmp_path: Path) -> None:
+    body = simulator("tripod")
+    chain, given = chain_of(body.robot, [Lag(0.2, 0.3)]), commands(body.robot)
+    settings = {"dropped_share": 0.2, "measured_pressure": False, "orientation": False, "out": str(tmp_path / "made")}
+    run(config(**settings), body.robot, body, chain, given, tracker=NullTracker())
+    whole = run(config(), body.robot, body, chain, given, tracker=NullTracker())
+    for made, full in zip(read(tmp_path / "made", body.robot).recordings, whole.recordings, strict=True):
+        assert 0.7 < len(made.time) / len(full.time) < 0.9
+        assert made.pressure_meas is None and made.quaternion is None
+        left = np.searchsorted(full.time, made.time - 1e-6)
+        np.testing.assert_allclose(made.position, full.position[left], atol=1e-9)
+        np.testing.assert_allclose(made.pressure_cmd, full.pressure_cmd[left], rtol=1e-8)
+
+
+def test_chambers_can_differ() -> None:
+    """The same effect twice, with other values in another chamber, as the command line can ask for."""
+    body = simulator("tripod")
+    chain = chain_of(body.robot, [Lag(0.5, 0.5, chamber=0), Lag(0.1, 0.1, chamber=2)])
+    made = run(config(), body.robot, body, chain, commands(body.robot), tracker=NullTracker()).recordings[0]
+    behind = np.sqrt(np.mean((made.pressure_meas - made.pressure_cmd) ** 2, axis=0))
+    assert behind[1] < 1e-6 * behind[2] and behind[2] < 0.8 * behind[0]
+
+
 def test_bad_config_is_refused() -> None:
-    for bad in ({"dt_s": 0.0}, {"drive": "wish"}, {"position_noise_m": -1.0}):
+    bad_ones = ({"dt_s": 0.0}, {"drive": "wish"}, {"position_noise_m": -1.0}, {"colour_s": 0.0}, {"dropped_share": 1.0})
+    for bad in bad_ones:
         with pytest.raises(ConfigError, match="stage"):
             config(**bad)
 

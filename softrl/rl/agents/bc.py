@@ -5,10 +5,12 @@ from typing import ClassVar
 
 import numpy as np
 import torch
-from stable_baselines3 import SAC
+from stable_baselines3 import PPO
+from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.sac.policies import SACPolicy
 
 from softrl.core.errors import ConfigError
+from softrl.core.scaling import Scaler
 from softrl.rl.agents.agent import Agent, Best, Lesson, Practice, actor_from
 from softrl.rl.vector_env import TwinVecEnv
 from softrl.surrogate.mlp import train_network
@@ -20,7 +22,7 @@ EDGE = 0.999  # actions are squashed by tanh, which never reaches 1
 
 @dataclass(frozen=True)
 class Bc(Agent):
-    """Supervised training of the actor of SB3's SAC policy on what the expert would do.
+    """Supervised training of the actor of SB3's PPO policy on what the expert would do.
 
     Attributes
     ----------
@@ -46,8 +48,8 @@ class Bc(Agent):
     def train(self, practice: Practice, seed: int) -> Lesson:
         """Return the clone."""
         env = practice.make(self.envs, seed)
-        model = SAC("MlpPolicy", env, policy_kwargs=policy_layers(self.hidden), buffer_size=1, seed=seed, device="cpu")
-        return clone(self, model.policy, env, practice, seed)
+        model = PPO("MlpPolicy", env, n_steps=2, policy_kwargs=policy_layers(self.hidden), seed=seed, device="cpu")
+        return clone(self, clipped_layers(model.policy), "clip", env, practice, seed)
 
 
 def policy_layers(hidden: int) -> dict[str, object]:
@@ -56,30 +58,53 @@ def policy_layers(hidden: int) -> dict[str, object]:
 
 
 def mean_layers(policy: SACPolicy) -> list[torch.nn.Module]:
-    """Return the layers of SAC's deterministic actor in order."""
+    """Return the layers of SAC's deterministic actor in order; tanh squashes what comes out."""
     return [*policy.actor.latent_pi, policy.actor.mu]
 
 
-def clone(bc: Bc, policy: SACPolicy, env: TwinVecEnv, practice: Practice, seed: int) -> Lesson:
-    """Put a clone of the expert into the actor of ``policy``, in place, and return it with the untrained one's reward.
+def clipped_layers(policy: ActorCriticPolicy) -> list[torch.nn.Module]:
+    """Return the layers of PPO's deterministic actor in order; what comes out is clipped."""
+    return [*policy.mlp_extractor.policy_net, policy.action_net]
+
+
+def clone(bc: Bc, layers: list[torch.nn.Module], squash: str, env: TwinVecEnv, practice: Practice, seed: int) -> Lesson:
+    """Put a clone of the expert into the ``layers`` of an actor, in place, and return it with the untrained one's reward.
 
     Notes
     -----
     The map from targets to commands is almost linear and wanted to a thousandth. A network with a linear path reaches
     that by L-BFGS in double precision where SB3's own shape, trained from its random start, stays ten times above; it is
-    then folded into SB3's shape, the linear path carried by three units in the linear range of tanh.
+    then folded into SB3's shape, the linear path carried by three units in the linear range of tanh. It sees the
+    columns that the expert looks at; the others get no weight. An actor squashed by tanh must bend its answers back by
+    arctanh first, which costs it a factor of four in error.
     """
     best = Best(practice.judge)
-    best.consider(actor_from(mean_layers(policy), "tanh"), 0)
+    best.consider(actor_from(layers, squash), 0)
     observation, action = _collect(bc, env, np.random.default_rng(seed))
-    before_squash = np.arctanh(np.clip(action, -EDGE, EDGE))
-    weights = train_network(observation, before_squash, bc.hidden - CARRIERS, bc.iterations, seed)
-    linear = [layer for layer in mean_layers(policy) if isinstance(layer, torch.nn.Linear)]
-    for layer, (weight, bias) in zip(linear, _fold(weights), strict=True):
+    wanted = np.arctanh(np.clip(action, -EDGE, EDGE)) if squash == "tanh" else action
+    columns = env.batch.task.seen_by_expert()
+    columns = columns[np.ptp(observation[:, columns], axis=0) > 0.0]
+    scaler = Scaler.fit(observation[:, columns])
+    fitted = train_network(scaler.scale(observation[:, columns]), wanted, bc.hidden - CARRIERS, bc.iterations, seed)
+    linear = [layer for layer in layers if isinstance(layer, torch.nn.Linear)]
+    for layer, (weight, bias) in zip(
+        linear, _fold(_unscaled(fitted, scaler, columns, observation.shape[1])), strict=True
+    ):
         layer.weight.data = torch.tensor(weight, dtype=torch.float32)
         layer.bias.data = torch.tensor(bias, dtype=torch.float32)
-    best.consider(actor_from(mean_layers(policy), "tanh"), bc.iterations)
+    best.consider(actor_from(layers, squash), bc.iterations)
     return best.lesson()
+
+
+def _unscaled(weights: dict[str, np.ndarray], scaler: Scaler, columns: np.ndarray, size: int) -> dict[str, np.ndarray]:
+    """Return the network that reads whole observations (size,) as ``weights`` read their scaled ``columns``."""
+    w = dict(weights)
+    for name, bias in (("skip", f"bias_{len(w) // 2 - 1}"), ("weight_0", "bias_0")):
+        by_column = weights[name] / scaler.spread[:, None]
+        w[bias] = w[bias] - scaler.mean @ by_column
+        w[name] = np.zeros((size, by_column.shape[1]))
+        w[name][columns] = by_column
+    return w
 
 
 def _fold(w: dict[str, np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -7,7 +7,7 @@ import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
 
-from softrl.rl.agents.agent import Agent, Best, Lesson, Practice, actor_from, decaying
+from softrl.rl.agents.agent import Agent, Best, Lesson, Practice, actor_from, decaying, learn_or_keep
 from softrl.rl.agents.bc import Bc, clone, mean_layers, policy_layers
 
 
@@ -57,14 +57,14 @@ class Sac(Agent):
         best = Best(practice.judge)
         if self.start_from is not None:
             teacher = practice.make(self.start_from.envs, seed + 1)
-            best.consider(clone(self.start_from, model.policy, teacher, practice, seed).actor, 0)
+            cloned = clone(self.start_from, mean_layers(model.policy), "tanh", teacher, practice, seed)
+            best.consider(cloned.actor, 0)
             model.ent_coef_optimizer = None
             model.ent_coef_tensor = torch.tensor(START_ENTROPY)
             model.actor.log_std.weight.data.zero_()
             model.actor.log_std.bias.data.fill_(START_LOG_STD)
         judge = Judge(best, self.judge_every)
-        model.learn(self.steps, callback=judge)
-        best.consider(judge.actor(), self.steps)
+        learn_or_keep(model, self.steps, judge, best)
         return best.lesson()
 
 

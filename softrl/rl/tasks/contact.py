@@ -6,11 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from softrl.core.errors import ConfigError
-from softrl.rl.tasks.task import Task
+from softrl.rl.tasks.task import TARGET_SEEN, TIP_SEEN, Seen, Task
 from softrl.rl.workspace import Workspace
 from softrl.surrogate.twin import Plane
 
 EXPERT_ITERATIONS = 12
+SMALLEST_SHARE = 0.05  # of the workspace's size: what a slope must leave to move in
 
 
 @dataclass(frozen=True)
@@ -56,27 +57,57 @@ class ContactTask(Task, ABC):
         normal = np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
         return np.column_stack([along, np.cross(normal, along), normal])
 
+    def require_reach(self, space: Workspace) -> None:
+        """Raise ``ConfigError`` if the tip cannot move over the slope: a circle on it must have some size."""
+        angle = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+        circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(12)]) @ self.frame().T
+        radius = space.largest(circle, space.centre)
+        if radius < SMALLEST_SHARE * space.scale:
+            raise ConfigError(
+                f"task.slope_deg={self.slope_deg:g}: the tip reaches {1e3 * radius:.2g} mm about the workspace's centre "
+                f"on that slope; expected {1e3 * SMALLEST_SHARE * space.scale:.2g} mm or more: choose a flatter one"
+            )
+
     def plane(self, space: Workspace) -> Plane:
         """Return the slope through the workspace's centre."""
         return self.frame()[:, 2], space.centre
 
+    def seen_by_expert(self) -> np.ndarray:
+        """Return the columns of an observation that the expert's answer depends on."""
+        return np.array([*TIP_SEEN, *TARGET_SEEN])
+
+    def answer(self, seen: Seen, space: Workspace) -> np.ndarray:
+        """Return what the expert commands (B, 3) when it sees where the tip is, from which it slides."""
+        return self._commands(seen.position, seen.force, space, seen.tip)
+
     def expert(self, position: np.ndarray, force: np.ndarray, space: Workspace) -> np.ndarray:
+        """Return commands (B, 3) for contact points (B, 3) m and forces (B,) N, blind to the tip: without friction."""
+        return self._commands(position, force, space, None)
+
+    def _commands(
+        self, position: np.ndarray, force: np.ndarray, space: Workspace, start: np.ndarray | None
+    ) -> np.ndarray:
         """Return commands (B, 3) whose loaded equilibrium has the wanted contact point and normal force.
 
         Notes
         -----
         The free tip is aimed behind the surface and corrected by the errors of the twin's equilibrium: along the surface
-        by the position's error, across it by the force's error over the stiffness of tip and contact in series. Sliding
-        counts from the wanted point, so that the expert does not plan for friction.
+        by the position's error, across it by the force's error over the stiffness of tip and contact in series. Friction
+        counts if the tips (B, 3) m are known that it holds back, ``start``; the best aim of the search is taken.
         """
         plane = self.plane(space)
         normal, twin = plane[0], space.twin
+        friction = 0.0 if start is None else self.friction
         soft = 1.0 / twin.contact_stiffness + twin.softness(space.rest[None], normal)[0]
-        aim = position - (force * soft)[:, None] * normal
+        aim = best = position - (force * soft)[:, None] * normal
+        lowest = np.full(len(aim), np.inf)
         for _ in range(EXPERT_ITERATIONS):
-            theta = twin.joints_for_tip(aim)
-            state = twin.solve(theta, None, plane)
+            state = twin.solve(twin.joints_for_tip(aim), None, plane, friction, start, refuse=False)
             error = position - state.tip
             error = error - (error @ normal)[:, None] * normal
-            aim = aim + error - ((force - state.contact_force) * soft)[:, None] * normal
-        return twin.joints_for_tip(aim)
+            lacking = force - state.contact_force
+            miss = np.linalg.norm(error, axis=1) + soft * np.abs(lacking)
+            best = np.where((miss < lowest)[:, None], aim, best)
+            lowest = np.minimum(miss, lowest)
+            aim = aim + error - (lacking * soft)[:, None] * normal
+        return twin.joints_for_tip(best)

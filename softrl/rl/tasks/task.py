@@ -12,6 +12,18 @@ from softrl.rl.tasks.curves import random_fourier
 from softrl.rl.workspace import Workspace
 from softrl.surrogate.twin import Plane
 
+# columns of an observation, see ``batch.observe``
+TIP_SEEN, THETA_SEEN, TARGET_SEEN = (0, 1, 2), (3, 4, 5), (7, 8, 9, 10)
+
+
+class Seen(NamedTuple):
+    """What a controller knows before a step: next targets ``position`` (B, 3) m, ``force`` (B,) N; tip, acting theta (B, 3)."""
+
+    position: np.ndarray
+    force: np.ndarray
+    tip: np.ndarray
+    theta: np.ndarray
+
 
 class Goals(NamedTuple):
     """Closed target sequences: ``position`` (curves, lap, 3) m and normal ``force`` (curves, lap) N."""
@@ -33,6 +45,10 @@ class Task(ABC):
     radius_share : size of the evaluation curves in the largest that the tip can reach
     harmonics : of the random curves for training
     position_scale_m, force_scale_n : errors at which the steep half of the reward falls to 1/e
+    disturbance_n : a training episode has a hidden force on the tip of up to this along each axis, so that the controller
+        learns to answer to where the tip is; evaluation is with and without
+    feedback_gain : share of the tip's last deviation from the model that the model-based expert takes back in a step;
+        below 1, since a robot that lags deviates on its way as well
     """
 
     name: ClassVar[str]
@@ -47,12 +63,18 @@ class Task(ABC):
     harmonics: int
     position_scale_m: float
     force_scale_n: float
+    disturbance_n: float
+    feedback_gain: float
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.alpha <= 1.0:
             raise ConfigError(f"alpha={self.alpha:g}; expected a share between 0 and 1")
         if not 0.0 < self.radius_share <= 1.0:
             raise ConfigError(f"task.radius_share={self.radius_share:g}; expected a share above 0 and at most 1")
+        if self.disturbance_n < 0.0:
+            raise ConfigError(f"task.disturbance_n={self.disturbance_n:g} must not be negative")
+        if not 0.0 <= self.feedback_gain <= 1.0:
+            raise ConfigError(f"task.feedback_gain={self.feedback_gain:g}; expected a share between 0 and 1")
         for key in (
             "horizon",
             "episode_steps",
@@ -105,6 +127,21 @@ class Task(ABC):
     def expert(self, position: np.ndarray, force: np.ndarray, space: Workspace) -> np.ndarray:
         """Return the commands (B, 3) that a model-based controller gives for targets (B, 3) m and forces (B,) N."""
         return space.twin.joints_for_tip(position)
+
+    def answer(self, seen: Seen, space: Workspace) -> np.ndarray:
+        """Return what the expert commands (B, 3) when it sees where the tip is.
+
+        Notes
+        -----
+        What the tip deviates from the model under the command that acts is taken as an offset that stays, and aimed
+        against by ``feedback_gain``. In a world that is the model this is the plain inverse.
+        """
+        deviation = seen.tip - space.twin.tip(seen.theta)
+        return self.expert(seen.position - self.feedback_gain * deviation, seen.force, space)
+
+    def seen_by_expert(self) -> np.ndarray:
+        """Return the columns of an observation that the expert's answer depends on."""
+        return np.array([*TIP_SEEN, *THETA_SEEN, *TARGET_SEEN[:3]])
 
     def record(self) -> dict[str, Any]:
         """Return the task's numbers as plain values."""

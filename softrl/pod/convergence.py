@@ -1,0 +1,91 @@
+"""How the reduced model's error falls with equilibria and with coordinates."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from softrl.artifacts.reduced_model import ReducedModel
+from softrl.artifacts.snapshots import Snapshots
+from softrl.core.tracking import Tracker
+from softrl.pod.basis import PodBasis
+from softrl.pod.fit import Choice, FitSettings, fit_model, linear_model
+from softrl.pod.report import motions, rms, statics
+from softrl.pod.symmetry import Equilibria
+from softrl.robots.robot import Robot
+
+
+class Point(NamedTuple):
+    """rms tip error m of a model fitted to ``equilibria``: on held-out ones, and on trajectories (nan without)."""
+
+    equilibria: int
+    static_m: float
+    dynamic_m: float
+
+
+def by_equilibria(
+    shares: tuple[float, ...],
+    settings: FitSettings,
+    choice: Choice,
+    robot: Robot,
+    snapshots: Snapshots,
+    samples: tuple[Equilibria, Equilibria],
+    pod: PodBasis,
+) -> list[Point]:
+    """Return the errors of models fitted to the first ``shares`` of the seen samples, up to the chosen degree.
+
+    Sobol points fill the loads evenly however many are taken, so a share is what a smaller run would have seen.
+    """
+    seen, heldout = samples
+    lean = replace(settings, energy_degree_max=max(choice.degree, 2), ridges=(max(choice.ridge, 1e-12),))
+    points = []
+    for share in shares:
+        count = max(settings.folds, round(share * len(seen.load)))
+        model, _ = fit_model(
+            lean, robot, snapshots, seen.rows(slice(0, count)), pod, np.random.default_rng(0)
+        )
+        points.append(Point(count, *errors_of(model, snapshots, heldout)))
+    return points
+
+
+def errors_of(model: ReducedModel, snapshots: Snapshots, heldout: Equilibria) -> tuple[float, float]:
+    """Return the rms tip errors m on held-out equilibria and along the trajectories (nan without)."""
+    static = rms(statics(model, heldout)[0].tip_errors())
+    moving = rms(motions(model, snapshots).tip_errors()) if len(snapshots.trajectory_load) else np.nan
+    return static, moving
+
+
+def without_lags(model: ReducedModel, samples: Equilibria) -> ReducedModel:
+    """Return ``model`` with all of its viscosity at once: a constant one, the mean over ``samples``, if it lags."""
+    if not model.lag_root.size:
+        return model
+    mean = model.frame.T @ samples.stiffness.mean(axis=0) @ model.frame
+    return replace(
+        model,
+        stiffness_root=np.linalg.cholesky(mean).T.reshape(-1, 1),
+        lag_root=model.lag_root[:, :0],
+        lag_rotation=model.lag_rotation[:, :0],
+    )
+
+
+def report_coordinates(
+    model: ReducedModel, snapshots: Snapshots, samples: tuple[Equilibria, Equilibria], tracker: Tracker
+) -> None:
+    """Log what the lags and the non-linear maps are worth."""
+    for name, other in (
+        ("constant_viscosity", without_lags(model, samples[0])),
+        ("linear", linear_model(model)),
+        ("all", model),
+    ):
+        static, moving = errors_of(other, snapshots, samples[1])
+        tracker.metric(f"convergence/{name}_static_tip_rms_mm", 1e3 * static)
+        if np.isfinite(moving):
+            tracker.metric(f"convergence/{name}_dynamic_tip_rms_mm", 1e3 * moving)
+
+
+def report_equilibria(points: list[Point], tracker: Tracker) -> None:
+    """Log the errors against the number of equilibria."""
+    for point in points:
+        tracker.metric(f"convergence/equilibria_{point.equilibria}_static_tip_rms_mm", 1e3 * point.static_m)
+        if np.isfinite(point.dynamic_m):
+            tracker.metric(f"convergence/equilibria_{point.equilibria}_dynamic_tip_rms_mm", 1e3 * point.dynamic_m)

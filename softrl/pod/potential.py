@@ -1,0 +1,186 @@
+"""The condensed potential and its derivatives, compiled, inside and outside the samples.
+
+Unknowns are ``y`` with ``z = frame y``. The samples of the model lie in the ball ``|y| <= 1``; outside it the potential
+goes on along rays from the origin as its Taylor polynomial of second order at the sphere, and a wall rises,
+``wall (|y| - 1)^3``: twice differentiable, and the wall outgrows the rest, so that nothing runs away and the potential
+is convex far out. A part P_d of degree d becomes ``w_d(|y|) P_d(y / |y|)``,
+``w_d(r) = 1 + d (r - 1) + d (d - 1) (r - 1)^2 / 2``; degrees up to two go on unchanged.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numba as nb
+import numpy as np
+
+_FAST = {"reassoc", "contract"}
+
+
+class Tables(NamedTuple):
+    """The arrays that the kernels read; ``r = n + 3`` coordinates, k monomials (a count of its own for each map).
+
+    Attributes
+    ----------
+    frame, inverse : (r, r) z per y and y per z
+    parent, variable, degrees : (k,) how monomials are made
+    gradient : (r, k), hessian : (pairs, k) J, of elastic energy and weight together
+    quadratic : (r, r) J, elastic Hessian at rest: what makes an indefinite Newton matrix definite
+    mass_root, stiffness_root, lag_root : (r r, k) of mass, viscosity and the share of it that lags; the last may have
+        no columns
+    weight : (3, r, k) N/(m/s^2) m, mass times the gradient of the centre of mass by y
+    rotation : (3, k) rad;  lag_rotation : (3 r, k) rad per y, of the lags
+    rest_volume : (n,) m^3;  rest_tip : (3,) m
+    rest_slope : (n,) Pa, pressure per relative volume of one chamber at rest, other volumes held and tip free
+    gravity : (3,) m/s^2, contained in gradient and hessian
+    scales : (6,) mass scale; mass damping 1/s; stiffness damping s; wall J; time constant of the lags s; seconds of rate
+        in a unit of lag
+    """
+
+    frame: np.ndarray
+    inverse: np.ndarray
+    parent: np.ndarray
+    variable: np.ndarray
+    degrees: np.ndarray
+    gradient: np.ndarray
+    hessian: np.ndarray
+    quadratic: np.ndarray
+    mass_root: np.ndarray
+    stiffness_root: np.ndarray
+    lag_root: np.ndarray
+    weight: np.ndarray
+    rotation: np.ndarray
+    lag_rotation: np.ndarray
+    rest_volume: np.ndarray
+    rest_tip: np.ndarray
+    rest_slope: np.ndarray
+    gravity: np.ndarray
+    scales: np.ndarray
+
+
+@nb.njit(cache=True)
+def fill_monomials(point: np.ndarray, parent: np.ndarray, variable: np.ndarray, values: np.ndarray) -> None:
+    """Fill ``values`` with the monomials at ``point``."""
+    values[0] = 1.0
+    for k in range(1, len(values)):
+        values[k] = values[parent[k]] * point[variable[k]]
+
+
+@nb.njit(cache=True)
+def to_ball(y: np.ndarray, point: np.ndarray) -> float:
+    """Fill ``point`` with the nearest point of the unit ball on the ray to ``y``; return ``|y|``."""
+    square = 0.0
+    for i in range(len(y)):
+        square += y[i] * y[i]
+    radius = math.sqrt(square)
+    shrink = 1.0 if radius <= 1.0 else 1.0 / radius
+    for i in range(len(y)):
+        point[i] = y[i] * shrink
+    return radius
+
+
+@nb.njit(cache=True, fastmath=_FAST)
+def polynomial(coefficients: np.ndarray, values: np.ndarray) -> float:
+    """Return one polynomial at monomials ``values``, of which it reads as many as it has coefficients."""
+    total = 0.0
+    for k in range(len(coefficients)):
+        total += coefficients[k] * values[k]
+    return total
+
+
+@nb.njit(cache=True)
+def fill_potential(
+    y: np.ndarray, tables: Any, values: np.ndarray, point: np.ndarray, gradient: np.ndarray, hessian: np.ndarray
+) -> float:
+    """Fill gradient (r,) and Hessian (r, r) of the potential at ``y`` in J; return ``|y|``."""
+    r = len(y)
+    radius = to_ball(y, point)
+    fill_monomials(point, tables.parent, tables.variable, values)
+    for i in range(r):
+        gradient[i] = polynomial(tables.gradient[i], values)
+    pair = 0
+    for i in range(r):
+        for j in range(i, r):
+            hessian[i, j] = polynomial(tables.hessian[pair], values)
+            hessian[j, i] = hessian[i, j]
+            pair += 1
+    if radius > 1.0:
+        _continue(radius, tables, values, point, gradient, hessian)
+    return radius
+
+
+@nb.njit(cache=True)
+def _continue(
+    radius: float, tables: Any, values: np.ndarray, u: np.ndarray, gradient: np.ndarray, hessian: np.ndarray
+) -> None:
+    """Turn the derivatives at the sphere's point ``u`` into those at ``radius u``.
+
+    With P_d of degree d, ``f_d(r) = w_d(r) / r^d`` and ``sum f_d(|y|) P_d(y)`` the potential outside; P_d and its
+    gradient are tied by ``u.P_d' = d P_d``.
+    """
+    r, terms = len(u), tables.gradient.shape[1]
+    second = tables.hessian.shape[1]
+    weighed = np.empty((3, terms))
+    for k in range(terms):
+        d = tables.degrees[k] + 1.0
+        value, slope, bend = _ray(d, radius)
+        first = slope - d * value / radius
+        weighed[0, k] = value / radius * values[k]
+        weighed[1, k] = first * values[k]
+        weighed[2, k] = (bend - 2.0 * d * slope / radius + d * (d + 1.0) * value / radius**2) / d * values[k]
+    curved = np.empty(second)
+    for k in range(second):
+        value, _, _ = _ray(tables.degrees[k] + 2.0, radius)
+        curved[k] = value / radius**2 * values[k]
+    side = np.empty(r)
+    along = bending = 0.0
+    for i in range(r):
+        side[i] = polynomial(tables.gradient[i], weighed[1]) / radius
+        bending += u[i] * polynomial(tables.gradient[i], weighed[2])
+        gradient[i] = polynomial(tables.gradient[i], weighed[0])
+    for k in range(terms):
+        weighed[1, k] /= tables.degrees[k] + 1.0
+    for i in range(r):
+        along += u[i] * polynomial(tables.gradient[i], weighed[1])
+    for i in range(r):
+        gradient[i] += along * u[i]
+    pair = 0
+    for i in range(r):
+        for j in range(i, r):
+            hessian[i, j] = (
+                polynomial(tables.hessian[pair], curved)
+                + side[i] * u[j]
+                + u[i] * side[j]
+                + (bending - along / radius) * u[i] * u[j]
+                + (along / radius if i == j else 0.0)
+            )
+            hessian[j, i] = hessian[i, j]
+            pair += 1
+    wall, beyond = 3.0 * tables.scales[3], radius - 1.0
+    for i in range(r):
+        gradient[i] += wall * beyond**2 * u[i]
+        hessian[i, i] += wall * beyond**2 / radius
+        for j in range(r):
+            hessian[i, j] += wall * beyond * (2.0 - beyond / radius) * u[i] * u[j]
+
+
+@nb.njit(cache=True)
+def _ray(degree: float, radius: float) -> tuple[float, float, float]:
+    """Return w_d and its two derivatives at ``radius``."""
+    beyond, bend = radius - 1.0, degree * (degree - 1.0)
+    return 1.0 + beyond * (degree + 0.5 * bend * beyond), degree + bend * beyond, bend
+
+
+@nb.njit(cache=True, fastmath=_FAST)
+def fill_square(roots: np.ndarray, values: np.ndarray, root: np.ndarray, square: np.ndarray) -> None:
+    """Fill ``square`` (r, r) with R' R, R from the polynomials ``roots`` (r r, k): never indefinite."""
+    r = len(root)
+    for i in range(r):
+        for j in range(r):
+            root[i, j] = polynomial(roots[i * r + j], values)
+    for i in range(r):
+        for j in range(i, r):
+            total = 0.0
+            for k in range(r):
+                total += root[k, i] * root[k, j]
+            square[i, j] = total
+            square[j, i] = total

@@ -1,0 +1,113 @@
+"""The paper's rows beside ours: what `make paper` writes as ``paper.json``."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+ENOUGH_SEEDS = 5
+
+
+class Row(NamedTuple):
+    """One row of [Hong 2025]'s tables.
+
+    Attributes
+    ----------
+    table, row, unit : which number, and of what
+    paper : the paper's value, or None where it states none
+    goal : ours to reach, or None
+    run : the run that measures it: a stage, or ``rl:<task>``
+    metric : the name it has there
+    missing : why it is not measured, where it is not
+    """
+
+    table: str
+    row: str
+    unit: str
+    paper: float | None
+    goal: float | None
+    run: str
+    metric: str
+    missing: str = ""
+
+
+ON_THE_RIG = "rolled out on the driver only where the stage sim2real does that task"
+ROWS = (
+    Row("1", "f_RS, pressure", "kPa", 0.13, 0.05, "calibration", "heldout/pressure_map_rms_kpa"),
+    Row("1", "f_RS, pressure, identity for comparison", "kPa", None, None, "calibration",
+        "heldout/pressure_map_identity_rms_kpa"),
+    Row("1", "calibration, arc length", "mm", 0.30, 0.15, "calibration", "heldout/arc_length_hold_mm"),
+    Row("1", "calibration, orientation", "deg", 0.35, 0.175, "calibration", "heldout/orientation_hold_deg"),
+    Row("1", "calibration, curvature", "1/m", None, None, "calibration", "heldout/curvature_hold_per_m"),
+    Row("1", "calibration, position", "mm", 1.40, 0.70, "calibration", "heldout/position_hold_mm"),
+    Row("1", "calibration, velocity", "mm/s", 12.69, 6.35, "calibration", "heldout/velocity_run_mm_s"),
+    Row("1", "f_SP, joint angle", "deg", 0.32, 0.05, "surrogate", "heldout/joint_angle_deg"),
+    Row("1", "f_SP, position", "mm", 4.23, 0.5, "surrogate", "heldout/tip_error_mm"),
+    Row("1", "inverse of f_SP, joint angle", "deg", 0.17, 0.05, "surrogate", "heldout/roundtrip_joint_angle_deg"),
+    Row("1", "f_S, position, rollout of 1 s", "mm", 3.35, 1.0, "dynamics", "heldout/position_rollout_mm"),
+    Row("1", "f_S, velocity, rollout of 1 s", "mm/s", 14.56, 5.0, "dynamics", "heldout/velocity_rollout_mm_s"),
+    Row("1", "f_S, position, one step", "mm", None, None, "dynamics", "heldout/position_onestep_mm"),
+    Row("1", "f_S, velocity, one step", "mm/s", None, None, "dynamics", "heldout/velocity_onestep_mm_s"),
+    Row("1", "inverse dynamics, pressure", "kPa", 0.38, 0.1, "dynamics", "heldout/inverse_pressure_kpa"),
+    Row("2", "simulation, circle", "mm", 1.02, 0.3, "rl:track", "heldout/circle_position_rmse_mm"),
+    Row("2", "simulation, star", "mm", 1.24, 0.3, "rl:track", "heldout/star_position_rmse_mm"),
+    Row("2", "simulation, force task, position", "mm", 3.20, 0.5, "rl:force", "heldout/force_sine_position_rmse_mm"),
+    Row("2", "simulation, force task, force", "N", None, 0.1, "rl:force", "heldout/force_sine_force_error_n"),
+    Row("2", "simulation, hybrid task, position", "mm", 1.35, 0.6, "rl:hybrid", "heldout/circle_position_rmse_mm"),
+    Row("2", "simulation, hybrid task, force", "N", 0.55, 0.1, "rl:hybrid", "heldout/circle_force_error_n"),
+    Row("2", "rig, circle", "mm", 3.38, 0.45, "sim2real", "circle_mm"),
+    Row("2", "rig, star", "mm", 6.79, 0.45, "sim2real", "star_mm"),
+    Row("2", "rig, force task, position", "mm", 4.68, 0.75, "sim2real:force", "force_sine_mm", ON_THE_RIG),
+    Row("2", "rig, hybrid task, position", "mm", 4.20, 0.9, "sim2real:hybrid", "circle_mm", ON_THE_RIG),
+    Row("2", "rig, hybrid task, force", "N", 0.70, 0.15, "sim2real:hybrid", "circle_force_n", ON_THE_RIG),
+    Row("7.4", "simulation, unseen 3-D figure-eight", "mm", 5.34, 0.3, "rl:track", "heldout/figure_eight_position_rmse_mm"),
+    Row("7.4", "rig, unseen 3-D figure-eight", "mm", None, 0.45, "sim2real", "figure_eight_mm"),
+    Row("7.4", "recovery after a cut air line", "s", 5.0, 2.0, "sim2real", "recovery_s",
+        "the stage sim2real reports no such number in this run"),
+    Row("7.4", "policy, inference", "Hz", 300.0, 5000.0, "bench", "policy_hz"),
+    Row("7.4", "surrogate in PyBullet, control steps of 20 sub-steps", "Hz", 1000.0, None, "bench",
+        "pybullet_control_steps_per_s"),
+    Row("7.4", "surrogate, batched environment steps", "Hz", None, 200000.0, "bench", "twin_env_steps_per_s"),
+    Row("7.4", "reduced model, steps", "Hz", 5.56, 20000.0, "pod", "rom_steps_per_s"),
+)  # fmt: skip
+
+
+def collect(results: Mapping[str, Sequence[Mapping[str, float]]], why_not: Mapping[str, str],
+            commands: Mapping[str, str], profile: str) -> list[dict[str, Any]]:  # fmt: skip
+    """Return every row with our mean and spread over seeds; one that was not measured says why.
+
+    Parameters
+    ----------
+    results : run -> metrics of its finished runs, one a seed
+    why_not : run -> why a seed of it failed
+    commands : run -> the command that repeats it
+    """
+    rows = []
+    for row in ROWS:
+        found = [metrics[row.metric] for metrics in results.get(row.run, ()) if row.metric in metrics]
+        entry: dict[str, Any] = {
+            "table": row.table, "row": row.row, "unit": row.unit, "paper": row.paper,
+            "ours_mean": float(np.mean(found)) if found else None,
+            "ours_std": float(np.std(found, ddof=1)) if len(found) > 1 else None,
+            "seeds": len(found), "goal": row.goal, "command": commands.get(row.run, ""), "profile": profile,
+        }  # fmt: skip
+        if not found:
+            reason = why_not.get(row.run) or row.missing or f"{row.metric} was not measured by {row.run}"
+            entry["reason"] = reason
+        elif len(found) < ENOUGH_SEEDS:
+            entry["reason"] = f"{len(found)} of {ENOUGH_SEEDS} seeds"
+        rows.append(entry)
+    return rows
+
+
+def table_of(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the rows as a Markdown table."""
+    lines = ["| table | row | paper | ours | seeds | goal | unit |", "|---|---|---|---|---|---|---|"]
+    for row in rows:
+        ours = "not measured" if row["ours_mean"] is None else f"{row['ours_mean']:.4g}"
+        spread = "" if row["ours_std"] is None else f" ± {row['ours_std']:.2g}"
+        paper, goal = ("-" if row[key] is None else f"{row[key]:g}" for key in ("paper", "goal"))
+        lines.append(
+            f"| {row['table']} | {row['row']} | {paper} | {ours}{spread} | {row['seeds']} | {goal} | {row['unit']} |"
+        )
+    return "\n".join(lines) + "\n"

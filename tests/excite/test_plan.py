@@ -1,0 +1,204 @@
+"""Laws of planning: what adds up, what refitting absorbs, and what a program may never do."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from omegaconf import OmegaConf
+
+from softrl.artifacts.diagnosis import Diagnosis
+from softrl.artifacts.excitation import Excitation
+from softrl.core.config import build
+from softrl.core.errors import ConfigError
+from softrl.core.tracking import NullTracker
+from softrl.effects.hysteresis import Hysteresis
+from softrl.effects.lag import Lag
+from softrl.excite.block import blocks
+from softrl.excite.plan import Effort, pairs_of, plan, refitted_separation, score, separation, sums
+from softrl.excite.rival import Rival, parse, rivals_of
+from softrl.excite.separation import Normal, Sensing, normal, refitted, responses, tangent
+from softrl.excite.stage import Config, csv_text, run
+from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.read import read
+from softrl.robots.robot import Robot
+
+CONF = Path(__file__).parents[2] / "conf"
+SENSING = Sensing(dt_s=0.05, sample_s=0.1, position_noise_m=1e-4, pressure_noise_pa=None)
+EFFORT = Effort(shortlist=2, exchanges=1, repeats=2, proposals=3, fit_evaluations=8)
+
+
+def node(path: str) -> dict[str, Any]:
+    found: dict[str, Any] = yaml.safe_load((CONF / path).read_text())
+    return {key: value for key, value in found.items() if key != "_target_"}
+
+
+@cache
+def robot(name: str = "tripod") -> Robot:
+    return build(node(f"robot/{name}.yaml"), Robot, "robot")
+
+
+@cache
+def body(name: str = "tripod") -> PccSimulator:
+    return PccSimulator(robot=robot(name), **node("simulator/pcc.yaml"))
+
+
+def rival(text: str) -> Rival:
+    return Rival(text, robot(), body(), parse(text, robot()), 4.0)
+
+
+def config(**changed: Any) -> Config:
+    base = OmegaConf.merge(
+        node("stage/excite.yaml"), node("profile/tiny/excite.yaml"), {"seed": 0, "out": None}, changed
+    )
+    return build(OmegaConf.to_container(base), Config, "stage")
+
+
+def wave(seconds: float = 10.0) -> np.ndarray:
+    time = SENSING.dt_s * np.arange(1, round(seconds / SENSING.dt_s) + 1)
+    return 2e4 * np.sin(np.outer(time, [2.0, 1.3, 0.7])) ** 2
+
+
+def test_tangent_is_the_derivative() -> None:
+    lag = rival("lag")
+    space = tangent(lag, lag.point, wave(), SENSING)
+    for k in range(len(lag.point)):
+        nudge = 2e-3 * np.eye(len(lag.point))[k]
+        up, down = responses([lag.at(lag.point + nudge), lag.at(lag.point - nudge)], wave(), SENSING)
+        central = (up - down) / 4e-3
+        scale = np.abs(central).max()
+        np.testing.assert_allclose(space.jacobian[:, k], central, atol=0.05 * scale)
+
+
+def test_sums_of_programs_add_up_and_more_rows_never_bring_rivals_closer() -> None:
+    rng = np.random.default_rng(0)
+    first, second = rng.normal(size=(40, 4)), rng.normal(size=(60, 4))
+    gaps = rng.normal(size=40), rng.normal(size=60)
+
+    def of(jacobian: np.ndarray, gap: np.ndarray) -> Normal:
+        return Normal(float(gap @ gap), jacobian.T @ gap, jacobian.T @ jacobian)
+
+    together = of(np.vstack([first, second]), np.concatenate(gaps))
+    added = of(first, gaps[0]) + of(second, gaps[1])
+    np.testing.assert_allclose(added.distance(), together.distance(), rtol=1e-12)
+    assert together.distance() > max(of(first, gaps[0]).distance(), of(second, gaps[1]).distance())
+    # what lies in the tangent space is refitted away, but for the unit of noise that a parameter's move costs
+    inside = of(first, first @ np.array([0.5, -0.2, 0.1, 0.3]))
+    assert inside.distance() < 1.0 < np.sqrt(inside.square)
+
+
+def test_a_hypothesis_finds_itself() -> None:
+    lag = rival("lag")
+    target = responses([lag.at(lag.point)], wave(), SENSING)[0]
+    start = lag.point + np.array([0.3, -0.3, 0.2, 0.0, 0.0, 0.1])
+    point, left = refitted(lag, start, target, wave(), SENSING, 20)
+    np.testing.assert_allclose(point[:2], lag.point[:2], atol=0.02)
+    assert left < 0.02 * np.linalg.norm(responses([lag.at(start)], wave(), SENSING)[0] - target)
+
+
+def test_a_retuned_body_absorbs_what_it_can() -> None:
+    """A stiffer wall is the simulator's own parameter: no program separates it from a retuned simulator."""
+    pairs = pairs_of([rival("stiffness_scale"), rival("nothing")], wave(), SENSING, EFFORT)
+    seen = pairs[0].ways[0]
+    target, bare = responses(
+        [seen.truth.at(seen.at_truth), rival("nothing").at(rival("nothing").point)], wave(), SENSING
+    )
+    assert refitted_separation(pairs[0], wave(), SENSING, EFFORT) < 0.05 * np.linalg.norm(target - bare)
+
+
+def test_more_noise_brings_rivals_closer_in_proportion() -> None:
+    pair = pairs_of([rival("lag"), rival("hysteresis")], wave(), SENSING, EFFORT)[0]
+    loud = replace(SENSING, position_noise_m=3e-4)
+    quiet, noisy = (separation(sums(pair, wave(), s)) for s in (SENSING, loud))
+    np.testing.assert_allclose(quiet / noisy, 3.0, rtol=0.05)
+
+
+@pytest.mark.parametrize("name", ["tripod", "single_chamber_finger"])
+def test_blocks_begin_and_end_at_rest_within_the_limits(name: str) -> None:
+    mine, dt_s = robot(name), 0.02
+    for block in blocks(mine, dt_s, 2.0, 0):
+        pressure = block.pressure
+        assert pressure.shape[1] == mine.chambers and not pressure[-1].any(), block.label
+        assert mine.pressure_min_pa - 1e-6 <= pressure.min() and pressure.max() <= mine.pressure_max_pa + 1e-6
+        steps = np.diff(pressure, axis=0, prepend=np.zeros((1, mine.chambers)))
+        assert np.abs(steps).max() <= mine.slew_pa_per_s * dt_s * (1 + 1e-9), block.label
+
+
+def test_the_plan_keeps_the_budget_and_beats_each_single_block() -> None:
+    pair = pairs_of([rival("hysteresis"), rival("viscoelasticity")], wave(), SENSING, EFFORT)
+    candidates = [b for b in blocks(robot(), SENSING.dt_s, 1.0, 0) if len(b.pressure) * SENSING.dt_s < 20.0][:12]
+    chosen = plan(pair, candidates, SENSING, 40.0, EFFORT)
+    assert chosen and sum(len(b.pressure) for b in chosen) * SENSING.dt_s <= 40.0 + 1e-9
+    assert max(chosen.count(b) for b in chosen) <= EFFORT.repeats
+    assert [b.label for b in plan(pair, candidates, SENSING, 40.0, EFFORT)] == [b.label for b in chosen]
+    together = score([separation(sums(p, np.vstack([b.pressure for b in chosen]), SENSING)) for p in pair])
+    alone = [score([separation(sums(p, b.pressure, SENSING)) for p in pair]) for b in candidates]
+    assert together > max(alone)
+
+
+def test_the_stage_writes_a_program_that_reads_back(tmp_path: Path) -> None:
+    tracker = NullTracker()
+    settings = config(hypotheses=["lag", "dead_time"], out=str(tmp_path / "plan"))
+    planned = run(settings, robot(), body(), None, tracker=tracker)
+    again = run(settings, robot(), body(), None, tracker=NullTracker())
+    np.testing.assert_array_equal(planned.pressure, again.pressure)
+    assert planned.time[-1] <= 60.0 * settings.minutes + 1e-9
+    apart = planned.pairs[0]["separation_sigma"]
+    assert apart["planned"] >= max(apart["default"], apart["random"])
+    assert tracker.metrics["separation_lag_dead_time_sigma"] == apart["planned"]
+    assert tracker.metrics["default/separation_lag_dead_time_sigma"] == apart["default"]
+    written = read(tmp_path / "plan", robot())
+    assert len(written.recordings) == settings.runs
+    np.testing.assert_allclose(written.recordings[0].pressure_cmd, planned.pressure, atol=1e-4)
+    planned.save(tmp_path / "excitation")
+    np.testing.assert_array_equal(Excitation.load(tmp_path / "excitation").pressure, planned.pressure)
+    header, first, *_ = csv_text(planned).splitlines()
+    assert header == "time_s,p1_cmd_kpa,p2_cmd_kpa,p3_cmd_kpa"
+    np.testing.assert_allclose([float(v) for v in first.split(",")[1:]], 1e-3 * planned.pressure[0], atol=1e-6)
+
+
+def test_a_diagnosis_names_what_is_to_be_told_apart() -> None:
+    found = Diagnosis(
+        robot_name="tripod", simulator_name="PccSimulator", verdict="indistinguishable", sentences=[],
+        effects=[{"name": "hysteresis", "chamber": -1, "parameters": {
+            "height": {"value": 0.05, "low": 0.04, "high": 0.06, "unit": "1"},
+            "yield_strain": {"value": 0.03, "low": 0.02, "high": 0.04, "unit": "1"}}}],
+        simulator_parameters={"mass_scale": 1.2}, retuned={},
+        rivals=[{"name": "friction (chamber 2)", "instead_of": "hysteresis", "equivalent": True},
+                {"name": "lag", "instead_of": "hysteresis", "equivalent": False}],
+        located=[], errors_mm={}, errors_deg={}, unexplained={}, next_experiment=None, data={},
+    )  # fmt: skip
+    rivals = rivals_of((), found, robot(), body(), 4.0)
+    assert [r.label for r in rivals] == ["hysteresis", "friction (chamber 2)"]
+    assert rivals[0].effects == (Hysteresis(0.05, 0.03),) and rivals[1].effects[0].chamber == 1
+    assert rivals[0].simulator.mass_scale == 1.2
+    with pytest.raises(ConfigError, match="leaves no two hypotheses open"):
+        rivals_of((), replace(found, rivals=[]), robot(), body(), 4.0)
+
+
+def test_hypotheses_are_read_as_people_write_them() -> None:
+    assert parse("nothing", robot()) == ()
+    both = parse("lag + gain@2", robot(), size=0.5)
+    assert both[0] == Lag(0.15, 0.15) and (both[1].gain, both[1].chamber) == (pytest.approx(0.9), 1)
+    for wrong, said in (
+        ("lagg", "unknown"),
+        ("gain@4", "chambers 1..3"),
+        ("payload@1", "alone"),
+        ("la-g", "cannot be read"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            parse(wrong, robot())
+    for listed, said in ((["lag"], "two or more"), (["lag", "lag"], "two or more"), ([], "no diagnosis")):
+        with pytest.raises(ConfigError, match=said):
+            run(config(hypotheses=listed), robot(), body(), None, tracker=NullTracker())
+    with pytest.raises(ConfigError, match="too short"):
+        run(config(hypotheses=["lag", "leak"], minutes=0.01), robot(), body(), None, tracker=NullTracker())
+
+
+def test_normal_of_a_truth_is_its_gap_to_the_rival() -> None:
+    lag = rival("lag")
+    space = tangent(lag, lag.point, wave(), SENSING)
+    assert normal(space.response, space).distance() == 0.0

@@ -1,0 +1,75 @@
+"""The rows of the paper: spread over seeds, what is missing says so, nothing is made up."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from softrl import paper
+from softrl.core.errors import ConfigError, SolverError
+from softrl.pipeline import Outcome
+from softrl.report.paper import ROWS, collect, table_of
+
+KEYS = {"table", "row", "unit", "paper", "ours_mean", "ours_std", "seeds", "goal", "command"}
+
+
+def test_rows_carry_mean_and_spread_or_a_reason() -> None:
+    found = collect({"surrogate": [{"heldout/tip_error_mm": 0.1}, {"heldout/tip_error_mm": 0.3}]},
+                    {"dynamics": "seed 1: it diverged"}, {"surrogate": "python -m softrl stage=surrogate"}, "quick")  # fmt: skip
+    assert len(found) == len(ROWS) and all(set(row) >= KEYS for row in found)
+    by_name = {(row["table"], row["row"]): row for row in found}
+    assert len(by_name) == len(ROWS)
+    ours = by_name[("1", "f_SP, position")]
+    assert ours["ours_mean"] == pytest.approx(0.2) and ours["ours_std"] == pytest.approx(0.2 / 2**0.5)
+    assert ours["seeds"] == 2 and ours["reason"] == "2 of 5 seeds" and ours["command"]
+    assert by_name[("1", "f_S, position, one step")]["reason"] == "seed 1: it diverged"
+    unmeasured = [row for row in found if row["ours_mean"] is None]
+    assert all(row["seeds"] == 0 and row["ours_std"] is None and row["reason"] for row in unmeasured)
+    assert json.loads(json.dumps(found)) == found and "not measured" in table_of(found)
+
+
+def settings(**changes: Any) -> dict[str, Any]:
+    stage = {
+        "seeds": [0, 1],
+        "body_seed": 0,
+        "tasks": ["hybrid", "track"],
+        "rollouts": True,
+        "benches": [],
+        "keep": None,
+    }
+    return {"stage": stage | changes, "inputs": {"snapshots": "run:given"}, "profile": {"name": "tiny"}}
+
+
+def test_seeds_share_a_body_and_a_failure_costs_its_own_rows_only(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    ran: list[tuple[str, str, dict[str, str]]] = []
+
+    def run_stage(stage: str, cfg: list[str], folder: Path, made: dict[str, str]) -> Outcome:
+        ran.append((stage, " ".join(cfg), dict(made)))
+        if stage == "dynamics" and "seed=1" in cfg:
+            raise SolverError("it diverged")
+        return Outcome(
+            stage, f"{stage}-{len(ran)}", False, 1.0, {"heldout/tip_error_mm": 0.1, "circle_mm": 1.0}, folder
+        )
+
+    monkeypatch.setattr(paper, "run_stage", run_stage)
+    done = paper.run_paper(
+        settings(), ["stage=paper", "profile=tiny", "stage.seeds=[0,1]", "seed=9"], tmp_path, lambda w: w
+    )
+    stages = [stage for stage, _, _ in ran]
+    assert stages[:3] == ["mesh", "pod", "calibration"]  # the snapshots are given
+    assert stages.count("mesh") == 1 and stages.count("rl") == 4 and stages.count("sim2real") == 2
+    assert all("seed=9" not in words and "stage.seeds" not in words for _, words, _ in ran)
+    policies = [made["policy"] for stage, _, made in ran if stage == "sim2real"]
+    tracked = [f"rl-{i + 1}" for i, (stage, words, _) in enumerate(ran) if stage == "rl" and "task=track" in words]
+    assert policies == [f"run:{run}" for run in tracked]
+    rows = {row["row"]: row for row in json.loads((tmp_path / "paper.json").read_text())}
+    assert rows["rig, circle"]["seeds"] == 2 and rows["f_S, position, one step"]["ours_mean"] is None
+    assert len(done) == len(ran) - 1
+
+
+def test_seeds_that_repeat_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"stage\.seeds"):
+        paper.run_paper(settings(seeds=[1, 1]), [], tmp_path, lambda w: {})
