@@ -64,7 +64,7 @@ class Reference:
         before, flight = state.pose.position, state.pose.position + dt * state.velocity
         spent = {"assembly": 0.0, "solve": 0.0}
         began = self._now()
-        damping = model.rayleigh_stiffness_s / dt * self.viscosity(state.pose.position)
+        damping = model.rayleigh_stiffness_s / dt * self.viscosity(before + 0.5 * dt * state.velocity)
         inertia = np.repeat(model.nodal_mass, 3) * (1.0 / dt**2 + model.rayleigh_mass_per_s / dt)
         lumped = sp.diags(self._ordered(inertia))
         spent["assembly"] += self._now() - began
