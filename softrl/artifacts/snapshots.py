@@ -83,6 +83,6 @@ class Snapshots(Artifact):
     def validate(self) -> None:
         """Check that every per-sample array has one row per load."""
         super().validate()
-        for name in ("coordinate", "energy", "compliance", "tip_quaternion", "displacement"):
+        for name in ("coordinate", "energy", "compliance", "lag_stiffness", "tip_quaternion", "displacement"):
             if len(getattr(self, name)) != len(self.loads):
                 raise ArtifactError(f"Snapshots.{name} has {len(getattr(self, name))} rows for {len(self.loads)} loads")

@@ -13,6 +13,7 @@ from softrl.core.tracking import Tracker
 from softrl.rl.tasks.curves import CURVES
 from softrl.rl.workspace import Workspace
 from softrl.sim2real.controller import PolicyController
+from softrl.sim2real.course import Course
 
 RADIUS_SHARE = 0.8
 
@@ -41,7 +42,7 @@ class PolicyBench:
         shape = CURVES["figure_eight"](self.decisions)
         target = space.centre + RADIUS_SHARE * space.largest(shape, space.centre) * shape
         tips = target + 1e-3 * rng.standard_normal(target.shape)
-        controller = PolicyController(self.policy, self.surrogate, self.calibration, target)
+        controller = PolicyController(self.policy, self.surrogate, self.calibration, Course.free("circle", target))
 
         def run() -> list[float]:
             taken = []

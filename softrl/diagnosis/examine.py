@@ -84,12 +84,13 @@ class Offer(NamedTuple):
 
 
 class Rival(NamedTuple):
-    """An alternative to a named effect: how much worse it is held out, and whether the data can tell."""
+    """An alternative to a named effect: how much worse it is held out, and whether the data can tell; its fit."""
 
     instead_of: Choice
     choice: Choice
     gap: Gap
     equivalent: bool
+    trial: Trial
 
 
 @dataclass(frozen=True)
@@ -110,6 +111,7 @@ class Finding:
     offer : what a map without physics could still remove
     residual_before, residual_after : held-out
     judge : on the held-out runs
+    joint : scaled parameters of all parts' effects and the simulator's, where they were refitted from command to motion
     """
 
     part: Part
@@ -127,6 +129,7 @@ class Finding:
     residual_before: Residual
     residual_after: Residual
     judge: Judge
+    joint: np.ndarray | None = None
 
 
 def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Finding:
@@ -271,7 +274,7 @@ def _confirm(
         weakest = min(gaps, key=lambda choice: gaps[choice].value)
         if gaps[weakest].value >= judge.material and gaps[weakest].low > 0.0:
             found = intervals(part.problem, final, judge.thresholds)
-            mine = _by_effect(final.hypothesis, found)
+            mine = by_effect(final.hypothesis, found)
             return final, [Named(choice, mine[choice], gaps[choice]) for choice in without], without
         log.info("%s does not pay on held-out runs and is not named", weakest.label())
         final = without[weakest]
@@ -303,11 +306,12 @@ def _rivals(
         gap = judge.gap(trial.squares, final.squares)
         freer = len(trial.fit.point) > len(final.fit.point) and trial.everywhere.mean() > final.everywhere.mean()
         alike = not both.tells(trial.everywhere, final.everywhere)
-        found.append(Rival(choice, trial.hypothesis.effects[-1], gap, alike and not freer))
+        found.append(Rival(choice, trial.hypothesis.effects[-1], gap, alike and not freer, trial))
     return sorted(found, key=lambda rival: rival.gap.value)
 
 
-def _by_effect(hypothesis: Hypothesis, found: list[Interval]) -> dict[Choice, list[Interval]]:
+def by_effect(hypothesis: Hypothesis, found: list[Interval]) -> dict[Choice, list[Interval]]:
+    """Return the intervals of each effect's parameters."""
     left, sorted_out = list(found), {}
     for choice in hypothesis.effects:
         size = len(effect_axes(choice))

@@ -8,6 +8,7 @@ from softrl.diagnosis.correct import Model
 from softrl.diagnosis.examine import Finding, Named
 from softrl.diagnosis.hypothesis import Choice, has_chamber, pinned_values
 from softrl.diagnosis.problem import Problem
+from softrl.diagnosis.separate import separating_program
 from softrl.effects.library import effect_class
 from softrl.robots.robot import Robot
 
@@ -144,7 +145,7 @@ def unexplained(findings: Sequence[Finding]) -> dict[str, Any]:
     return left
 
 
-def next_experiment(findings: Sequence[Finding], verdict: str, robot: Robot) -> dict[str, Any] | None:
+def next_experiment(findings: Sequence[Finding], verdict: str, robot: Robot, noise_m: float) -> dict[str, Any] | None:
     """Return the recording that would help most, or None if nothing is open."""
     if verdict not in ("indistinguishable", "unknown"):
         return None
@@ -154,13 +155,26 @@ def next_experiment(findings: Sequence[Finding], verdict: str, robot: Robot) -> 
     named = [n.choice.label() for f in findings for n in f.named if _class(f)]
     if verdict == "unknown":
         open_sites = ["valve"] if findings[0].unknown and len(findings) > 1 else ["body", "load"]
-    return {
+    found: dict[str, Any] = {
         "separates": [*named, *between],
         "program": "; then ".join(EXPERIMENTS[site] for site in dict.fromkeys(open_sites)),
         "pressure_min_pa": robot.pressure_min_pa,
         "pressure_max_pa": robot.pressure_max_pa,
         "duration_s": 300.0,
     }
+    if verdict == "indistinguishable":
+        found |= _planned(findings, noise_m) or {}
+    return found
+
+
+def _planned(findings: Sequence[Finding], noise_m: float) -> dict[str, Any] | None:
+    """Return the program that tells the nearest open rival apart, with how far it does."""
+    for finding in findings:
+        for rival in sorted(finding.rivals, key=lambda r: r.gap.value):
+            if rival.equivalent and rival.choice.name != rival.instead_of.name:
+                motion = finding.part.problem.target == "motion"
+                return separating_program(finding.part.problem, finding.final, rival.trial, noise_m) if motion else None
+    return None
 
 
 def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:

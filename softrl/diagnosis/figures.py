@@ -4,12 +4,14 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.diagnosis.correct import Traces, seen
 from softrl.diagnosis.examine import Finding
 from softrl.diagnosis.explain import shown_in
 from softrl.diagnosis.problem import Problem
+from softrl.effects.effect import SITES
 
 COLOURS = {"measured": "black", "nominal": "tab:gray", "retuned": "tab:blue", "corrected": "tab:red",
            "one_lag": "tab:purple", "static": "tab:olive", "blackbox": "tab:green"}  # fmt: skip
@@ -19,8 +21,10 @@ def draw_all(
     diagnosis: Diagnosis, heldout: Problem, findings: Sequence[Finding], judged: dict[str, Traces]
 ) -> dict[str, Figure]:
     """Return the figures by name."""
-    figures = {"held_out_run": draw_run(heldout, judged), "residual_map": draw_map(heldout, judged)}
+    figures = {"pipeline": draw_pipeline(diagnosis, findings), "held_out_run": draw_run(heldout, judged)}
     figures["errors"] = draw_errors(diagnosis)
+    figures["residual_map"] = draw_map(heldout, judged)
+    figures["whiteness"] = draw_whiteness(findings)
     if diagnosis.rivals:
         figures["rivals"] = draw_rivals(diagnosis)
     if diagnosis.effects:
@@ -56,29 +60,100 @@ def draw_run(heldout: Problem, judged: dict[str, Traces]) -> Figure:
 
 
 def draw_map(heldout: Problem, judged: dict[str, Traces]) -> Figure:
-    """Draw the held-out error over pressure and its rate of the chamber that moves most, before and after."""
-    chamber = int(np.argmax([np.ptp(np.concatenate([r.pressure_cmd[:, i] for r in heldout.runs]))
-                             for i in range(heldout.robot.chambers)]))  # fmt: skip
-    pressure = np.concatenate([1e-3 * run.pressure_cmd[:, chamber] for run in heldout.runs])
+    """Draw the held-out error before and after, over time and pressure, and over two pressures (or pressure and rate)."""
+    command = np.concatenate([1e-3 * run.pressure_cmd for run in heldout.runs])
+    order = np.argsort(-np.ptp(command, axis=0))
+    first = order[0]
+    if len(order) > 1 and np.ptp(command[:, order[1]]) > 0.0:
+        second, other = command[:, order[1]], f"command of chamber {order[1] + 1}, kPa"
+    else:
+        second = np.concatenate([np.gradient(1e-3 * run.pressure_cmd[:, first], run.time) for run in heldout.runs])
+        reach = np.quantile(np.abs(second), 0.98) or 1.0
+        second, other = np.clip(second, -reach, reach), "rate of the command, kPa/s"
     time = np.concatenate([run.time - run.time[0] for run in heldout.runs])
     factor, unit = (180.0 / np.pi, "deg") if heldout.robot.output == "bend_angle" else (1e3, "mm")
-    maps = {}
-    for name in ("retuned", "corrected"):
-        pairs = zip(heldout.runs, judged[name].predicted, strict=True)
-        error = np.concatenate([np.linalg.norm(seen(heldout, run) - p, axis=1) for run, p in pairs])
-        count, x, y = np.histogram2d(time, pressure, bins=(24, 12))
-        total = np.histogram2d(time, pressure, bins=(x, y), weights=factor * error)[0]
-        maps[name] = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
-    top = max(float(np.nanmax(values)) for values in maps.values())
-    figure = Figure(figsize=(9, 3.4), layout="constrained")
-    axes = figure.subplots(1, 2, sharey=True)
-    for ax, (name, values) in zip(axes, maps.items(), strict=True):
-        image = ax.pcolormesh(x, y, values.T, vmin=0.0, vmax=top, cmap="magma_r")
-        ax.set_title(f"{name}, held-out runs")
-        ax.set_xlabel("time in run, s")
-    axes[0].set_ylabel(f"command of chamber {chamber + 1}, kPa")
+    errors = {
+        name: factor * np.concatenate([
+            np.linalg.norm(seen(heldout, run) - p, axis=1)
+            for run, p in zip(heldout.runs, judged[name].predicted, strict=True)
+        ])
+        for name in ("retuned", "corrected")
+    }  # fmt: skip
+    figure = Figure(figsize=(9, 6), layout="constrained")
+    axes = figure.subplots(2, 2)
+    maps = [[_mean_over(x, command[:, first], errors[name]) for name in errors] for x in (time, second)]
+    top = max(float(np.nanmax(values)) for row in maps for values, *_ in row)
+    for row, label in zip(range(2), ("time in run, s", other), strict=True):
+        for ax, (values, x, y), name in zip(axes[row], maps[row], errors, strict=True):
+            image = ax.pcolormesh(x, y, values.T, vmin=0.0, vmax=top, cmap="magma_r")
+            ax.set_title(f"{name}, held-out runs", fontsize=9)
+            ax.set_xlabel(label)
+        axes[row][0].set_ylabel(f"command of chamber {first + 1}, kPa")
     figure.colorbar(image, ax=axes, label=f"mean error, {unit}")
     return figure
+
+
+def _mean_over(x: np.ndarray, y: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the mean error (24, 12) over two coordinates, and the edges of its cells."""
+    count, x_edges, y_edges = np.histogram2d(x, y, bins=(24, 12))
+    total = np.histogram2d(x, y, bins=(x_edges, y_edges), weights=error)[0]
+    return np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0), x_edges, y_edges
+
+
+def draw_pipeline(diagnosis: Diagnosis, findings: Sequence[Finding]) -> Figure:
+    """Draw the way from command to sensor, with the effects that are named and the part that stays unexplained."""
+    stations = ["command", *SITES]
+    figure = Figure(figsize=(9, 2.4), layout="constrained")
+    ax = figure.subplots()
+    for k, station in enumerate(stations):
+        mine = [f"{e['name']}\n({e['where']})" for e in diagnosis.effects if e["site"] == station]
+        colour = "#f6b0a8" if mine else "#e8e8e8"
+        ax.add_patch(Rectangle((k, 0.0), 0.8, 0.5, facecolor=colour, edgecolor="black"))
+        ax.text(k + 0.4, 0.25, station, ha="center", va="center")
+        ax.text(k + 0.4, -0.08, "\n".join(mine), ha="center", va="top", fontsize=8, color="tab:red")
+        if k:
+            ax.annotate("", (k, 0.25), (k - 0.2, 0.25), arrowprops={"arrowstyle": "->"})
+    split = len(findings) > 1
+    ends = [(1, 1), (2, len(stations) - 1)] if split else [(1, len(stations) - 1)]
+    for finding, (first, last) in zip(findings, ends, strict=True):
+        factor, unit = shown_in(finding)
+        words = f"{finding.part.title}: {factor * finding.left:.3g} {unit} left" + (
+            ", unexplained" if finding.unknown else ""
+        )
+        colour = "tab:orange" if finding.unknown else "tab:green"
+        ax.plot([first, last + 0.8], [0.62, 0.62], color=colour, lw=3)
+        ax.text(first if first == 1 else last + 0.8, 0.68 if first > 1 else 0.84, words, color=colour, fontsize=8,
+                ha="left" if first == 1 else "right", va="bottom")  # fmt: skip
+    ax.set_xlim(-0.1, len(stations))
+    ax.set_ylim(-0.55, 1.05)
+    ax.set_axis_off()
+    return figure
+
+
+def draw_whiteness(findings: Sequence[Finding]) -> Figure:
+    """Draw the autocorrelation of what is left on held-out runs, before and after the correction."""
+    figure = Figure(figsize=(9, 2.8), layout="constrained")
+    for ax, finding in zip(figure.subplots(1, len(findings), squeeze=False)[0], findings, strict=True):
+        bin_s = finding.part.problem.numerics.bin_s
+        for name, residual, colour in (
+            ("retuned", finding.residual_before, COLOURS["retuned"]),
+            ("corrected", finding.residual_after, COLOURS["corrected"]),
+        ):
+            lags = min(60, min(len(run) for run in residual.runs) // 2)
+            ax.plot(bin_s * np.arange(lags), _autocorrelation(residual.runs, lags), color=colour, label=name)
+        band = 1.96 / np.sqrt(sum(len(run) for run in finding.residual_after.runs))
+        ax.axhspan(-band, band, color="0.85", label="white noise, 95 %")
+        ax.set_xlabel("lag, s")
+        ax.set_title(finding.part.title, fontsize=9)
+        ax.legend(fontsize=8)
+    figure.axes[0].set_ylabel("autocorrelation of what is left")
+    return figure
+
+
+def _autocorrelation(runs: Sequence[np.ndarray], lags: int) -> np.ndarray:
+    centred = [run - run.mean(axis=0) for run in runs]
+    power = max(sum(float(np.sum(run**2)) for run in centred), 1e-300)
+    return np.array([sum(float(np.sum(run[k:] * run[: len(run) - k])) for run in centred) / power for k in range(lags)])
 
 
 def draw_errors(diagnosis: Diagnosis) -> Figure:
@@ -107,6 +182,7 @@ def draw_rivals(diagnosis: Diagnosis) -> Figure:
             ax.plot([row["low"], row["high"]], [k, k], color=colour, lw=2)
             ax.plot(row["score_gap"], k, "o", color=colour)
         labels = [f"{row['name']} for {row['instead_of']}" for row in rows[unit]]
+        ax.ticklabel_format(axis="x", scilimits=(-3, 4))
         ax.set_yticks(range(len(labels)), labels, fontsize=8)
         ax.set_ylim(len(labels) - 0.5, -0.5)
         ax.axvline(0.0, color="black", lw=0.8)
@@ -160,5 +236,5 @@ def draw_screening(findings: Sequence[Finding]) -> Figure:
         factor, unit = shown_in(finding)
         before = factor * finding.judge.rms(finding.base.squares)
         ax.set_title(f"{finding.part.title}\n(retuned rms {before:.3g} {unit})", fontsize=9)
-        ax.set_xlabel("share of squared residual explained, linearised")
+        ax.set_xlabel("share of the squared error on runs left out that it saves, fitted roughly", fontsize=8)
     return figure

@@ -19,12 +19,14 @@ img { max-width: 100% } .quiet { color: #666; font-size: .85rem }
 """
 CAPTIONS = {
     "held_out_run": "Measured and predicted motion on a run that no fit saw, and the errors",
-    "residual_map": "Where the error sits: over time and pressure",
+    "residual_map": "Where the error sits: over time and pressure, and over the pressures",
+    "pipeline": "Where along the way from command to sensor",
+    "whiteness": "Whether what is left has a memory, before and after",
     "errors": "Errors of the competitors",
     "rivals": "Alternatives to what is named, on held-out runs",
     "intervals": "Identified parameters with their intervals",
     "located": "Where simulation and measurement part, before any effect is added",
-    "screening": "What each effect of the library could explain",
+    "screening": "What each effect of the library explains when it is added first",
 }
 
 
@@ -37,7 +39,10 @@ def page(diagnosis: Diagnosis, figures: Mapping[str, Figure]) -> str:
         *(f"<p>{_safe(line)}</p>" for line in rest),
     ]
     if diagnosis.next_experiment:
-        body.append(f"<p><b>Record next:</b> {_safe(diagnosis.next_experiment['program'])}.</p>")
+        body.append(
+            f"<p><b>Record next:</b> {_safe(diagnosis.next_experiment['program'])} "
+            f"({diagnosis.next_experiment['duration_s']:.0f} s; <code>stage=excite</code> writes a program).</p>"
+        )
     body += [_figure(name, figure) for name, figure in figures.items()]
     body += ["<h2>Identified parameters</h2>", _table(_parameter_rows(diagnosis))]
     body += ["<h2>Retuned only</h2>", _table([{"parameter": k, **v} for k, v in diagnosis.retuned.items()])]

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from softrl.artifacts.calibration import Calibration
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.errors import ConfigError
 from softrl.core.simulator import Simulator
@@ -33,8 +34,10 @@ from softrl.diagnosis.explain import (
     verdict_of,
 )
 from softrl.diagnosis.figures import draw_all
+from softrl.diagnosis.hidden import behind, in_words, read_map
 from softrl.diagnosis.hypothesis import Hypothesis, candidates
 from softrl.diagnosis.hypothesise import Search, fit_trials
+from softrl.diagnosis.join import joined
 from softrl.diagnosis.judge import Thresholds
 from softrl.diagnosis.locate import corrected, locate
 from softrl.diagnosis.problem import ORIENTATION_LEVER, Numerics, Problem
@@ -94,8 +97,20 @@ class Config:
         return names() if "all" in self.candidates else list(self.candidates)
 
 
-def run(config: Config, robot: Robot, recordings: RecordingSet, simulator: Simulator, *, tracker: Tracker) -> Diagnosis:
-    """Return what the simulator leaves out, with evidence, rivals, and what rebuilds the corrected simulator."""
+def run(
+    config: Config,
+    robot: Robot,
+    recordings: RecordingSet,
+    simulator: Simulator,
+    calibration: Calibration | None = None,
+    *,
+    tracker: Tracker,
+) -> Diagnosis:
+    """Return what the simulator leaves out, with evidence, rivals, and what rebuilds the corrected simulator.
+
+    A ``calibration`` is a competitor: the retuned simulator behind the calibrated map of pressures. What the map has
+    absorbed is told, and whether physics predicts held-out runs at least as well.
+    """
     require_robot(recordings, robot)
     found = prepare(recordings, robot, config.heldout_share, config.seed)
     if isinstance(found, Refusal):
@@ -107,10 +122,15 @@ def run(config: Config, robot: Robot, recordings: RecordingSet, simulator: Simul
     if apart:
         return _cannot_tell(Refusal(data.check, apart), robot, simulator, tracker)
     findings = _examine(config, whole, data, found)
+    findings = joined(whole.on(data.training), findings, config.search, config.thresholds)
     models = _competitors(config, whole.on(data.training), findings)
     judged = _judge(whole, data, models)
+    if calibration is not None:
+        _add_calibrated(whole, data, calibration, models["retuned"], judged, config)
     located = [f for part in findings for f in _locate(part)]
     diagnosis = _conclude(config, data, whole, findings, models, judged, corrected(located))
+    if calibration is not None:
+        diagnosis = _with_map(diagnosis, calibration)
     _report(diagnosis, config, data, whole, findings, judged, tracker)
     return diagnosis
 
@@ -200,6 +220,8 @@ def _competitors(config: Config, training: Problem, findings: list[Finding]) -> 
     point = np.concatenate([trial.fit.point for trial in parts])
     if not effects:
         point = retuned.fit.point
+    elif motion.joint is not None:
+        point = motion.joint
     lag = one_lag(training, retuned.fit.point, config.search)
     return {
         "nominal": model_of(training, empty, np.zeros(0)),
@@ -216,6 +238,41 @@ def _judge(whole: Problem, data: Data, models: dict[str, Model]) -> dict[str, di
         split: {name: traces(problem, model) for name, model in models.items()} | plain[split]
         for split, problem in splits.items()
     }
+
+
+def _add_calibrated(
+    whole: Problem,
+    data: Data,
+    calibration: Calibration,
+    retuned: Model,
+    judged: dict[str, dict[str, Traces]],
+    config: Config,
+) -> None:
+    """Add what the retuned simulator behind the calibrated map predicts to ``judged``."""
+    training = behind(whole.on(data.training), calibration)
+    fitted = fit_trials(training, None, [(retuned.hypothesis, [retuned.point])], config.search)
+    if fitted:
+        model = model_of(training, retuned.hypothesis, fitted[0].fit.point)
+        for split, runs in data.splits.items():
+            judged[split]["calibrated"] = traces(behind(whole.on(runs), calibration), model)
+
+
+def _with_map(diagnosis: Diagnosis, calibration: Calibration) -> Diagnosis:
+    """Return the diagnosis with what the calibrated map has absorbed, and whether physics replaces it."""
+    rows, held = read_map(calibration), diagnosis.errors_mm["heldout"]
+    lines = in_words(rows)
+    if "calibrated" in held:
+        replaces = bool(diagnosis.effects) and held["corrected"] <= held["calibrated"]
+        lines.append(
+            f"Behind the calibrated map the retuned simulator errs by {held['calibrated']:.3g} mm on held-out runs; "
+            + (
+                f"the physics named here, without the map, by {held['corrected']:.3g} mm, and replaces it."
+                if replaces
+                else f"without it the corrected one by {held['corrected']:.3g} mm: the map stays."
+            )
+        )
+    data = diagnosis.data | {"calibrated_map": rows}
+    return replace(diagnosis, sentences=[*diagnosis.sentences, *lines], data=data)
 
 
 def _locate(finding: Finding) -> list[Any]:
@@ -251,7 +308,7 @@ def _conclude(
         errors_mm={split: in_mm(values, robot.length_m, angle) for split, values in plain.items()},
         errors_deg={s: {n: float(np.degrees(e)) for n, e in v.items()} for s, v in plain.items()} if angle else {},
         unexplained=unexplained(findings),
-        next_experiment=next_experiment(findings, verdict, robot),
+        next_experiment=next_experiment(findings, verdict, robot, data.noise),
         data={
             "warnings": _warnings(data, whole),
             "training_runs": [r.name for r in data.training],

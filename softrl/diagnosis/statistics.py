@@ -120,6 +120,11 @@ def sandwich(jacobian: np.ndarray, residual: np.ndarray, blocks: np.ndarray) -> 
     residual : (rows,)
     blocks : (rows,) block number of every row
     """
+    alive = np.linalg.norm(jacobian, axis=0) > 0.0
+    if not alive.all():
+        covariance = np.diag(np.where(alive, 0.0, np.inf))
+        covariance[np.ix_(alive, alive)] = sandwich(jacobian[:, alive], residual, blocks) if alive.any() else 0.0
+        return covariance
     count = int(blocks.max()) + 1
     score = block_sums(jacobian * residual[:, None], blocks)
     size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
@@ -146,8 +151,8 @@ def left_out(
     Notes
     -----
     One Gauss-Newton step on the other folds: with ``H_k = J_k' J_k`` and ``g_k = J_k' r_k`` the parameters move by
-    ``(H - H_k)^-1 g_k``, the gradient ``g`` of the fit to all folds being taken as zero; ``H`` holds
-    a prior of unit variance in the (scaled) parameters, so that those which nothing determines stay near. Directions that the other folds do not see stay where they are.
+    ``(H - H_k)^-1 g_k``, the gradient ``g`` of the fit to all folds being taken as zero; ``H`` holds a prior of unit
+    variance in the scaled parameters, so that those which nothing determines stay near.
     """
     found = residual.copy()
     slope = jacobian.T @ residual

@@ -89,6 +89,8 @@ class Plant:
         """Return what the sensors report of a body on which ``acting`` acts."""
         motion = self.simulator.simulate(time, acting, tip_force, self.chain.hooks("body"), self.chain.hooks("load"))
         shown = self.chain.reported(supplied, float(time[1] - time[0]))
+        if all(effect.channel == "pressure" for effect in self.chain.at("sensor")):
+            return replace(motion, pressure=shown)
         pose = np.hstack([motion.position, motion.quaternion])
         pose = self.chain.filter(["sensor"], pose, float(time[1] - time[0]))
         return replace(motion, position=pose[:, :3], quaternion=pose[:, 3:], pressure=shown)

@@ -71,14 +71,26 @@ def _drive_on_grid(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Return the uniform grid (steps,) s, the pressures (steps, chambers) Pa and forces (steps, 3) N on it."""
     time, first = _grid(recording, dt_s, settle_s)
-    row = np.searchsorted(recording.time, time - 1e-3 * dt_s, side="left")  # equal times may differ in a last digit
-    row = row.clip(max=len(recording.time) - 1)
-    driving = _driving(recording, drive)
-    pressure = driving[row]
+    pressure = _mean_held(recording.time, _driving(recording, drive), time, dt_s)
     if first and recording.pressure_meas is not None:
         pressure[:first] = recording.pressure_meas[0]
-    force = None if recording.tip_force is None else recording.tip_force[row]
+    force = None if recording.tip_force is None else _mean_held(recording.time, recording.tip_force, time, dt_s)
     return time, pressure, force
+
+
+def _mean_held(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray, dt_s: float) -> np.ndarray:
+    """Return the mean over each step (time - dt, time] of ``rows`` (samples, n), each held until its stamp.
+
+    A change within a step acts on the rest of the step only: taken whole, uneven stamps would make it early by half a
+    step on average, which looks like a delay of the robot.
+    """
+    begin, end = stamps[0] - dt_s - max(stamps[0] - time[0], 0.0), stamps[-1] + dt_s
+    knots = np.r_[begin, stamps, end]
+    held = np.vstack([rows, rows[-1:]])
+    total = np.vstack([np.zeros((1, rows.shape[1])), np.cumsum(held * np.diff(knots)[:, None], axis=0)])
+    edges = np.r_[time[0] - dt_s, time]
+    gathered = np.stack([np.interp(edges, knots, column) for column in total.T], axis=1)
+    return np.asarray(np.ascontiguousarray(np.diff(gathered, axis=0) / dt_s))
 
 
 def _reported(recording: Recording, robot: Robot, time: np.ndarray, motion: Motion) -> Recording:

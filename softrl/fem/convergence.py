@@ -56,7 +56,7 @@ class Study:
 
 def study(
     mesh: Mesh, material: Material, load: np.ndarray, newton: NewtonSettings, parts: Sequence[int] = (1, 2, 3),
-    element_order: int = 2,
+    element_order: int = 2, mean_dilatation: bool = True,
 ) -> Study:
     """Return the tips of ``mesh`` under ``load`` (chambers + 3,) Pa and N, each edge cut into ``parts`` in turn.
 
@@ -70,7 +70,9 @@ def study(
     rows = []
     for count in parts:
         fine = refine(mesh, count)
-        model = FemModel(fine, material, 1000.0, 0.0, 0.0, newton, element_order=element_order)
+        model = FemModel(
+            fine, material, 1000.0, 0.0, 0.0, newton, element_order=element_order, mean_dilatation=mean_dilatation
+        )
         began = time.process_time()
         solve = model.static(load)
         if not solve.converged:

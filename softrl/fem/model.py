@@ -76,7 +76,7 @@ class FemModel:
     stiffness_scale : factor on the elastic energy
     solver : linear solver; the best one installed if None
     mean_dilatation : changes of volume are weighed by their mean over an element, where the law weighs them by J;
-        else at each integration point, which locks where the material is nearly incompressible
+        else at each integration point: stiffer where the material is nearly incompressible, but exact in bending
     element_order : 2, or 1 for linear tetrahedra, which are far too stiff and serve comparisons
     """
 
@@ -187,6 +187,11 @@ class FemModel:
         """Return where ``pose`` moves under a small ``load_change``, by the factors that the last solve left."""
         return self.coupling.move(pose, self._solver.solve(self.load_directions(pose) @ load_change))
 
+    def response(self, pose: Pose) -> np.ndarray:
+        """Return d (volumes, tip) / d load (n + 3, n + 3) near ``pose``, by the factors that the last solve left."""
+        forces = self.load_directions(pose)
+        return forces.T @ self._solver.solve(forces)
+
     def load_directions(self, pose: Pose) -> np.ndarray:
         """Return the generalised force (unknowns, chambers + 3) of each unit load."""
         columns = np.zeros((self.coupling.unknowns, self.chambers + 3))
@@ -200,13 +205,20 @@ class FemModel:
 
     # motion
 
+    def forget(self) -> None:
+        """Let the next step begin with factors of its own, so that it does not depend on the steps before."""
+        self._stepping = 0.0
+
     def state(self, pose: Pose | None = None) -> State:
         """Return the state at rest in ``pose`` (the stress-free one if None)."""
         pose = pose if pose is not None else self.rest()
         return State(pose, np.zeros_like(pose.position), np.zeros(self.coupling.unknowns))
 
-    def step(self, state: State, load: np.ndarray, dt: float, gravity_m_s2: np.ndarray | None = None) -> Step:
-        """Return the state ``dt`` seconds later under ``load``, by implicit Euler.
+    def step(
+        self, state: State, load: np.ndarray, dt: float, gravity_m_s2: np.ndarray | None = None,
+        start: Pose | None = None,
+    ) -> Step:
+        """Return the state ``dt`` seconds later under ``load``, by implicit Euler; Newton begins at ``start``.
 
         Notes
         -----
@@ -243,7 +255,8 @@ class FemModel:
             return Value(energy, gradient + push, blocks)
 
         ready, self._stepping = self._stepping == dt, dt
-        first = min(extrapolated, state.pose, key=lambda pose: objective(pose, ENERGY).energy)
+        guesses = (extrapolated, state.pose) if start is None else (start,)
+        first = min(guesses, key=lambda pose: objective(pose, ENERGY).energy)
         solve = minimise(objective, first, self.coupling, self._solver, self.newton, ready)
         velocity = (solve.pose.position - before) / dt
         return Step(State(solve.pose, velocity, self.coupling.difference(state.pose, solve.pose)), solve)

@@ -1,7 +1,7 @@
 """The full model as a Simulator: the most faithful body, and by far the slowest."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -12,10 +12,12 @@ from softrl.core.errors import ArtifactError, ConfigError, SolverError
 from softrl.core.simulator import Hook, Motion
 from softrl.effects.effect import (
     ADDED,
+    ADDED_SLOPE,
     BODY_PORT_ROWS,
     ELASTIC,
     ELASTIC_SLOPE,
     FORCE,
+    FORCE_SLOPE,
     GRAVITY,
     LOAD_PORT_ROWS,
     PRESSURE,
@@ -34,11 +36,21 @@ from softrl.fem.sampling import load_scale
 from softrl.robots.robot import Robot
 
 TUNABLE = ("youngs_modulus_scale", "damping_scale", "mass_scale")
+EFFECT_ITERATIONS, EFFECT_TOLERANCE = 30, 1e-9  # of a step with effects; share of the scale of the loads
+QUASI_STATIC_S = 1e9  # one implicit step of this length is an equilibrium
+REST_STEPS, REST_TOLERANCE_M = 20, 1e-9
 LARGEST_LOAD_STEP = 0.8  # of an equilibrium's continuation, in units of ``sampling.load_scale``
 
 
+class Hooks(NamedTuple):
+    """The effects inside a step, by site."""
+
+    body: Sequence[Hook]
+    load: Sequence[Hook]
+
+
 class FemState(NamedTuple):
-    """A moving body with what the effects' ports need: volumes (n,) m^3 one step ago, tip velocity (3,) m/s."""
+    """A moving body, its volumes (n,) m^3 one step ago, its tip's velocity (3,) m/s."""
 
     body: State
     volume_before: np.ndarray
@@ -55,16 +67,15 @@ class FemSimulator:
     mesh : made by stage=mesh
     law, moduli_pa, poisson : the material, see ``fem.material.material_of``
     element_order : 2 for quadratic tetrahedra; 1 for linear ones, which lock and serve comparisons
+    mean_dilatation : see ``fem.model.FemModel``
     rayleigh_mass_per_s, rayleigh_stiffness_s : damping (a M + b K) v
     tolerance_m, max_iterations, reuse_below : see ``fem.newton.NewtonSettings``
     youngs_modulus_scale, damping_scale, mass_scale : factors on elastic energy, damping, inertia and weight
 
     Notes
     -----
-    Effects inside the body act explicitly here: their ports are read where a step begins, an added pressure is taken
-    off the chamber and an added force goes to the tip for that step. That is first order in the time step, as the
-    step itself, and unstable for effects much stiffer than the body. A chamber's strain is
-    ``(V - V_rest) / V_stressfree``; its elastic pressure is linearised at rest with the tip free.
+    Effects act inside the implicit step: what they add to pressure and tip force is that of the step's end. A
+    chamber's strain is ``(V - V_rest) / V_stressfree``; its elastic pressure is linearised at rest with the tip free.
     """
 
     robot: Robot
@@ -73,6 +84,7 @@ class FemSimulator:
     moduli_pa: tuple[float, ...]
     poisson: float
     element_order: int
+    mean_dilatation: bool
     rayleigh_mass_per_s: float
     rayleigh_stiffness_s: float
     tolerance_m: float
@@ -92,6 +104,10 @@ class FemSimulator:
                 f"the mesh of {self.mesh.robot_name} has {self.mesh.chambers} cavities, robot {self.robot.name} has "
                 f"{self.robot.chambers} chambers; run stage=mesh for this robot"
             )
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what is cached: the linear solver's factors cannot travel."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -117,6 +133,7 @@ class FemSimulator:
             self.damping_scale * self.rayleigh_mass_per_s, self.damping_scale * self.rayleigh_stiffness_s,
             NewtonSettings(self.tolerance_m, self.max_iterations, self.reuse_below), self.robot.gravity_m_s2,
             self.youngs_modulus_scale, element_order=self.element_order,
+            mean_dilatation=self.mean_dilatation,
         )
 
     @cached_property
@@ -154,46 +171,90 @@ class FemSimulator:
         body: Sequence[Hook] = (), load: Sequence[Hook] = (),
     ) -> FemState:
         """Return the state after ``dt_s`` under ``pressure`` (n,) Pa and ``tip_force`` (3,) N."""
-        model, pose = self.model, state.body.pose
-        acting = np.array(pressure, dtype=float)
-        force = np.zeros(3) if tip_force is None else np.array(tip_force, dtype=float)
-        gravity = model.gravity_m_s2
-        if body:
-            acting -= self._added_pressure(state, acting, dt_s, body)
-        if load:
-            added, gravity = self._added_force(state, dt_s, load)
-            force += added
-        moved, solve = model.step(state.body, np.r_[acting, force], dt_s, gravity)
+        self.model.forget()  # so that a step depends on nothing but its arguments
+        return self._step(state, pressure, dt_s, tip_force, Hooks(body, load))
+
+    def _step(
+        self, state: FemState, pressure: np.ndarray, dt_s: float, tip_force: np.ndarray | None, hooks: Hooks
+    ) -> FemState:
+        given = np.r_[np.asarray(pressure, dtype=float), np.zeros(3) if tip_force is None else np.asarray(tip_force)]
+        if not hooks.body and not hooks.load:
+            return self._advance(state, given, dt_s, self.model.gravity_m_s2, None)
+        return self._advance_with_effects(state, given, dt_s, hooks)
+
+    def _advance(
+        self, state: FemState, load: np.ndarray, dt_s: float, gravity: np.ndarray, start: Pose | None
+    ) -> FemState:
+        model = self.model
+        moved, solve = model.step(state.body, load, dt_s, gravity, start)
         if not solve.converged:
             raise SolverError(
                 f"simulator fem: a step of {dt_s:g} s did not converge in {solve.iterations} iterations; "
                 "try a smaller dt_s, or weaker effects"
             )
-        velocity = (model.tip(moved.pose) - model.tip(pose)) / dt_s
-        return FemState(moved, model.volumes(pose), velocity)
+        velocity = (model.tip(moved.pose) - model.tip(state.body.pose)) / dt_s
+        return FemState(moved, model.volumes(state.body.pose), velocity)
 
-    def _added_pressure(self, state: FemState, pressure: np.ndarray, dt_s: float, body: Sequence[Hook]) -> np.ndarray:
-        """Return the resisting pressure (n,) Pa that the body effects add, and advance them."""
-        scale = self.model.rest_volume
-        change = self.model.volumes(state.body.pose) - self.model.volumes(self._rest)
-        port = np.zeros((BODY_PORT_ROWS, self.robot.chambers))
-        port[STRAIN] = change / scale
-        port[RATE] = (self.model.volumes(state.body.pose) - state.volume_before) / (scale * dt_s)
+    def _advance_with_effects(self, state: FemState, given: np.ndarray, dt_s: float, hooks: Hooks) -> FemState:
+        """Find the load at which the body ends the step where the effects add just that load; then commit them.
+
+        Newton's iteration in the few loads: the body answers them by the compliance of the step, the effects by the
+        slopes they report.
+        """
+        scale = load_scale(self.robot)
+        trial, acting = state, given
+        for _ in range(EFFECT_ITERATIONS):
+            added, slope, gravity = self._reaction(trial, state, given, dt_s, hooks, commit=False)
+            miss = given + added - acting
+            if trial is not state and np.abs(miss / scale).max() < EFFECT_TOLERANCE:
+                self._reaction(trial, state, given, dt_s, hooks, commit=True)
+                return trial
+            if trial is state:
+                trial = self._advance(state, acting, dt_s, gravity, None)
+                continue
+            response = self.model.response(trial.body.pose)
+            acting = acting + np.linalg.solve(np.eye(len(acting)) - slope @ response, miss)
+            trial = self._advance(state, acting, dt_s, gravity, trial.body.pose)
+        raise SolverError(
+            f"simulator fem: the effects found no balance with the body in a step of {dt_s:g} s "
+            f"({np.abs(miss / scale).max():.1e} of the load's scale left); try a smaller dt_s, or weaker effects"
+        )
+
+    def _reaction(
+        self, trial: FemState, state: FemState, given: np.ndarray, dt_s: float, hooks: Hooks, commit: bool
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return what the effects add to the load at ``trial`` (n + 3,), its slope by (volumes, tip), and gravity."""
+        n, model = self.robot.chambers, self.model
+        scale, pose = model.rest_volume, trial.body.pose
+        change = model.volumes(pose) - model.volumes(self._rest)
+        moved = model.volumes(pose) - model.volumes(state.body.pose)
+        port = np.zeros((BODY_PORT_ROWS, n))
+        port[STRAIN], port[RATE] = change / scale, moved / (scale * dt_s)
         port[ELASTIC] = self._volume_stiffness @ change
         port[ELASTIC_SLOPE] = port[REST] = np.diag(self._volume_stiffness) * scale
-        port[PRESSURE] = pressure
-        for hook in body:
-            hook.kernel(hook.parameters, hook.state, port, dt_s, True)
-        return port[ADDED]
+        port[PRESSURE] = given[:n]
+        for hook in hooks.body:
+            hook.kernel(hook.parameters, hook.state, port, dt_s, commit)
+        tip = np.zeros((LOAD_PORT_ROWS, 3))
+        tip[TIP], tip[GRAVITY] = model.tip(pose), model.gravity_m_s2
+        tip[TIP_VELOCITY] = (tip[TIP] - model.tip(state.body.pose)) / dt_s
+        for hook in hooks.load:
+            hook.kernel(hook.parameters, hook.state, tip, dt_s, commit)
+        slope = np.zeros((n + 3, n + 3))
+        slope[:n, :n] = np.diag(-port[ADDED_SLOPE] / scale)
+        slope[n:, n:] = tip[FORCE_SLOPE : FORCE_SLOPE + 3]
+        return np.r_[-port[ADDED], tip[FORCE]], slope, tip[GRAVITY].copy()
 
-    def _added_force(self, state: FemState, dt_s: float, load: Sequence[Hook]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the tip force (3,) N and the gravity (3,) m/s^2 that the load effects make, and advance them."""
-        port = np.zeros((LOAD_PORT_ROWS, 3))
-        port[TIP], port[TIP_VELOCITY] = self.model.tip(state.body.pose), state.tip_velocity
-        port[GRAVITY] = self.model.gravity_m_s2
-        for hook in load:
-            hook.kernel(hook.parameters, hook.state, port, dt_s, True)
-        return port[FORCE], port[GRAVITY].copy()
+    def _rest_under(self, load: Sequence[Hook]) -> FemState:
+        """Return the state at rest under weight and the load effects, by steps so long that nothing moves freely."""
+        state = self.reset()
+        for _ in range(REST_STEPS if load else 0):
+            found = self.step(state, np.zeros(self.robot.chambers), QUASI_STATIC_S, load=load)
+            shift = np.abs(found.body.pose.position - state.body.pose.position).max()
+            state = self._still(found.body.pose)
+            if shift < REST_TOLERANCE_M:
+                break
+        return state
 
     def observe(self, state: FemState) -> tuple[np.ndarray, np.ndarray]:
         """Return tip position (3,) m and quaternion (4,) w x y z."""
@@ -203,12 +264,17 @@ class FemSimulator:
         self, time: np.ndarray, pressure: np.ndarray, tip_force: np.ndarray | None = None,
         body: Sequence[Hook] = (), load: Sequence[Hook] = (),
     ) -> Motion:
-        """Return the motion from rest under ``pressure`` (steps, n), each row held until its time."""
-        dt_s, state = float(time[1] - time[0]), self.reset()
+        """Return the motion from rest under ``pressure`` (steps, n), each row held until its time.
+
+        Rest is the equilibrium under weight and the load effects; strains that body effects see count from the
+        equilibrium under weight alone.
+        """
+        dt_s, state = float(time[1] - time[0]), self._rest_under(load)
+        self.model.forget()  # within a run the factors are kept from step to step
         poses = []
         for k, row in enumerate(pressure):
             force = None if tip_force is None else tip_force[k]
-            state = self.step(state, row, dt_s, force, body, load)
+            state = self._step(state, row, dt_s, force, Hooks(body, load))
             poses.append(self.observe(state))
         position, quaternion = (np.stack(values) for values in zip(*poses, strict=True))
         return Motion(np.asarray(time, dtype=float), position, quaternion, np.array(pressure, dtype=float))

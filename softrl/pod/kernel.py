@@ -147,7 +147,7 @@ def run_kernel(
     failed, farthest = 0, 0.0
     if with_effects:
         fill_potential(y, tables, values, point, gradient, hessian)
-        fill_ports(y, rest, gradient, hessian, dt, load[0, :n], tables, ports)
+        fill_ports(y, rest, gradient, hessian, dt, load[0, :n], tables, ports, True)
         ports.strains[0], ports.tips[0] = ports.strains[1], ports.tips[1]
     farthest = max(farthest, _fill_operators(y, tables, values, point, root, mass, stiff, loose))
     for step in range(len(load)):

@@ -76,11 +76,18 @@ def fill_ports(
     pressure: np.ndarray,
     tables: Any,
     ports: Any,
+    slopes: bool,
 ) -> None:
-    """Fill the inputs of both ports from the bare body's trial state; trial strains and tip go to row 1."""
+    """Fill the inputs of both ports from the bare body's trial state; trial strains and tip go to row 1.
+
+    The slope of the elastic pressure is found anew where ``slopes`` asks for it: it only speeds the iteration.
+    """
     body, load, strains, tips = ports.body, ports.load, ports.strains, ports.tips
     n, r = len(pressure), len(y)
-    _hessian_of_coordinate(hessian, tables.inverse, ports.half, ports.slopes)
+    if slopes:
+        _hessian_of_coordinate(hessian, tables.inverse, ports.half, ports.slopes)
+        for i in range(n):
+            body[ELASTIC_SLOPE, i] = _slope(ports.slopes, n, i) * tables.rest_volume[i]
     for i in range(n):
         strain = elastic = 0.0
         for j in range(r):
@@ -88,8 +95,7 @@ def fill_ports(
             elastic += tables.inverse[j, i] * gradient[j]
         strains[1, i] = strain / tables.rest_volume[i]
         body[STRAIN, i], body[RATE, i] = strains[1, i], (strains[1, i] - strains[0, i]) / dt
-        body[ELASTIC, i], body[ELASTIC_SLOPE, i] = elastic, _slope(ports.slopes, n, i) * tables.rest_volume[i]
-        body[PRESSURE, i], body[REST, i] = pressure[i], tables.rest_slope[i]
+        body[ELASTIC, i], body[PRESSURE, i], body[REST, i] = elastic, pressure[i], tables.rest_slope[i]
         body[ADDED, i] = body[ADDED_SLOPE, i] = 0.0
     for k in range(3):
         tips[1, k] = tables.rest_tip[k]
@@ -155,7 +161,7 @@ def commit_effects(
     ports: Any,
 ) -> None:
     """Let the effects take the trial state as the state; ``gradient`` and ``hessian`` are the bare body's."""
-    fill_ports(y, rest, gradient, hessian, dt, pressure, tables, ports)
+    fill_ports(y, rest, gradient, hessian, dt, pressure, tables, ports, False)
     run_hooks(hooks[0], hooks[1], hooks[2], ports.body, dt, True)
     run_hooks(hooks[3], hooks[4], hooks[5], ports.load, dt, True)
     ports.strains[0], ports.tips[0] = ports.strains[1], ports.tips[1]
@@ -182,7 +188,7 @@ def add_effects(
     depends on all coordinates: that share is found by a second call with the elastic pressure raised, where ``probe``
     asks for it, else it is the share found last. It speeds Newton's iteration and does not change its end.
     """
-    fill_ports(y, rest, gradient, hessian, dt, pressure, tables, ports)
+    fill_ports(y, rest, gradient, hessian, dt, pressure, tables, ports, probe)
     if len(hooks[0]) > 0:
         _add_body(gradient, hessian, dt, tables, hooks, ports, jacobian, probe)
     if len(hooks[3]) > 0:

@@ -25,7 +25,7 @@ def confusion(rows: Sequence[Row]) -> Figure:
         count[i, j] += 1
         if _is_right(r):
             right.add((i, j))
-    figure = Figure(figsize=(2.5 + 0.45 * len(names), 1.8 + 0.3 * len(truths)), layout="constrained")
+    figure = Figure(figsize=(3.5 + 0.45 * len(names), 2.0 + 0.3 * len(truths)), layout="constrained")
     ax = figure.subplots()
     ax.imshow(count, cmap="Blues", vmin=0.0, vmax=max(count.max(), 1.0), aspect="auto")
     for i, j in zip(*np.nonzero(count), strict=True):
@@ -43,7 +43,7 @@ def confusion(rows: Sequence[Row]) -> Figure:
     ax.set_yticks(range(len(truths)), truths)
     ax.set_xlabel("verdict, or the effect named first")
     ax.set_ylabel("hidden")
-    ax.set_title("cases by what was hidden and what was said (frame: right)")
+    ax.set_title("green frame: right", loc="left", fontsize=9)
     return figure
 
 
@@ -63,13 +63,14 @@ def detection(rows: Sequence[Row], detectable: float) -> Figure:
                 ax.errorbar(x, share.pct, [[share.pct - share.low], [share.high - share.pct]], fmt="o", color=colour,
                             capsize=3, label=label if k == 0 else None)  # fmt: skip
                 if name == "top1":
-                    ax.annotate(f"n = {len(mine)}", (x, 3.0), ha="center", fontsize=8)
+                    ax.annotate(f"n = {len(mine)}", (x * 1.1, 50.0), fontsize=8)
     ax.axvline(detectable, color="k", lw=0.8, ls=":", label="called detectable")
     ax.set_xscale("log")
+    ax.set_xlim(0.05, 60.0)
     ax.set_ylim(-3.0, 103.0)
     ax.set_xlabel("rms of the hidden effect after retuning over the noise floor")
     ax.set_ylabel("cases, % (95 % Wilson)")
-    ax.legend(frameon=False, loc="center right")
+    ax.legend(frameon=False, loc="upper left", fontsize=8)
     return figure
 
 
@@ -105,7 +106,8 @@ def _hidden(row: Row) -> str:
 
 
 def _told(row: Row) -> str:
-    return str(row["named"].split("+")[0] if row["named"] else f"[{row['verdict']}]")
+    told = row["named"] and row["verdict"] in ("named", "indistinguishable")
+    return str(row["named"].split("+")[0] if told else f"[{row['verdict']}]")
 
 
 def _is_right(row: Row) -> bool:

@@ -91,7 +91,7 @@ def _report(config: Config, task: Task, space: Workspace, lesson: Lesson, tracke
             if not label:
                 laps[curve] = found
         metrics |= _under_load(config, task, space, lesson.actor, curve, goals)
-    metrics["val/reward"] = max(reward for _, reward in lesson.history)
+    metrics["val/reward"] = float(np.nanmax([reward for _, reward in lesson.history]))
     for step, reward in lesson.history:
         tracker.metric("val/reward", reward, step)
     for name, value in metrics.items():

@@ -5,6 +5,7 @@ from functools import cached_property
 import numpy as np
 
 from softrl.artifacts.surrogate import Surrogate
+from softrl.core.errors import ArtifactError, ConfigError
 from softrl.surrogate.maps import PressureToJoints
 from softrl.surrogate.twin import Twin
 
@@ -19,6 +20,11 @@ class Workspace:
         self.surrogate = surrogate
         self.twin = Twin(surrogate)
         self._maps = PressureToJoints(surrogate)
+        if ((self.rest < surrogate.joint_low) | (self.rest > surrogate.joint_high)).any():
+            raise ArtifactError(
+                f"surrogate of {surrogate.robot_name}: its joint limits {surrogate.joint_low} .. {surrogate.joint_high} "
+                f"(rad, rad, m) leave out rest, {self.rest}; expected them to hold it: rerun stage=surrogate"
+            )
 
     @cached_property
     def centre(self) -> np.ndarray:
@@ -44,6 +50,18 @@ class Workspace:
         """Return whether pressures in range reach each of the tips (B, 3) m."""
         joints = self._maps.joints(self._maps.pressure(self.twin.joints_for_tip(tip)))
         return np.linalg.norm(self.twin.tip(joints) - tip, axis=1) < TOLERANCE_M
+
+    def require(self, tip: np.ndarray, name: str) -> None:
+        """Raise ``ConfigError`` unless all tips (B, 3) m of the trajectory ``name`` are within reach."""
+        reached = self.reachable(np.asarray(tip, dtype=float))
+        if not reached.all():
+            first = int(np.argmin(reached))
+            away = 1e3 * (tip[first] - self.centre)
+            raise ConfigError(
+                f"trajectory {name}: {int((~reached).sum())} of {len(tip)} points are out of reach, the first (number "
+                f"{first}) {np.round(away, 1).tolist()} mm from the workspace's centre; expected points that pressures "
+                f"bring the tip to within {1e3 * TOLERANCE_M:g} mm: make it smaller or move it"
+            )
 
     def largest(self, shape: np.ndarray, centre: np.ndarray) -> float:
         """Return the largest scale in m at which ``shape`` (points, 3), put about ``centre`` (3,) m, is reachable."""

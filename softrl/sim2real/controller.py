@@ -7,7 +7,7 @@ from softrl.artifacts.policy import Policy
 from softrl.artifacts.surrogate import Surrogate
 from softrl.calibration.pressure_map import PressureMap
 from softrl.core.errors import ArtifactError
-from softrl.rl.policy import act, joints, observation
+from softrl.rl.inference import Inference
 from softrl.rl.tasks.task import Task
 from softrl.rl.workspace import Workspace
 from softrl.sim2real.course import Course
@@ -25,19 +25,14 @@ class PolicyController:
 
     def __init__(self, policy: Policy, surrogate: Surrogate, calibration: Calibration, course: Course) -> None:
         require_chambers(surrogate, calibration)
-        self._act, self._policy, self._course = act(policy, surrogate.robot_name), policy, course
-        self._maps, self._calibrated = PressureToJoints(surrogate), PressureMap(calibration)
-        self._theta = self._maps.joints(np.zeros((1, surrogate.chambers)))
+        self._chain, self._course = Inference(policy, surrogate, calibration), course
 
     def pressure(self, position: np.ndarray, step: int, tip_force: np.ndarray | None = None) -> np.ndarray:
         """Return P_R (chambers,) Pa for the target of ``step``, the tip being at ``position`` (3,) m."""
         course = self._course
-        ahead = (max(step, 0) + np.arange(self._policy.horizon)) % len(course.position)
-        pressed = np.atleast_1d(course.pressed(tip_force))
-        targets = course.position[None, ahead], course.force[None, ahead]
-        seen = observation(self._policy, position[None], self._theta, pressed, *targets)
-        self._theta = joints(self._policy, self._act(seen))
-        return np.asarray(self._calibrated.sim_to_real(self._maps.pressure(self._theta))[0])
+        ahead = (max(step, 0) + np.arange(self._chain.horizon)) % len(course.position)
+        pressed = float(course.pressed(tip_force))
+        return self._chain.pressure(position, pressed, course.position[ahead], course.force[ahead])
 
 
 class ModelController:

@@ -19,8 +19,10 @@ from softrl.effects.hysteresis import Hysteresis
 from softrl.effects.payload import Payload
 from softrl.effects.tether import Tether
 from softrl.effects.viscoelasticity import Viscoelasticity
+from softrl.fem.simulator import FemSimulator
 from softrl.pod.simulator import RomSimulator
 from softrl.robots.robot import Robot
+from tests.fem.bodies import box_robot, hollow_box
 from tests.pod.conftest import fitted
 
 CONF = Path(__file__).parents[2] / "conf"
@@ -44,7 +46,17 @@ SIMULATORS: dict[str, Callable[[], tuple[Robot, Simulator]]] = {
     "pcc_four_chambers": lambda: _pcc_with(replace(tripod(), chamber_angle_deg=(0.0, 90.0, 180.0, 270.0))),
     "rom": lambda: _rom_of(3),
     "rom_one_chamber": lambda: _rom_of(1),
+    "fem": lambda: _fem(),
 }
+
+
+def _fem() -> tuple[Robot, Simulator]:
+    robot, box = box_robot(2), hollow_box(chambers=2)
+    return robot, FemSimulator(
+        robot=robot, mesh=box, law="stable_neo_hookean", moduli_pa=(1.5e4,), poisson=0.45, element_order=2,
+        mean_dilatation=True, rayleigh_mass_per_s=0.0, rayleigh_stiffness_s=0.02, tolerance_m=1e-10, max_iterations=40,
+        reuse_below=0.3, youngs_modulus_scale=1.0, damping_scale=1.0, mass_scale=1.0,
+    )
 
 
 def _rom_of(chambers: int) -> tuple[Robot, Simulator]:
@@ -56,7 +68,9 @@ def _pcc_with(robot: Robot) -> tuple[Robot, Simulator]:
     return robot, configured("pcc", robot)
 
 
-@pytest.fixture(params=SIMULATORS, scope="module")
+@pytest.fixture(
+    params=[pytest.param(name, marks=[pytest.mark.slow] * (name == "fem")) for name in SIMULATORS], scope="module"
+)
 def case(request: pytest.FixtureRequest) -> tuple[Robot, Simulator]:
     """Return each robot with its simulator in turn."""
     return SIMULATORS[request.param]()

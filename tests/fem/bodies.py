@@ -126,7 +126,7 @@ def hollow_sphere(inner: float, outer: float, layers: int = 3, cells: int = 3) -
     return Mesh(points, solid, region, np.zeros(len(solid), int), cavity, np.zeros(len(cavity), int), "sphere")
 
 
-def solved_inside(cells: int, exact, material, size=0.02, element_order: int = 2):  # type: ignore[no-untyped-def]
+def solved_inside(cells: int, exact, material, size=0.02, element_order: int = 2, mean: bool = False):  # type: ignore[no-untyped-def]
     """Return (nodes found, nodes exact, elements) of a cube whose whole surface follows ``exact`` (nodes, 3) -> (nodes, 3)."""
     points, tetrahedra, _ = grid((cells, cells, cells), (size, size, size))
     region = np.zeros(len(points), int)
@@ -142,11 +142,13 @@ def solved_inside(cells: int, exact, material, size=0.02, element_order: int = 2
     rest = coupling.rest()
     start = replace(rest, position=np.where(outer[:, None], exact(q.points), rest.position))
 
+    parameters, bulk = material.split() if mean else (material.pack(), 0.0)
+
     def objective(pose, order):  # type: ignore[no-untyped-def]
         gradient = np.zeros_like(pose.position)
         blocks = np.zeros((len(pairs.first), 3, 3))
         energy = ASSEMBLERS[q.elements.shape[1]](
-            type(material).kernel, material.pack(), pose.position, q.elements, q.gradients, q.weights, order,
+            type(material).kernel, parameters, bulk, pose.position, q.elements, q.gradients, q.weights, order,
             pairs.element_slots, gradient, blocks,
         )
         return Value(energy, gradient, blocks if order >= TANGENT else None)

@@ -35,10 +35,15 @@ def test_patch_a_pure_bending_is_exact_for_quadratic_elements() -> None:
     assert np.abs(found - wanted).max() < 1e-5 * bent
 
 
-@pytest.mark.parametrize(("element_order", "cells"), [
-    (1, (4, 8)), (2, (2, 4)), pytest.param(2, (3, 6, 9), marks=pytest.mark.slow),
+@pytest.mark.parametrize(("element_order", "mean", "cells", "least"), [
+    (1, False, (4, 8), (1.6, 0.75)), (2, False, (2, 4), (2.6, 1.75)),
+    # one volume condition an element costs an order, and buys that nothing locks
+    pytest.param(2, True, (4, 8), (1.8, 0.9), marks=pytest.mark.slow),
+    pytest.param(2, False, (4, 8), (2.8, 1.85), marks=pytest.mark.slow),
 ])
-def test_manufactured_solution_converges_with_the_order_of_the_element(element_order: int, cells: tuple[int, ...]) -> None:
+def test_manufactured_solution_converges_with_the_order_of_the_element(
+    element_order: int, mean: bool, cells: tuple[int, int], least: tuple[float, float]
+) -> None:
     # u = grad(exp(q x) cos(q y)) solves Navier's equations for any moduli
     amplitude, q = 1e-9, 60.0
 
@@ -56,23 +61,27 @@ def test_manufactured_solution_converges_with_the_order_of_the_element(element_o
 
     errors = []
     for count in cells:
-        found, _, solid = solved_inside(count, exact, StableNeoHookean(1e6, 0.45), element_order=element_order)
+        found, _, solid = solved_inside(
+            count, exact, StableNeoHookean(1e6, 0.45), element_order=element_order, mean=mean
+        )
         apart, tilt = error_norms(found, exact, gradient, solid)
         errors.append((apart, tilt))
     orders = -np.diff(np.log(errors), axis=0)[-1] / np.log(cells[-1] / cells[-2])
-    assert orders[0] > element_order + 0.6, f"measured order {orders[0]:.2f} of the displacement"
-    assert orders[1] > element_order - 0.25, f"measured order {orders[1]:.2f} of the strain"
+    assert orders[0] > least[0], f"measured order {orders[0]:.2f} of the displacement"
+    assert orders[1] > least[1], f"measured order {orders[1]:.2f} of the strain"
 
 
-def test_cantilever_bends_as_timoshenko_says() -> None:
+@pytest.mark.parametrize(("mean", "within"), [(False, 0.02), (True, 0.06)])
+def test_cantilever_bends_as_timoshenko_says(mean: bool, within: float) -> None:
+    # the mean of an element does not see pressure vary across it, so two elements across bend too easily
     width, length, young, force = 0.01, 0.10, 1e6, 1e-3
-    model = model_of(bar((2, 2, 10), (width, width, length)), StableNeoHookean(young, 0.3))
+    model = model_of(bar((2, 2, 10), (width, width, length)), StableNeoHookean(young, 0.3), mean_dilatation=mean)
     solve = model.static(np.array([0.0, force, 0.0, 0.0]))
     inertia, shear = width**4 / 12, young / 2.6
     # the rigid end face keeps plane sections plane, which is what the beam assumes
     expected = force * length**3 / (3 * young * inertia) + force * length / (5 / 6 * shear * width**2)
     assert solve.converged
-    assert model.coordinate(solve.pose)[1] == pytest.approx(expected, rel=0.02)
+    assert model.coordinate(solve.pose)[1] == pytest.approx(expected, rel=within)
 
 
 @pytest.mark.slow

@@ -24,7 +24,7 @@ LEVEL = {
     "surrogate": 15,
     "rl": 16,
     "sim2real": 17,
-    "diagnosis": 13,
+    "diagnosis": 14,
     "simulate": 17,
     "bench": 18,
     "proof": 18,

@@ -1,6 +1,7 @@
 """The environments: checkers, seeds, reward, curves within reach, the expert."""
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import gymnasium as gym
@@ -12,7 +13,7 @@ from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 from softrl.artifacts.surrogate import Surrogate
 from softrl.core.config import build_target
-from softrl.core.errors import ConfigError
+from softrl.core.errors import ArtifactError, ConfigError
 from softrl.rl.batch import Batch
 from softrl.rl.env import ENVIRONMENTS
 from softrl.rl.evaluate import evaluate, expert, open_loop, rest
@@ -115,3 +116,21 @@ def test_curves_close_and_have_unit_size() -> None:
         assert np.linalg.norm(points[0] - points[-1]) < 0.03
     wave = random_fourier(100, 4, 0.5, np.random.default_rng(0))
     assert np.linalg.norm(wave, axis=1).max() == pytest.approx(1.0)
+
+
+def test_what_is_out_of_reach_is_refused(space: Workspace) -> None:
+    space.require(space.surrogate.sample_tip[:5], "samples")
+    with pytest.raises(ConfigError, match="trajectory far: 1 of 2 points are out of reach, the first \\(number 1\\)"):
+        space.require(space.centre + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]]), "far")
+    task_of("hybrid").require_reach(space)
+
+
+def test_a_slope_that_leaves_no_room_is_refused(space: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Workspace, "largest", lambda *_: 1e-4)
+    with pytest.raises(ConfigError, match=r"slope_deg=59.*flatter"):
+        task_of("force", slope_deg=59.0).training_goals(1, space, np.random.default_rng(0))
+
+
+def test_joint_limits_without_rest_are_refused(surrogate: Surrogate) -> None:
+    with pytest.raises(ArtifactError, match="leave out rest"):
+        Workspace(replace(surrogate, joint_low=surrogate.joint_high - 1e-3))

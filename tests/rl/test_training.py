@@ -9,9 +9,10 @@ import yaml
 from softrl.artifacts.policy import Policy
 from softrl.artifacts.surrogate import Surrogate
 from softrl.core.config import build_target
-from softrl.core.errors import ArtifactError
+from softrl.core.errors import ArtifactError, SolverError
 from softrl.core.tracking import NullTracker
-from softrl.rl.agents.agent import Agent
+from softrl.rl.actor import Actor
+from softrl.rl.agents.agent import Agent, Best, learn_or_keep
 from softrl.rl.policy import act, joints
 from softrl.rl.stage import Config, run
 from softrl.robots.robot import Robot
@@ -87,3 +88,21 @@ def test_a_foreign_policy_or_observation_is_refused(cloned: tuple[Policy, dict[s
         act(policy, "other")
     with pytest.raises(ArtifactError, match="length 15"):
         act(policy)(np.zeros((1, 9)))
+
+
+def test_training_that_diverges_keeps_the_best_so_far() -> None:
+    class Diverging:
+        num_timesteps = 7
+
+        def learn(self, steps: int, callback: object) -> None:
+            raise ValueError("found invalid values: nan")
+
+    judged = iter([0.4, float("nan"), 0.3])
+    best = Best(lambda actor: next(judged))
+    with pytest.raises(SolverError, match="before any validation"):
+        learn_or_keep(Diverging(), 10, None, best)
+    first = Actor({}, "tanh", "clip")
+    for step, actor in enumerate((first, Actor({}, "relu", "clip"), Actor({}, "relu", "tanh"))):
+        best.consider(actor, step)
+    learn_or_keep(Diverging(), 10, None, best)
+    assert best.lesson().actor is first

@@ -27,6 +27,7 @@ from softrl.sim2real.stage import Config
 from softrl.sim2real.surface import Surface
 from softrl.surrogate.stage import Config as SurrogateConfig
 from softrl.surrogate.stage import build_surrogate
+from softrl.surrogate.stiffness import Poses
 
 CONF = Path(__file__).parents[2] / "conf"
 
@@ -111,12 +112,12 @@ def surrogate(tripod: Robot, body: Simulator) -> Surrogate:
     node = _profile("surrogate", "tiny") | {"links": 6, "seed": 0}
     rest = body.reset()
 
-    def tips(loads: np.ndarray) -> np.ndarray:
+    def poses(loads: np.ndarray) -> Poses:
         # one implicit step this long is an equilibrium
         settled = (body.step(rest, row[:-3], 1e6, row[-3:]) for row in loads)
-        return np.stack([body.observe(state)[0] for state in settled])
+        return Poses(np.stack([body.observe(state)[0] for state in settled]), None)
 
-    return build_surrogate(build(node, SurrogateConfig, "stage"), tripod, None, tips, tripod.length_m, NullTracker())
+    return build_surrogate(build(node, SurrogateConfig, "stage"), tripod, None, poses, tripod.length_m, NullTracker())
 
 
 @pytest.fixture(scope="session")
@@ -133,11 +134,12 @@ def policy(surrogate: Surrogate) -> Policy:
     return Policy(
         weights={"weight_0": weight, "bias_0": gain[3]}, activation="tanh", squash="clip", horizon=2,
         position_centre=space.centre, position_scale=space.scale, force_scale=1.0, joint_low=low, joint_high=high,
-        task_name="track", task=_task("track"), agent_name="linear", step_s=0.5, metrics={}, robot_name=surrogate.robot_name,
+        task_name="track", task=task_numbers("track"), agent_name="linear", step_s=0.5, metrics={},
+        robot_name=surrogate.robot_name,
     )  # fmt: skip
 
 
-def _task(name: str) -> dict[str, Any]:
+def task_numbers(name: str) -> dict[str, Any]:
     """Return the numbers of a task as its configuration has them."""
     node = yaml.safe_load((CONF / "task" / f"{name}.yaml").read_text()) | {"alpha": 0.5}
     return {key: value for key, value in node.items() if key != "_target_"}

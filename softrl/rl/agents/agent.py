@@ -1,16 +1,19 @@
 """What an agent gets and gives; its numbers come from conf/agent."""
 
+import logging
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
 
-from softrl.core.errors import ConfigError
+from softrl.core.errors import ConfigError, SolverError
 from softrl.rl.actor import Actor
 from softrl.rl.vector_env import TwinVecEnv
+
+log = logging.getLogger(__name__)
 
 
 class Practice(NamedTuple):
@@ -43,6 +46,27 @@ class Agent(ABC):
                 raise ConfigError(f"agent.{name}={getattr(self, name):g} must be positive")
 
 
+def learn_or_keep(model: Any, steps: int, judge: Any, best: "Best") -> None:
+    """Train an agent of SB3, and judge it at the end; one that diverges leaves the best actor so far.
+
+    Raises
+    ------
+    SolverError
+        If it diverged before any actor was judged.
+    """
+    try:
+        model.learn(steps, callback=judge)
+    except ValueError as error:  # how torch's distributions refuse what is not finite
+        if not best.history:
+            raise SolverError(
+                f"training diverged after {model.num_timesteps} of {steps} steps, before any validation: lower "
+                "agent.learning_rate, or validate more often with agent.judge_every"
+            ) from error
+        log.warning("training diverged after %d of %d steps; the best actor so far is kept", model.num_timesteps, steps)
+        return
+    best.consider(judge.actor(), steps)
+
+
 class Best:
     """Keeps the actor with the highest validation reward."""
 
@@ -55,7 +79,7 @@ class Best:
         """Judge ``actor`` after ``step``, keep it if it is the best so far, and return its reward."""
         reward = self._judge(actor)
         self.history.append((step, reward))
-        if reward > self._reward:
+        if reward > self._reward:  # never true of nan
             self._reward, self._actor = reward, actor
         return reward
 

@@ -8,7 +8,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
 from softrl.rl.actor import Actor
-from softrl.rl.agents.agent import Agent, Best, Lesson, Practice, actor_from, decaying
+from softrl.rl.agents.agent import Agent, Best, Lesson, Practice, actor_from, decaying, learn_or_keep
 from softrl.rl.agents.bc import policy_layers
 
 
@@ -54,8 +54,7 @@ class Ppo(Agent):
         )  # fmt: skip
         best = Best(practice.judge)
         judge = Judge(best, self.judge_every)
-        model.learn(self.steps, callback=judge)
-        best.consider(judge.actor(), self.steps)
+        learn_or_keep(model, self.steps, judge, best)
         return best.lesson()
 
 

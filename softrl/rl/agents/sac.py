@@ -7,7 +7,7 @@ import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
 
-from softrl.rl.agents.agent import Agent, Best, Lesson, Practice, actor_from, decaying
+from softrl.rl.agents.agent import Agent, Best, Lesson, Practice, actor_from, decaying, learn_or_keep
 from softrl.rl.agents.bc import Bc, clone, mean_layers, policy_layers
 
 
@@ -64,8 +64,7 @@ class Sac(Agent):
             model.actor.log_std.weight.data.zero_()
             model.actor.log_std.bias.data.fill_(START_LOG_STD)
         judge = Judge(best, self.judge_every)
-        model.learn(self.steps, callback=judge)
-        best.consider(judge.actor(), self.steps)
+        learn_or_keep(model, self.steps, judge, best)
         return best.lesson()
 
 

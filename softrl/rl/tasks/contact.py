@@ -11,6 +11,7 @@ from softrl.rl.workspace import Workspace
 from softrl.surrogate.twin import Plane
 
 EXPERT_ITERATIONS = 12
+SMALLEST_SHARE = 0.05  # of the workspace's size: what a slope must leave to move in
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,17 @@ class ContactTask(Task, ABC):
         along = np.array([np.cos(tilt), 0.0, np.sin(tilt)])
         normal = np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
         return np.column_stack([along, np.cross(normal, along), normal])
+
+    def require_reach(self, space: Workspace) -> None:
+        """Raise ``ConfigError`` if the tip cannot move over the slope: a circle on it must have some size."""
+        angle = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+        circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(12)]) @ self.frame().T
+        radius = space.largest(circle, space.centre)
+        if radius < SMALLEST_SHARE * space.scale:
+            raise ConfigError(
+                f"task.slope_deg={self.slope_deg:g}: the tip reaches {1e3 * radius:.2g} mm about the workspace's centre "
+                f"on that slope; expected {1e3 * SMALLEST_SHARE * space.scale:.2g} mm or more: choose a flatter one"
+            )
 
     def plane(self, space: Workspace) -> Plane:
         """Return the slope through the workspace's centre."""

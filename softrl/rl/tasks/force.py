@@ -34,6 +34,7 @@ class Force(ContactTask):
 
     def training_goals(self, count: int, space: Workspace, rng: np.random.Generator) -> Goals:
         """Return random forces at random points of the slope about the centre."""
+        self.require_reach(space)
         frame = self.frame()
         position = np.empty((count, self.lap_steps, 3))
         for i in range(count):

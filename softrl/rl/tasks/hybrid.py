@@ -29,5 +29,6 @@ class Hybrid(ContactTask):
 
     def training_goals(self, count: int, space: Workspace, rng: np.random.Generator) -> Goals:
         """Return random Fourier curves in the slope with random forces."""
+        self.require_reach(space)
         position = fourier_positions(count, self, space, self.frame(), space.centre, 0.0, rng)
         return Goals(position, np.stack([random_force(self, rng) for _ in range(count)]))

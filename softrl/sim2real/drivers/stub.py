@@ -128,9 +128,19 @@ class StubDriver:
     """
 
     def __init__(
-        self, robot: Robot, body: Simulator, hidden: dict[str, Effect], noise: Noise, rate_hz: float,
-        physics_rate_hz: float, watchdog_s: float, vent_s: float, start_timeout_s: float, answer_timeout_s: float,
-        seed: int, surface: Ground | None = None,
+        self,
+        robot: Robot,
+        body: Simulator,
+        hidden: dict[str, Effect],
+        noise: Noise,
+        rate_hz: float,
+        physics_rate_hz: float,
+        watchdog_s: float,
+        vent_s: float,
+        start_timeout_s: float,
+        answer_timeout_s: float,
+        seed: int,
+        surface: Ground | None = None,
     ) -> None:
         if rate_hz <= 0 or physics_rate_hz < rate_hz or physics_rate_hz % rate_hz:
             raise ConfigError(

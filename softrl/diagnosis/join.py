@@ -1,0 +1,48 @@
+"""Parts of the pipeline put together again: what was found behind the measured pressure, refitted from the command."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from softrl.core.errors import SolverError
+from softrl.diagnosis.examine import Finding, Named, by_effect, intervals
+from softrl.diagnosis.hypothesis import Hypothesis
+from softrl.diagnosis.hypothesise import Search, Trial
+from softrl.diagnosis.judge import Thresholds
+from softrl.diagnosis.problem import Problem
+from softrl.diagnosis.search import least_squares
+
+
+def joined(training: Problem, findings: Sequence[Finding], search: Search, thresholds: Thresholds) -> list[Finding]:
+    """Return the findings with the last part's parameters refitted from command to motion, the valve's effects held.
+
+    A measured pressure is sampled, noisy and late; as the body's drive it biases what is found behind it. Nothing
+    changes where there is one part only, or where the refit does not run.
+    """
+    if len(findings) < 2 or not findings[0].final.hypothesis.effects:
+        return list(findings)
+    *before, motion = findings
+    tuned = tuple(training.simulator.parameters)
+    valve = tuple(choice for finding in before for choice in finding.final.hypothesis.effects)
+    hypothesis = Hypothesis((*valve, *motion.final.hypothesis.effects), tuned)
+    held = np.concatenate([finding.final.fit.point for finding in before])
+    count = len(held)
+    low, high = training.space(hypothesis).bounds
+
+    def residual(free: np.ndarray) -> np.ndarray:
+        return training.residual(hypothesis, np.concatenate([held, free])).flat
+
+    try:
+        fit = least_squares(residual, motion.final.fit.point, low[count:], high[count:], search.iterations)
+        placed = training.residual(hypothesis, np.concatenate([held, fit.point])).registrations
+    except SolverError:
+        return list(findings)
+    point = np.concatenate([held, fit.point])
+    still = np.zeros((len(fit.residual), count))
+    whole = fit._replace(point=point, jacobian=np.hstack([still, fit.jacobian]))
+    squares = training.residual(hypothesis, point, placed).squares
+    trial = Trial(hypothesis, whole, placed, squares, squares)
+    mine = by_effect(hypothesis, intervals(training, trial, thresholds))
+    named = [Named(effect.choice, mine[effect.choice], effect.gap) for effect in motion.named]
+    return [*before, replace(motion, named=named, joint=point)]

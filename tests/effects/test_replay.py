@@ -1,0 +1,44 @@
+"""A replay is neither early nor late, however unevenly the recording was stamped."""
+
+import numpy as np
+import pytest
+
+from softrl.effects.chain import Plant, chain_of
+from softrl.effects.replay import replay
+from softrl.recordings.recording import Recording
+from softrl.robots.robot import Robot
+
+
+class Wire:
+    """A body whose tip is the pressure."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+
+    def simulate(self, time, pressure, tip_force=None, body=(), load=()):  # type: ignore[no-untyped-def]
+        from softrl.core.simulator import Motion
+
+        turn = np.tile([1.0, 0.0, 0.0, 0.0], (len(time), 1))
+        return Motion(time, np.ascontiguousarray(pressure[:, :3]), turn, pressure)
+
+
+ROBOT = Robot(
+    name="wire", chamber_angle_deg=(-90.0, -210.0, -330.0), chamber_radius_m=0.05, chamber_area_m2=1e-3, length_m=0.2,
+    mass_kg=1.0, pressure_min_pa=-1e4, pressure_max_pa=3e4, slew_pa_per_s=1e6, tip_force_max_n=1.0, axis="+z",
+    output="tip_position", command="pressure", command_to_pa=1.0, gravity_m_s2=(0.0, 0.0, -9.81),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("dt_s", [0.02, 0.01, 0.005])
+@pytest.mark.parametrize("uneven_s", [0.0, 2e-3])
+def test_pressures_arrive_when_they_were_commanded(dt_s: float, uneven_s: float) -> None:
+    rng = np.random.default_rng(3)
+    time = np.cumsum(0.02 + uneven_s * rng.uniform(-1.0, 1.0, 3000))
+    levels = 1e4 * rng.uniform(0.0, 1.0, (300, 3))
+    command = np.repeat(levels, 10, axis=0)
+    made = replay(Plant(Wire(ROBOT), chain_of(ROBOT, ())), Recording("run", "day", time, command), dt_s)
+    assert made.pressure_meas is not None
+    apart, slope = made.pressure_meas - command, np.gradient(command, time, axis=0)
+    late_s = -float(np.sum(apart * slope) / np.sum(slope**2))
+    assert abs(late_s) < (1e-9 if uneven_s == 0.0 else 5e-3), late_s  # a quarter of the time between samples
+    assert np.abs(apart).max() < 1e-4 or uneven_s > 0.0

@@ -1,0 +1,85 @@
+"""What planning is for: small effects under a noisy camera, recorded on the planned program and on the usual one."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from omegaconf import OmegaConf
+
+from softrl.artifacts.diagnosis import Diagnosis
+from softrl.core.config import build
+from softrl.core.tracking import NullTracker
+from softrl.diagnosis import stage as diagnosis
+from softrl.effects.chain import chain_of
+from softrl.excite import stage as excite
+from softrl.excite.rival import parse
+from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.recording import Recording, RecordingSet
+from softrl.robots.robot import Robot
+from softrl.simulate import stage as simulate
+
+CONF = Path(__file__).parents[2] / "conf"
+MINUTES, RUNS = 1.25, 2
+LIBRARY = [
+    "lag", "dead_time", "hysteresis", "friction", "viscoelasticity", "mullins", "drift", "offset", "gain", "crosstalk",
+]  # fmt: skip
+QUICK = {"max_effects": 1, "keep": 3, "starts": 1, "iterations": 8, "rivals": 2, "fit_lumped_s": 80.0, "workers": 1}
+
+
+def node(path: str, **changed: Any) -> Any:
+    data = {k: v for k, v in yaml.safe_load((CONF / path).read_text()).items() if k != "_target_"}
+    return OmegaConf.to_container(OmegaConf.merge(data, changed))
+
+
+ROBOT = build(node("robot/tripod.yaml"), Robot, "robot")
+NOMINAL = PccSimulator(robot=ROBOT, **node("simulator/pcc.yaml"))
+ACTUAL = NOMINAL.with_parameters(bending_stiffness_scale=1.08, damping_s=0.045, mass_scale=0.95)
+
+
+def recorded(time: np.ndarray, programs: np.ndarray, truth: str, size: float) -> RecordingSet:
+    """Return ``programs`` (runs, steps, chambers) as a robot with the hidden effect answers them."""
+    given = RecordingSet(
+        ROBOT.name, tuple(Recording(f"run_{k}", f"day_{k}", time, rows) for k, rows in enumerate(programs))
+    )
+    settings = node(
+        "stage/simulate.yaml", seed=5, out=None, position_noise_m=5e-4, position_colour_m=2e-4, colour_s=0.5,
+        orientation=False, measured_pressure=False,
+    )  # fmt: skip
+    config = build(settings, simulate.Config, "stage")
+    chain = chain_of(ROBOT, parse(truth, ROBOT, size))
+    return simulate.run(config, ROBOT, ACTUAL, chain, given, tracker=NullTracker())
+
+
+def diagnosed(recordings: RecordingSet) -> Diagnosis:
+    settings = node("stage/diagnosis.yaml", seed=0, candidates=LIBRARY, search=QUICK, thresholds={"draws": 300})
+    return diagnosis.run(build(settings, diagnosis.Config, "stage"), ROBOT, recordings, NOMINAL, tracker=NullTracker())
+
+
+def names(found: Diagnosis) -> list[str]:
+    """Return what was named; an effect in one chamber with its number, as in a list of hypotheses."""
+    return [e["name"] + ("" if e["chamber"] < 0 else f"@{e['chamber'] + 1}") for e in found.effects]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("truth", "rival", "size"), [("mullins", "drift", 0.1), ("lag", "dead_time", 0.2)])
+def test_the_planned_program_names_what_the_usual_one_misses(truth: str, rival: str, size: float) -> None:
+    settings = node("stage/excite.yaml", hypotheses=[truth, rival], minutes=MINUTES, size=size, runs=RUNS,
+                    seed=0, out=None, sensing={"position_mm": 0.5})  # fmt: skip
+    config = build(settings, excite.Config, "stage")
+    planned = excite.run(config, ROBOT, NOMINAL, None, tracker=NullTracker())
+    apart = planned.pairs[0]["separation_sigma"]
+    assert apart["planned"] > 1.3 * apart["default"], apart
+    steps = len(planned.time)
+    usual = excite.usual_program(ROBOT, config.usual, config.sensing.dt_s, RUNS * steps, 0)
+    found = {
+        name: diagnosed(recorded(planned.time, programs, truth, size))
+        for name, programs in (
+            ("planned", np.stack([planned.pressure] * RUNS)),
+            ("usual", usual.reshape(RUNS, steps, ROBOT.chambers)),
+        )
+    }
+    assert found["planned"].verdict == "named" and names(found["planned"]) == [truth], found["planned"].sentences
+    assert names(found["usual"]) != [truth] or found["usual"].verdict == "indistinguishable"
+    assert found["planned"].errors_mm["heldout"]["corrected"] < found["planned"].errors_mm["heldout"]["retuned"]

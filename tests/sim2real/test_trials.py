@@ -1,0 +1,96 @@
+"""Laws of the disturbance, of the bandwidth, and of sessions that break off."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softrl.core.errors import ConfigError, DriverError
+from softrl.core.simulator import Simulator
+from softrl.core.tracking import NullTracker
+from softrl.effects.chain import Plant, chain_of
+from softrl.effects.lag import Lag
+from softrl.recordings.program import recording_of
+from softrl.recordings.recording import Recording, RecordingSet
+from softrl.robots.robot import Robot
+from softrl.sim2real.bandwidth import Bandwidth, measure, predict, sweep
+from softrl.sim2real.course import Course
+from softrl.sim2real.disturbance import Disturbance, recovery
+from softrl.sim2real.drivers.rig import Hardware, Noise, Rig, sample_of
+from softrl.sim2real.keep import keeping
+from softrl.sim2real.rollout import Rollout
+from tests.sim2real.conftest import BenchDriver
+
+TONES = Bandwidth((0.2, 0.5, 1.0, 2.0, 4.0), 12.0, 4.0, 1, 1.0, 0.01)
+
+
+def test_a_slow_valve_has_the_bandwidth_of_its_time_constant(tripod: Robot, body: Simulator, silence: Noise) -> None:
+    lag = Lag(fill_s=0.16, vent_s=0.16)
+    _, measured = measure(BenchDriver(tripod, body, silence, (lag,)), tripod, TONES)
+    predicted = predict(tripod, Plant(body, chain_of(tripod, [lag])), TONES)
+    assert measured.knee_hz == pytest.approx(predicted["predicted"].knee_hz, rel=0.05)
+    low, high = 0.5 / (2 * np.pi * 0.16), 1.4 / (2 * np.pi * 0.16)
+    assert low < measured.knee_hz < high, "the valve's, lowered by the body's"
+    assert predicted["without_lag"].knee_hz > 1.5 * measured.knee_hz
+
+
+def test_the_sweep_keeps_the_limits(tripod: Robot) -> None:
+    _, pressure = sweep(tripod, TONES)
+    assert pressure.max() <= tripod.pressure_max_pa
+    assert np.abs(np.diff(pressure, axis=0)).max() <= 0.01 * tripod.slew_pa_per_s * (1 + 1e-9)
+    with pytest.raises(ConfigError, match="frequencies_hz"):
+        Bandwidth((1.0, 0.5, 2.0), 12.0, 4.0, 1, 1.0, 0.01)
+
+
+def test_a_line_that_is_off_vents_its_chamber_alone(tripod: Robot, body: Simulator, silence: Noise) -> None:
+    rig = Rig(Hardware(body, chain_of(tripod, []), silence, 100.0, 100.0, 10.0), (0, 0))
+    rig.advance(50, np.full((1, 3), 10e3))
+    rig.cut(1)
+    off = sample_of(rig.advance(100, np.empty((0, 3)))[0][-1]).pressure
+    np.testing.assert_allclose(off, [10e3, 0.0, 10e3], atol=1.0)
+    rig.cut(None)
+    on = sample_of(rig.advance(100, np.empty((0, 3)))[0][-1]).pressure
+    np.testing.assert_allclose(on, 10e3, atol=1.0)
+
+
+def rollout_with(error_mm: list[float], samples: Recording) -> Rollout:
+    target = np.zeros((len(error_mm), 3))
+    reached = target + [1e-3, 0.0, 0.0] * np.array(error_mm)[:, None]
+    return Rollout(samples, Course.free("line", target), reached, np.zeros(len(target)), np.zeros(len(target)))
+
+
+@pytest.fixture
+def recorded(tripod: Robot, body: Simulator, silence: Noise) -> Recording:
+    with BenchDriver(tripod, body, silence) as driver:
+        return recording_of(driver.advance(0.1), tripod, "short", "short")
+
+
+def test_recovery_counts_from_the_reconnection_to_the_end_of_the_first_quiet_step(recorded: Recording) -> None:
+    found = recovery(rollout_with([1, 1, 1, 9, 9, 4, 1.2, 5, 1.4, 1, 1, 1], recorded), 3, 5, 0.5)
+    assert (found.before_mm, found.worst_mm) == pytest.approx((1.0, 9.0))
+    assert found.back_s == pytest.approx(2.0), "a step that is near by chance does not count"
+    assert recovery(rollout_with([1, 1, 9, 9, 9, 9], recorded), 2, 3, 0.5).back_s == np.inf
+
+
+def test_a_line_that_comes_back_too_late_is_refused() -> None:
+    with pytest.raises(ConfigError, match="cut_s"):
+        Disturbance("circle", 0, 0.5, 5.0).steps(12, 0.5)
+
+
+def test_what_was_recorded_before_a_lost_link_is_kept(
+    tripod: Robot, body: Simulator, silence: Noise, recorded: Recording, tmp_path: Path
+) -> None:
+    class Folder(NullTracker):
+        def text(self, name: str, content: str) -> None:
+            (tmp_path / name).parent.mkdir(exist_ok=True)
+            (tmp_path / name).write_text(content)
+
+    driver = BenchDriver(tripod, body, silence)
+    with pytest.raises(DriverError, match="cable; 2 recordings so far are kept"):
+        with keeping([recorded], driver, tripod, Folder()), driver:
+            driver.command(np.full(3, 5e3))
+            driver.advance(0.3)
+            raise DriverError("cable")
+    kept = RecordingSet.read(tmp_path / "interrupted", {})
+    assert [len(r.time) for r in kept.recordings] == [10, 30]
+    np.testing.assert_allclose(kept.recordings[1].position[-1], driver.samples[-1].position, atol=1e-9)
