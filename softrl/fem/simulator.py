@@ -203,6 +203,7 @@ class FemSimulator:
         """
         scale = load_scale(self.robot)
         trial, acting = state, given
+        share, before = 1.0, np.inf  # effects with kinks make whole steps swing to and fro
         for _ in range(EFFECT_ITERATIONS):
             added, slope, gravity = self._reaction(trial, state, given, dt_s, hooks, commit=False)
             miss = given + added - acting
@@ -212,8 +213,11 @@ class FemSimulator:
             if trial is state:
                 trial = self._advance(state, acting, dt_s, gravity, None)
                 continue
+            size = float(np.abs(miss / scale).max())
+            share = max(0.1, 0.5 * share) if size > 0.9 * before else min(1.0, 1.5 * share)
+            before = size
             response = self.model.response(trial.body.pose)
-            acting = acting + np.linalg.solve(np.eye(len(acting)) - slope @ response, miss)
+            acting = acting + share * np.linalg.solve(np.eye(len(acting)) - slope @ response, miss)
             trial = self._advance(state, acting, dt_s, gravity, trial.body.pose)
         raise SolverError(
             f"simulator fem: the effects found no balance with the body in a step of {dt_s:g} s "
