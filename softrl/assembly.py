@@ -56,7 +56,8 @@ class Assembly:
             return self._recordings(optional)
         if name in OBJECTS:
             return self._object(name)
-        filled = None if optional and _is_artifact(kind) and self._absent(kind) else self._fill(kind)
+        artifact = isinstance(kind, type) and issubclass(kind, Artifact)
+        filled = None if optional and artifact and self._absent(kind) else self._fill(kind)
         if filled is UNFILLED:
             raise ConfigError(f"the stage asks for '{name}', which no configuration provides")
         return filled
@@ -68,7 +69,7 @@ class Assembly:
             return self._chain()
         if hint is Parallel:  # not in ``used``: no result depends on where it was computed
             return build(self.cfg["parallel"], Parallel, "parallel")
-        if _is_artifact(hint):
+        if isinstance(hint, type) and issubclass(hint, Artifact):
             return self._artifact(hint)
         return UNFILLED
 
@@ -154,10 +155,6 @@ def output_kinds(run: Any) -> list[type[Artifact]]:
     if isinstance(returned, type) and issubclass(returned, Artifact):
         return [returned]
     return list(typing.get_type_hints(returned).values())
-
-
-def _is_artifact(hint: Any) -> bool:
-    return isinstance(hint, type) and issubclass(hint, Artifact)
 
 
 def _without_none(hint: Any) -> tuple[Any, bool]:
