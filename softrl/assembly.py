@@ -56,7 +56,8 @@ class Assembly:
             return self._recordings(optional)
         if name in OBJECTS:
             return self._object(name)
-        filled = None if optional and self._absent(kind) else self._fill(kind)
+        artifact = isinstance(kind, type) and issubclass(kind, Artifact)
+        filled = None if optional and artifact and self._absent(kind) else self._fill(kind)
         if filled is UNFILLED:
             raise ConfigError(f"the stage asks for '{name}', which no configuration provides")
         return filled

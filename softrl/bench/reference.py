@@ -12,7 +12,6 @@ from scipy.sparse.linalg import splu
 
 from softrl.core.errors import ConfigError, SolverError
 from softrl.fem.coupling import Pose
-from softrl.fem.damping import viscous_moduli
 from softrl.fem.loads import USED_TRIPLES, WEIGHTS, add_volume_gradient, add_volume_stiffness
 from softrl.fem.model import FemModel, State
 
@@ -42,9 +41,9 @@ class Reference:
         self._fem: Any = importlib.import_module("skfem")
         self._help: Any = importlib.import_module("skfem.helpers")
         self.model, self._now = model, now
-        self._viscous = viscous_moduli(model._material)
         # the law's own parameters, and the modulus that weighs the mean change of volume of an element, if any
-        self._lame, self._bulk = model._parameters, float(getattr(model, "_bulk_pa", 0.0))
+        self._lame, self._bulk = model._parameters, model._bulk_pa
+        self._viscous, self._viscous_bulk = model._viscous_moduli, model._viscous_bulk
         quadratic = model.quadratic
         corners = quadratic.elements[:, :4]
         region = quadratic.region[quadratic.elements]
@@ -97,7 +96,10 @@ class Reference:
 
     def viscosity(self, position: np.ndarray) -> sp.csr_matrix:
         """Return what stiffness-proportional damping multiplies, at nodes ``position`` (nodes, 3) m."""
-        return self._viscosity.assemble(self.basis, x=self.basis.interpolate(self._vector(position)))
+        x = self.basis.interpolate(self._vector(position))
+        shear = self._viscosity.assemble(self.basis, x=x)
+        swell = self._dilatation(x)[1]
+        return shear + swell.T @ sp.diags(self._viscous_bulk / self._volume) @ swell
 
     def force(self, position: np.ndarray) -> np.ndarray:
         """Return the elastic forces (nodes, 3) N at nodes ``position`` (nodes, 3) m."""

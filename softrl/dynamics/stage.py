@@ -2,7 +2,9 @@
 
 import logging
 import time
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +26,7 @@ from softrl.dynamics.generate import Recipe, StoredWindows, generate_chunks
 from softrl.dynamics.inverse import InverseNet, InverseSettings, inverse_errors, train_inverse
 from softrl.dynamics.physics_residual import PhysicsResidual
 from softrl.dynamics.training import History, TrainingSettings, fit_linear, train_forward
-from softrl.dynamics.transformer import ForwardNet, weights_of
+from softrl.dynamics.transformer import ForwardNet, GruNet, weights_of
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
@@ -52,6 +54,7 @@ class Config:
     physics_weight : lambda of eq. 10;  physics_samples : windows that set the residual's scale
     inverse_hidden, inverse_updates, inverse_batch, inverse_learning_rate : the inverse and its training
     cycle_weight : beta of eq. 18
+    gru_update_share : of the updates of f_S, for a recurrent network of equal size beside it; 0 leaves it out
     rollout_s : length of the rollouts that are judged
     """
 
@@ -82,6 +85,7 @@ class Config:
     inverse_batch: int
     inverse_learning_rate: float
     cycle_weight: float
+    gru_update_share: float
     rollout_s: float
     seed: int
 
@@ -93,7 +97,7 @@ class Config:
         for name in positive:
             if getattr(self, name) <= 0:
                 raise ConfigError(f"stage.{name}={getattr(self, name):g} must be positive")
-        for name in ("physics_weight", "cycle_weight", "rollout_updates"):
+        for name in ("physics_weight", "cycle_weight", "rollout_updates", "gru_update_share"):
             if getattr(self, name) < 0:
                 key = "lambda" if name == "physics_weight" else f"stage.{name}"
                 raise ConfigError(f"{key}={getattr(self, name):g} must not be negative")
@@ -138,10 +142,11 @@ def run(
         sets = sets._replace(train=_many(config, robot, reduced_model, body, parallel or LOCAL, kept, tracker))
     report_data(config, sets, snapshots, tracker)
     net, history = learn_forward(config, sets, body)
+    others = {"gru": learn_gru(config, sets, body)} if config.gru_update_share > 0.0 else {}
     inverse, inverse_losses = learn_inverse(config, net, sets.train)
     tracker.figure("losses", draw_losses(history, inverse_losses))
     full = None if config.weight else full_order(snapshots, robot.axis, config.dt_s)
-    report(config, net, inverse, body, sets, full, tracker)
+    report(config, net, inverse, body, sets, full, tracker, others)
     forward = ForwardDynamics(
         weights_of(net), config.window, config.width, config.heads, config.layers, config.feedforward,
         config.linear_rows, config.dt_s, config.physics_weight, low, high, np.asarray(body.rest_tip), gravity,
@@ -219,12 +224,24 @@ def generate(config: Config, robot: Robot, body: Body, low: np.ndarray, high: np
     return Sets(*sets)
 
 
-def learn_forward(config: Config, sets: Sets, body: Body) -> tuple[ForwardNet, History]:
+def learn_gru(config: Config, sets: Sets, body: Body) -> ForwardNet:
+    """Return the recurrent baseline, trained on data alone by a share of the updates of f_S."""
+    share = config.gru_update_share
+    own = replace(
+        config, physics_weight=0.0, onestep_updates=max(1, round(share * config.onestep_updates)),
+        rollout_updates=round(share * config.rollout_updates),
+    )  # fmt: skip
+    return learn_forward(own, sets, body, GruNet)[0]
+
+
+def learn_forward(
+    config: Config, sets: Sets, body: Body, kind: type[ForwardNet] = ForwardNet
+) -> tuple[ForwardNet, History]:
     """Return the trained network and how its training went."""
     train, validation = _windows(sets.train, config.window), Windows(sets.validation, config.window)
     states, loads = sets.validation.state.shape[2], sets.validation.load.shape[2]
     torch.manual_seed(config.seed)
-    net = ForwardNet(
+    net = kind(
         states, loads, config.window, config.width, config.heads, config.layers, config.feedforward, config.linear_rows
     )
     fit_linear(net, train, config.ridge)
@@ -254,14 +271,19 @@ def report(
     sets: Sets,
     full: Trajectories | None,
     tracker: Tracker,
+    others: Mapping[str, ForwardNet] = MappingProxyType({}),
 ) -> None:
-    """Log errors, baselines, table and figures on held-out runs and, where there are any, the full model's runs."""
+    """Log errors, baselines, table and figures on held-out runs and, where there are any, the full model's runs.
+
+    ``others`` are further networks to compare with, by name.
+    """
     windows = Windows(sets.heldout, config.window)
     tracker.metric(
         "heldout/physics_residual_share",
         _residual_share(config, net, body, _windows(sets.train, config.window), windows),
     )
     known = predictors(net, body, config.dt_s)
+    known |= {name: predictors(other, body, config.dt_s)["f_s"] for name, other in others.items()}
     _report_set("heldout", known, windows, config, tracker)
     for name, value in inverse_errors(inverse, net, windows).items():
         tracker.metric(f"heldout/{name}", value)

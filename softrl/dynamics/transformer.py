@@ -97,6 +97,29 @@ class ForwardNet(nn.Module):
         return self.stays * rows[..., self.states : 2 * self.states]
 
 
+class GruNet(ForwardNet):
+    """The same task with a gated recurrent network of as many weights in the Transformer's place: a baseline."""
+
+    def __init__(
+        self, states: int, loads: int, window: int, width: int, heads: int, layers: int, feedforward: int,
+        linear_rows: int,
+    ) -> None:  # fmt: skip
+        super().__init__(states, loads, window, width, heads, layers, feedforward, linear_rows)
+        weights = sum(w.numel() for w in self.encoder.parameters())
+        size = max(1, round((weights / (6 * layers)) ** 0.5))  # a layer has about six squares of its size
+        self.encoder = nn.GRU(size, size, layers, batch_first=True)
+        self.embed, self.head = nn.Linear(self.embed.in_features, size), nn.Linear(size, states)
+        self.place.requires_grad_(False)
+        nn.init.zeros_(self.head.weight)
+        nn.init.zeros_(self.head.bias)
+
+    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+        """Return dX/dt (batch, rows, states) SI one step after each of ``rows`` (batch, rows, features) SI."""
+        scaled = self.scaled(rows)
+        hidden, _ = self.encoder(self.embed(scaled))
+        return self._linear_rate(rows, scaled) + self.fine * self.head(hidden)
+
+
 def forward_net(artifact: ForwardDynamics) -> ForwardNet:
     """Return the trained network of ``artifact``, ready to predict."""
     net = ForwardNet(

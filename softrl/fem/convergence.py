@@ -13,6 +13,7 @@ from itertools import product
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 from scipy.optimize import brentq
 
 from softrl.artifacts.mesh import FREE, Mesh, tetrahedron_volumes
@@ -150,6 +151,7 @@ def draw_convergence(studies: dict[str, Study]) -> Figure:
         axis.loglog(found.unknowns, found.error_pct, "o-", color=f"C{k}", label=label)
     axis.axhline(2.0, color="k", ls="--", lw=0.8, label="2 %")
     axis.set(xlabel="unknowns", ylabel="tip's distance from the limit (% of its motion)")
+    axis.xaxis.set_minor_formatter(NullFormatter())
     axis.grid(which="both", lw=0.2)
     axis.legend()
     return figure

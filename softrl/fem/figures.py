@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 
 from softrl.artifacts.mesh import Mesh
@@ -28,6 +28,39 @@ def draw_shapes(mesh: Mesh, snapshots: Snapshots) -> Figure:
         axis.autoscale_view()
     axes[0].set_ylabel("z (mm)")
     return figure
+
+
+def draw_stretch(mesh: Mesh, snapshots: Snapshots) -> Figure:
+    """Return the surface at rest and in the samples that bend furthest, coloured by its largest stretch, from the side."""
+    faces = surface_faces(mesh.tetrahedra)
+    chosen = _spread(snapshots.coordinate[:, -3:], SHAPES)
+    shapes = [("at rest", mesh.points)]
+    for row in chosen:
+        pressures = ", ".join(f"{round(p / 1e3)}" for p in snapshots.loads[row, : snapshots.chambers])
+        shapes.append((f"p = {pressures} kPa", mesh.points + snapshots.displacement[row]))
+    stretches = [largest_stretch(mesh.points[faces], points[faces]) for _, points in shapes]
+    top = float(np.quantile(np.concatenate(stretches), 0.99))
+    figure = Figure(figsize=(3.0 * len(shapes) + 1.0, 4.2), layout="constrained")
+    axes = figure.subplots(1, len(shapes), sharex=True, sharey=True)
+    for axis, (title, points), stretch in zip(axes, shapes, stretches, strict=True):
+        order = np.argsort(-points[faces].mean(axis=1)[:, 1])  # what lies behind is drawn first
+        drawn = PolyCollection(1e3 * points[faces[order]][:, :, [0, 2]], cmap="viridis", edgecolors="none")
+        drawn.set(array=stretch[order], clim=(1.0, top))
+        axis.add_collection(drawn)
+        axis.set(title=title, xlabel="x (mm)", aspect="equal")
+        axis.autoscale_view()
+    axes[0].set_ylabel("z (mm)")
+    figure.colorbar(drawn, ax=axes, label="largest stretch of the surface", extend="max", shrink=0.7)
+    return figure
+
+
+def largest_stretch(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return the largest principal stretch (triangles,) in the plane of triangles (triangles, 3, 3)."""
+    old, new = before[:, 1:] - before[:, :1], after[:, 1:] - after[:, :1]
+    metric = [np.einsum("tai,tbi->tab", side, side) for side in (old, new)]
+    change = np.linalg.solve(metric[0], metric[1])
+    half, product = 0.5 * np.trace(change, axis1=1, axis2=2), np.linalg.det(change)
+    return np.sqrt(half + np.sqrt(np.maximum(half**2 - product, 0.0)))
 
 
 def draw_tips(snapshots: Snapshots) -> Figure:
@@ -79,11 +112,16 @@ def draw_trajectories(snapshots: Snapshots) -> Figure:
     return figure
 
 
-def surface_edges(tetrahedra: np.ndarray) -> np.ndarray:
-    """Return the edges (edges, 2) of the faces that belong to one tetrahedron only."""
+def surface_faces(tetrahedra: np.ndarray) -> np.ndarray:
+    """Return the faces (faces, 3) that belong to one tetrahedron only."""
     faces = np.sort(np.concatenate([tetrahedra[:, list(f)] for f in ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))]), 1)
     unique, count = np.unique(faces, axis=0, return_counts=True)
-    outer = unique[count == 1]
+    return unique[count == 1]
+
+
+def surface_edges(tetrahedra: np.ndarray) -> np.ndarray:
+    """Return the edges (edges, 2) of the surface."""
+    outer = surface_faces(tetrahedra)
     return np.unique(np.concatenate([outer[:, [0, 1]], outer[:, [1, 2]], outer[:, [0, 2]]]), axis=0)
 
 

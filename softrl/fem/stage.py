@@ -17,7 +17,7 @@ from softrl.core.progress import progress
 from softrl.core.resume import Kept, pack, unpack
 from softrl.core.tracking import Tracker
 from softrl.fem.continuation import Cost, Equilibrium, follow
-from softrl.fem.figures import draw_newton, draw_shapes, draw_tips, draw_trajectories
+from softrl.fem.figures import draw_newton, draw_shapes, draw_stretch, draw_tips, draw_trajectories
 from softrl.fem.lag import lag_at
 from softrl.fem.material import Material, material_of
 from softrl.fem.model import FemModel
@@ -107,6 +107,7 @@ def run(
     snapshots = _collect(body, loads, samples, clock, trajectories)
     _report(snapshots, samples, config.trajectories, tracker)
     tracker.figure("deformed_shapes", draw_shapes(mesh, snapshots))
+    tracker.figure("stretch", draw_stretch(mesh, snapshots))
     tracker.figure("sampled_tips", draw_tips(snapshots))
     tracker.figure("newton_convergence", draw_newton([cost.steps_m for _, _, cost in samples], config.tolerance_m))
     tracker.figure("trajectories", draw_trajectories(snapshots))

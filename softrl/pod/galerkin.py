@@ -12,7 +12,7 @@ from softrl.core.errors import SolverError
 from softrl.core.progress import progress
 from softrl.fem.coupling import Pose
 from softrl.fem.loads import add_volume_stiffness
-from softrl.fem.material import LAW, STRESS, TANGENT, Material
+from softrl.fem.material import LAW, STRESS, TANGENT, VISCOUS, Material
 from softrl.fem.model import FemModel
 from softrl.pod.basis import pod_basis
 from softrl.pod.hyperreduction import sample_elements
@@ -129,7 +129,7 @@ def element_work(model: FemModel, material: Material, slope: np.ndarray, amplitu
 
 def _bulk(model: FemModel) -> float:
     """Return the modulus that weighs an element's mean change of volume; zero where the model takes each point's."""
-    return float(getattr(model, "_bulk_pa", 0.0))
+    return float(model._bulk_pa)
 
 
 def _slopes(model: FemModel, basis: np.ndarray) -> np.ndarray:
@@ -254,7 +254,10 @@ def elastic(
     law: Any, parameters: np.ndarray, bulk: float, slope: np.ndarray, weight: np.ndarray, q: np.ndarray, order: int,
     gradient: np.ndarray, hessian: np.ndarray,
 ) -> float:
-    """Return the elastic energy in J at amplitudes ``q`` and fill its gradient (r,) and Hessian (r, r) as asked."""
+    """Return the elastic energy in J at amplitudes ``q`` and fill its gradient (r,) and Hessian (r, r) as asked.
+
+    With the order ``VISCOUS`` and the law ``fem.damping.viscous`` the Hessian is what damping multiplies.
+    """
     elements, gauss, _, r = slope.shape
     f, p, tangent = np.empty((gauss, 3, 3)), np.zeros((3, 3)), np.zeros((9, 9))
     c, half, normal = np.zeros((gauss, 3, 3)), np.empty((9, r)), np.empty(r)
@@ -275,7 +278,7 @@ def elastic(
                 swept += weight[e, k] * _cofactor(f[k], c[k])
                 volume += weight[e, k]
         if bulk > 0.0:
-            push = bulk * (swept / volume - 1.0)
+            push = bulk * (swept / volume - 1.0) if order < VISCOUS else 0.0  # viscosity has no stress of its own
             energy += 0.5 * push * (swept - volume)
             normal[:] = 0.0
         for k in range(gauss):

@@ -16,7 +16,7 @@ from softrl.core.errors import ArtifactError, ConfigError, SolverError
 from softrl.core.resume import Kept, pack, unpack
 from softrl.core.simulator import Hook, Motion
 from softrl.fem.damping import viscous, viscous_moduli
-from softrl.fem.material import STRESS, TANGENT, Material, material_of
+from softrl.fem.material import STRESS, TANGENT, VISCOUS, Material, material_of
 from softrl.fem.model import FemModel
 from softrl.fem.newton import NewtonSettings
 from softrl.fem.sampling import step_program
@@ -173,8 +173,8 @@ class GalerkinSimulator:
         """Return what stiffness-proportional damping multiplies (r, r), as the full model has it."""
         body, r = self.body, len(q)
         hessian = np.zeros((r, r))
-        moduli = viscous_moduli(self._material)
-        elastic(viscous, moduli, 0.0, body.slope, body.weight, q, TANGENT, np.zeros(r), hessian)
+        moduli = viscous_moduli(self._material, mean_volume=body.bulk_pa > 0.0)
+        elastic(viscous, *moduli, body.slope, body.weight, q, VISCOUS, np.zeros(r), hessian)
         return self.youngs_modulus_scale * hessian
 
     def _outer(self, q: np.ndarray, load: np.ndarray, weight: float) -> np.ndarray:
@@ -199,7 +199,7 @@ class GalerkinSimulator:
         gradient, own = self._elastic(before, TANGENT)
         drag = damp * self.snapshots.rayleigh_mass_per_s * self.mass_scale * unit
         if self.snapshots.rayleigh_stiffness_s > 0 and self.damping_scale > 0:
-            drag += damp * self.snapshots.rayleigh_stiffness_s * self._viscous(before)
+            drag += damp * self.snapshots.rayleigh_stiffness_s * self._viscous(before + 0.5 * dt_s * velocity)
         flight, q, factors, age = before + dt_s * velocity, before.copy(), None, 0
         for _ in range(ITERATIONS):
             if factors is None or age >= PATIENCE:

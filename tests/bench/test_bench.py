@@ -16,15 +16,13 @@ from softrl.core.config import build
 from softrl.core.errors import ConfigError
 from softrl.core.tracking import NullTracker
 from softrl.fem.elements import quadratic_mesh
-from softrl.fem.simulator import FemSimulator
+from tests.bench.full import full_simulator
 from tests.fem.bodies import NEWTON, box_robot, hollow_box, model_of
 
 BOX = hollow_box(chambers=2)
-SIMULATOR = FemSimulator(
-    robot=box_robot(2), mesh=BOX, law="stable_neo_hookean", moduli_pa=(1e6,), poisson=0.45, element_order=2,
-    rayleigh_mass_per_s=1.0, rayleigh_stiffness_s=0.01, tolerance_m=1e-9, max_iterations=40, reuse_below=0.3,
-    youngs_modulus_scale=1.0, damping_scale=1.0, mass_scale=1.0,
-)  # fmt: skip
+SIMULATOR = full_simulator(
+    box_robot(2), BOX, rayleigh_mass_per_s=1.0, rayleigh_stiffness_s=0.01, tolerance_m=1e-9
+)
 BENCH = FemBench(SIMULATOR, 5e3, 0.005, 1, (), 1, ())
 
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from softrl.dynamics.transformer import ForwardNet, advance
+from softrl.dynamics.transformer import ForwardNet, GruNet, advance
 
 STATES, LOADS, WINDOW = 11, 6, 6
 
@@ -62,3 +62,21 @@ def test_advance_moves_the_state_by_the_rate() -> None:
     torch.testing.assert_close(after[:, :-1], rows[:, 1:])
     torch.testing.assert_close(after[:, -1, :STATES], rows[:, -1, :STATES] + 0.01 * rate)
     torch.testing.assert_close(after[:, -1, STATES:], torch.cat([rate, load], dim=1))
+
+
+def test_the_recurrent_baseline_is_as_large_and_sees_the_past_of_its_own_window_only() -> None:
+    size = (STATES, LOADS, WINDOW, 32, 4, 2, 64, 2)
+    torch.manual_seed(0)
+    net, other = ForwardNet(*size), GruNet(*size)
+    count, twin_count = (sum(w.numel() for w in one.parameters() if w.requires_grad) for one in (net, other))
+    assert abs(twin_count / count - 1.0) < 0.1, f"{twin_count} against {count} weights"
+    torch.nn.init.normal_(other.head.weight)
+    rows = torch.randn(3, WINDOW, 2 * STATES + LOADS)
+    later, mate = rows.clone(), rows.clone()
+    later[:, -1] += 1.0
+    mate[1] += 1.0
+    with torch.no_grad():
+        answer = other(rows)
+        torch.testing.assert_close(other(later)[:, :-1], answer[:, :-1])
+        torch.testing.assert_close(other(mate)[0], answer[0])
+        assert not torch.allclose(other(later)[:, -1], answer[:, -1])

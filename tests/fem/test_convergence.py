@@ -5,9 +5,11 @@ import pytest
 
 from softrl.artifacts.mesh import BASE, FIRST_RIB, FREE, PLATE, Mesh
 from softrl.core.errors import ConfigError, SolverError
-from softrl.fem.convergence import extrapolate, refine, study
+from softrl.fem.convergence import draw_convergence, extrapolate, refine, study
 from softrl.fem.material import StableNeoHookean
+from softrl.fem.newton import NewtonSettings
 from tests.fem.bodies import NEWTON, boundary, hollow_box, model_of
+from tests.reference.tripod import sample_mesh
 
 
 @pytest.mark.parametrize("parts", [2, 3, 4])
@@ -48,17 +50,26 @@ def test_extrapolation_finds_order_and_limit_of_a_power() -> None:
 
 
 @pytest.mark.slow
-def test_the_mean_of_an_element_does_not_lock_where_integration_points_do() -> None:
+def test_quadratic_elements_do_not_lock_near_incompressibility() -> None:
     # a box of one element a wall: how much stiffer than a finer one it is, compressible and nearly not
     mesh, load = hollow_box(cells=4, walls=1), np.array([1e3, 0.01, 0.0, 0.0])
 
-    def tip(nu: float, parts: int, mean: bool, order: int = 2) -> float:
-        model = model_of(
-            refine(mesh, parts), StableNeoHookean(1e6, nu), mean_dilatation=mean, element_order=order
-        )
+    def tip(nu: float, parts: int, mean: bool) -> float:
+        model = model_of(refine(mesh, parts), StableNeoHookean(1e6, nu), mean_dilatation=mean)
         return float(np.linalg.norm(model.tip(model.static(load).pose) - model.rest_tip))
 
     share = {(nu, mean): tip(nu, 1, mean) / tip(nu, 2, mean) for nu in (0.3, 0.49) for mean in (True, False)}
-    assert abs(share[0.49, True] - share[0.3, True]) < 0.03, f"measured {share}"
-    assert share[0.49, False] < share[0.49, True], f"measured {share}"
-    assert tip(0.49, 1, False, order=1) < 0.8 * tip(0.49, 2, True)
+    assert abs(share[0.49, True] - share[0.3, True]) < 0.01, f"measured {share}"
+    assert abs(share[0.49, False] - share[0.3, False]) < 0.03, f"measured {share}"
+    assert all(abs(value - 1.0) < 0.06 for value in share.values()), f"measured {share}"
+
+
+@pytest.mark.slow
+def test_the_tip_of_a_tripod_converges_over_three_meshes() -> None:
+    # three bulges; measured 10.1, 1.4 and 0.4 % on 13 000, 89 000 and 282 000 unknowns
+    found = study(
+        sample_mesh("tiny"), StableNeoHookean(1.6e6, 0.45), np.array([2e4, 0.0, 0.0, 0.0, 0.0, 0.0]),
+        NewtonSettings(1e-6, 40, 0.3), mean_dilatation=False,
+    )
+    assert (np.diff(found.error_pct) < 0).all() and found.error_pct[1] < 2.0, f"measured {found.error_pct} %"
+    assert draw_convergence({"tripod": found}).axes[0].get_lines()

@@ -9,11 +9,11 @@ from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ConfigError, SolverError
 from softrl.core.tracking import NullTracker
 from softrl.fem.material import STRESS, TANGENT, StableNeoHookean
-from softrl.fem.simulator import FemSimulator
 from softrl.fem.stage import run as run_fem
 from softrl.pod.galerkin import build_body, elastic, full_displacements
 from softrl.pod.galerkin_simulator import GalerkinSimulator
 from softrl.pod.hyperreduction import sample_elements
+from tests.bench.full import full_simulator
 from tests.fem.bodies import box_robot, hollow_box, model_of
 from tests.fem.test_stage import CONFIG
 
@@ -90,10 +90,9 @@ def test_volume_and_tip_are_those_of_the_nodes(simulator: GalerkinSimulator, sna
 
 
 def test_its_motion_is_near_the_full_models(simulator: GalerkinSimulator, snapshots: Snapshots) -> None:
-    full = FemSimulator(
-        robot=simulator.robot, mesh=BOX, law="stable_neo_hookean", moduli_pa=(1e6,), poisson=0.45, element_order=2,
-        rayleigh_mass_per_s=snapshots.rayleigh_mass_per_s, rayleigh_stiffness_s=snapshots.rayleigh_stiffness_s,
-        tolerance_m=1e-8, max_iterations=40, reuse_below=0.3, youngs_modulus_scale=1.0, damping_scale=1.0, mass_scale=1.0,
+    full = full_simulator(
+        simulator.robot, BOX, rayleigh_mass_per_s=snapshots.rayleigh_mass_per_s,
+        rayleigh_stiffness_s=snapshots.rayleigh_stiffness_s, tolerance_m=1e-8,
     )  # fmt: skip
     time = 0.002 * np.arange(1, 7)
     pressure = np.tile([8e3, -2e3], (6, 1))
