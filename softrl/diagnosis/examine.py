@@ -23,7 +23,8 @@ WHITENESS_LAGS = 20
 AT_BOUND = 1e-3  # share of a range at whose ends a parameter is said to be at a bound
 LINE_LEVEL = 1e-8  # chance of a line in the spectrum of noise
 UNDRIVEN_SHARE = 0.5  # of the squared error: effects that remove less explain nothing
-FOLLOWING_FACTOR = 2.0  # times what counts: structure below this may be a detail of the body
+UNKNOWN_TIMES = 1.2  # what is missing must stand out more than what is named: nobody can check it
+FOLLOWING_FACTOR = 3.0  # times what counts: structure below this may be a detail of the body
 FOLLOWING_LEVEL = 1e-3
 LARGE_SHARE = 0.05  # of the travel: noise with a memory is not as large
 
@@ -190,7 +191,7 @@ def _unexplained(judge: Judge, final: Trial, offer: Offer, explained: float, lef
     heldout, reasons = _heldout(judge, final), []
     if explained >= judge.thresholds.explained_share or left <= judge.material:
         return []
-    if offer.pays:
+    if offer.pays and judge.stands_out(final.squares, offer.squares, UNKNOWN_TIMES):
         reasons.append("what is left follows the pressures and their past")
     elif left > FOLLOWING_FACTOR * judge.material and (region := _followed(judge, heldout)):
         reasons.append(f"what is left follows the pressures and their past ({region})")
@@ -252,6 +253,9 @@ def _step_error(problem: Problem, trial: Trial) -> np.ndarray:
 def _followed(judge: Judge, residual: Residual) -> str:
     """Return in words what the residual follows beyond chance, or nothing."""
     rows = corrected(locate(judge.problem, residual, judge.floor, ""))
+    share = FOLLOWING_FACTOR * judge.material / judge.rms(residual.squares)
+    least = max(share, UNKNOWN_TIMES * judge.thresholds.noise_share)
+    rows = [row for row in rows if row["effect_size"] > least]
     named = [row for row in rows if row["p_value"] < FOLLOWING_LEVEL and row["region"] not in (None, "band")]
     if not named:
         return ""

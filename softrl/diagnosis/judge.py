@@ -21,6 +21,7 @@ class Thresholds:
     ----------
     material_share : of the travel (rms about its mean) of what is measured: less would not be noticed
     material_gain : an addition must lower the error above the noise floor by this share
+    noise_share : an addition must remove at least this share of the rms that stays, which noise of any colour is part of
     explained_share : share of the squared error that can be explained which named effects must explain together
     confidence : of one-sided decisions and of two-sided parameter intervals, 0.5..1
     draws : of the block bootstrap
@@ -29,13 +30,14 @@ class Thresholds:
 
     material_share: float
     material_gain: float
+    noise_share: float
     explained_share: float
     confidence: float
     draws: int
     block_s: float
 
     def __post_init__(self) -> None:
-        for name in ("material_share", "material_gain", "explained_share"):
+        for name in ("material_share", "material_gain", "noise_share", "explained_share"):
             if not 0.0 <= getattr(self, name) < 1.0:
                 raise ConfigError(f"stage.thresholds.{name}={getattr(self, name):g}; expected a share in 0..1")
         if not 0.5 < self.confidence < 1.0:
@@ -103,7 +105,15 @@ class Judge:
         """Return whether ``better`` is better for sure, and by more than anybody would overlook."""
         gap = self.gap(worse, better)
         needed = max(self.material, self.thresholds.material_gain * float(self.excess(worse.mean())))
-        return gap.low > 0.0 and gap.value >= needed
+        return gap.low > 0.0 and gap.value >= needed and self.stands_out(worse, better)
+
+    def stands_out(self, worse: np.ndarray, better: np.ndarray, times: float = 1.0) -> bool:
+        """Return whether what ``better`` removes is as large as what counts, and beside what stays, noise of any colour.
+
+        The floor knows white noise only; what stays after the best fit holds the rest of it.
+        """
+        removed = float(np.sqrt(max(worse.mean() - better.mean(), 0.0)))
+        return removed >= times * max(self.material, self.thresholds.noise_share * self.rms(better))
 
     def tells(self, worse: np.ndarray, better: np.ndarray) -> bool:
         """Return whether the data tell that ``better`` is better, by more than what both leave could bring about.

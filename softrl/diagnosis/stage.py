@@ -65,6 +65,7 @@ class Config:
     thresholds : when an improvement counts
     heldout_share : share of the sessions (of the runs, with two sessions or fewer) that judge
     measured_pressure : use measured pressure where every run has it, to examine valve and body apart
+    orientation : compare orientations too where every run has them; a lumped body's are no better than its shape
     seed : of the split and the bootstrap
     """
 
@@ -74,6 +75,7 @@ class Config:
     thresholds: Thresholds
     heldout_share: float
     measured_pressure: bool
+    orientation: bool
     seed: int
 
     def __post_init__(self) -> None:
@@ -137,7 +139,8 @@ def run(
 
 def _whole(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Problem:
     """Return the problem from command to motion, with registration if sessions use different frames."""
-    bare = Problem(robot, simulator, data.training, config.numerics, "motion", "command", False, data.orientation)
+    turns = config.orientation and data.orientation
+    bare = Problem(robot, simulator, data.training, config.numerics, "motion", "command", False, turns)
     if robot.output == "bend_angle":
         return bare
     nominal = bare.replayed(Hypothesis((), ()), np.zeros(0))
