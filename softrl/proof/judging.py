@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from softrl.artifacts.diagnosis import Diagnosis
+from softrl.core.errors import SolverError
 from softrl.core.tracking import NullTracker
 from softrl.diagnosis.stage import Config as DiagnosisConfig
 from softrl.diagnosis.stage import run as diagnose
@@ -22,7 +23,7 @@ from softrl.recordings.read import read
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.robots.robot import Robot
 
-MODELS = ("oracle", "nominal", "retuned", "corrected", "blackbox")
+log = logging.getLogger(__name__)
 Answer = dict[str, Any]
 
 
@@ -69,7 +70,7 @@ def plain(found: Diagnosis) -> Answer:
 def worth(folder: Path, name: str, given: Answer, robot: Robot, nominal: PccSimulator, dt_s: float) -> dict[str, Any]:
     """Return the rms error, mm, of every competitor on held-out runs and on the session out of distribution.
 
-    The oracle knows the truth without noise: its error is the noise. Simulators step by ``dt_s``, as in the fit.
+    A model that diverges is left out, which the scores count as closing no gap. The oracle knows the truth without noise: its error is the noise. Simulators step by ``dt_s``, as in the fit.
     """
     if given["verdict"] == "crashed":
         return {"heldout": {}, "outside": {}}
@@ -89,7 +90,10 @@ def worth(folder: Path, name: str, given: Answer, robot: Robot, nominal: PccSimu
     for split, chosen in (("heldout", heldout), ("outside", list(last))):
         apart = {"oracle": [seen(run) - truth[run.name] for run in chosen]}
         for model, plant in plants.items():
-            apart[model] = [seen(run) - seen(replay(plant, run, dt_s)) for run in chosen]
+            try:
+                apart[model] = [seen(run) - seen(replay(plant, run, dt_s)) for run in chosen]
+            except SolverError as error:  # a model that cannot run is scored as the worst there is
+                log.warning("%s of case %s does not run: %s", model, name, error)
         apart["blackbox"] = [seen(run) - box.predict(run) for run in chosen]
         made[split] = {model: rms_mm(rows) for model, rows in apart.items()}
     return made

@@ -148,8 +148,8 @@ def shares(rows: Sequence[Row]) -> dict[str, Share]:
 def gap_closed(row: Row, split: str) -> float:
     """Return the share, per cent, of the way from the nominal's rms error to the oracle's that the correction goes."""
     names = [f"{split}_{model}_mm" for model in ("nominal", "corrected", "oracle")]
-    if names[0] not in row:
-        return 0.0  # a crash closes nothing
+    if not all(name in row for name in names):
+        return 0.0  # a crash, or a correction that cannot run, closes nothing
     nominal, corrected, oracle = (row[name] for name in names)
     return 100.0 * (nominal - corrected) / (nominal - oracle) if nominal > oracle else np.nan
 
@@ -178,14 +178,16 @@ def misses(rows: Sequence[Row]) -> list[str]:
 
 
 def _ratio(row: Row, model: str) -> float:
+    if "outside_corrected_mm" not in row:
+        return 0.0  # no correction is worse than any other model
     if f"outside_{model}_mm" not in row:
-        return np.nan
+        return np.inf
     return float(row[f"outside_{model}_mm"] / row["outside_corrected_mm"])
 
 
 def _median(values: Sequence[float]) -> float:
-    finite = [v for v in values if np.isfinite(v)]
-    return float(np.median(finite)) if finite else np.nan
+    known = [v for v in values if not np.isnan(v)]
+    return float(np.median(known)) if known else np.nan
 
 
 def _located(given: dict[str, Any]) -> str:

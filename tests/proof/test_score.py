@@ -64,7 +64,7 @@ def test_a_crash_is_a_miss_that_closes_no_gap() -> None:
     row = row_of(key(0, "single", ("spool", ("lag",))), crashed, {"heldout": {}, "outside": {}}, 1.0)
     assert not row["top1"] and gap_closed(row, "outside") == 0.0
     found = metrics([row], 0, 0)
-    assert found["top1_pct"] == 0.0 and found["gap_closed_ood_median_pct"] == 0.0
+    assert found["top1_pct"] == found["gap_closed_ood_median_pct"] == found["blackbox_ood_ratio"] == 0.0
     assert "ValueError" in misses([row])[0]
 
 
