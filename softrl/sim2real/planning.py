@@ -203,7 +203,8 @@ class PlannedController:
     """Sends a plan; a misfit between reading and prediction is taken as lasting and taken away by the commands to come.
 
     While an air line is broken, and until the tip has forgotten it, the misfit learnt before is kept: commands that make up
-    for a line that is off would throw the tip far out once it is back on.
+    for a line that is off would throw the tip far out once it is back on. What the fault leaves behind, in walls that creep
+    and remember, has nothing to do with the misfit before: the first readings after it are taken as lasting wholly.
 
     Parameters
     ----------
@@ -219,13 +220,17 @@ class PlannedController:
         self._change = np.zeros_like(prepared.request)
         self._lasting = np.zeros(3)
         self._lines = LineWatch(settings.watch)
+        self._afresh = 0
 
     def watch(self, arrived: Sequence[Sample], step: int) -> None:
         """Take in the samples of the period before the command of ``step``; in the approach the robot counts as whole."""
         trusted = self._lines.trusted
         self._lines.advance(arrived, healthy=step <= 0)
-        if self._lines.trusted != trusted:
-            log.info("step %d: %s", step, "an air line is off" if trusted else "all air lines have been back long enough")
+        if trusted and not self._lines.trusted:
+            log.info("step %d: an air line is off", step)
+        if self._lines.trusted and not trusted:
+            log.info("step %d: all air lines are on again", step)
+            self._afresh = self._settings.watch.afresh_steps
 
     def pressure(self, position: np.ndarray, step: int, tip_force: np.ndarray | None = None) -> np.ndarray:
         """Return (n,) Pa for the target of ``step`` (negative in the approach), the tip being at ``position`` (3,) m."""
@@ -238,7 +243,9 @@ class PlannedController:
 
     def _observe(self, k: int, reading: np.ndarray) -> None:
         expected = self._plan.predicted[k] + self._effect(k)
-        self._lasting += self._settings.feedback * (reading - expected - self._lasting)
+        share = 1.0 if self._afresh > 0 else self._settings.feedback
+        self._afresh = max(self._afresh - 1, 0)
+        self._lasting += share * (reading - expected - self._lasting)
 
     def _effect(self, k: int) -> np.ndarray:
         """Return what the changes so far add to reading ``k``, (3,) m."""

@@ -20,19 +20,22 @@ class Watch:
     ----------
     settle_s : time after which a command no longer shows in the pressure
     fault_kpa : pressure beyond that range by which a line counts as broken
-    after_s : time after a fault in which the tip still shows it
+    after_s : time after a fault in which the tip is still on its way
+    afresh_steps : readings after that time which count wholly, since what was learnt before no longer holds
     """
 
     settle_s: float
     fault_kpa: float
     after_s: float
+    afresh_steps: int
 
     def __post_init__(self) -> None:
         for name in ("settle_s", "fault_kpa"):
             if getattr(self, name) <= 0:
                 raise ConfigError(f"stage.planning.watch.{name}={getattr(self, name):g} must be positive")
-        if self.after_s < 0:
-            raise ConfigError(f"stage.planning.watch.after_s={self.after_s:g} must not be negative")
+        for name in ("after_s", "afresh_steps"):
+            if getattr(self, name) < 0:
+                raise ConfigError(f"stage.planning.watch.{name}={getattr(self, name):g} must not be negative")
 
 
 class LineWatch:
