@@ -27,7 +27,9 @@ HEADLINES = {
     ),
     "sim2real": (
         "circle_mm", "circle_open_loop_mm", "star_mm", "star_open_loop_mm", "figure_eight_mm",
-        "figure_eight_open_loop_mm", "inference_hz",
+        "figure_eight_open_loop_mm", "circle_feedforward_mm", "circle_planned_mm", "star_planned_mm",
+        "figure_eight_planned_mm", "recovery_s", "recovery_planned_s", "bandwidth_hz", "bandwidth_predicted_hz",
+        "inference_hz", "planned_inference_hz",
     ),
 }  # fmt: skip
 

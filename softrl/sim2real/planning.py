@@ -113,7 +113,8 @@ class Plan:
     ----------
     request : (steps, n) Pa, the approach included
     predicted, target : (steps, 3) m
-    response : (steps, 3, memory, n) m/Pa, of a reading to the request ``j`` periods before, j = 0 .. memory - 1
+    response : (steps, 3, memory, n) m/Pa, of a reading to the request ``j`` periods before, j = 0 .. memory - 1, as last
+        linearised: the corrections since then are small enough for a feedback
     """
 
     request: np.ndarray
@@ -145,7 +146,7 @@ def plan(route: Route, target: np.ndarray, start: np.ndarray, approach: int, set
             request, predicted = trial, trial_predicted
     left_mm = 1e3 * np.sqrt(np.mean(np.sum((predicted - wanted)[approach:] ** 2, axis=1)))
     log.info("plan: %.3f mm rms from the targets in the simulation", left_mm)
-    return Plan(request, predicted, wanted, linearise(route, request, predicted, settings))
+    return Plan(request, predicted, wanted, response)
 
 
 def linearise(route: Route, request: np.ndarray, predicted: np.ndarray, settings: Planning) -> np.ndarray:

@@ -134,3 +134,29 @@ def test_impossible_settings_are_refused() -> None:
         replace(SETTINGS, feedback=1.5)
     with pytest.raises(ConfigError, match="memory_steps=0"):
         replace(SETTINGS, memory_steps=0)
+
+
+def cut_and_back(
+    robot: Robot, body: Simulator, noise: Noise, prepared: Plan, target: np.ndarray, watch: Watch
+) -> tuple[np.ndarray, int]:
+    """Return the errors (steps,) mm while a line is off for 2.5 s, and the step before which it is back."""
+    cut, back = STEPS, STEPS + 5
+    driver = BenchDriver(robot, body, noise, HIDDEN)
+    controller = PlannedController(prepared, APPROACH, replace(SETTINGS, watch=watch), robot, here)
+    course, events = Course.free("loop", target), {cut: lambda: driver.cut(0), back: lambda: driver.cut(None)}
+    rollout = follow(driver, robot, controller, course, Pace(PERIOD_S, 2, APPROACH), "loop", "loop", events)
+    return 1e3 * course.position_error(rollout.reached), back
+
+
+def test_a_line_that_was_off_is_not_made_up_for(
+    tripod: Robot, body: Simulator, silence: Noise, target: np.ndarray, guess: np.ndarray
+) -> None:
+    laps = np.tile(target, (3, 1))
+    prepared = planned(route(tripod, body, *HIDDEN), laps, np.tile(guess, (3, 1)))
+    blind = replace(SETTINGS.watch, fault_kpa=1e3)
+    wound_up, back = cut_and_back(tripod, body, silence, prepared, laps, blind)
+    watched, _ = cut_and_back(tripod, body, silence, prepared, laps, SETTINGS.watch)
+    np.testing.assert_array_equal(watched[:STEPS], wound_up[:STEPS], "a whole line is not taken for a broken one")
+    assert watched[back:].max() < 0.5 * wound_up[back:].max()
+    within_2_s = back + round(2.0 / PERIOD_S) - 1
+    assert watched[within_2_s] < 0.05 * wound_up[back:].max()
