@@ -21,7 +21,7 @@ from softrl.fem.newton import Solve
 
 log = logging.getLogger(__name__)
 PARTS = 32  # of a load step: how short it becomes, by halves, where it fails
-MOST_HALVINGS = 24  # on one path
+MOST_HALVINGS = 12  # on one path
 DEVIATION = 0.3  # largest share of a step's motion (its largest nodal shift) that the tangent at an end may miss
 
 
@@ -120,55 +120,78 @@ def _reach(
         return Missed(str(failure), isinstance(failure, JumpError))
 
 
+class Place(NamedTuple):
+    """An equilibrium on a path: its pose, d unknowns / d load along the path, and whether from factors made there."""
+
+    pose: Pose
+    rate: np.ndarray
+    exact: bool
+
+
 def _walk(model: FemModel, start: Equilibrium, load: np.ndarray, count: int) -> Equilibrium:
     """Go from ``start`` to ``load`` in ``count`` steps; one that fails is halved, later ones double again."""
-    pose, began, whole = start.pose, time.process_time(), PARTS * count
+    began, whole = time.process_time(), PARTS * count
     unit = (load - start.load) / whole
-    rate = start.tangent.change @ unit
+    here = Place(start.pose, start.tangent.change @ unit, True)
     iterations, factorisations, halvings = 0, 1, 0
     done, stride = 0, PARTS
     while done < whole:
-        guess = model.coupling.move(pose, stride * rate)
-        solve = model.static(start.load + (done + stride) / whole * (load - start.load), guess)
+        ends = start.load + done * unit, start.load + (done + stride) / whole * (load - start.load)
+        guess = model.coupling.move(here.pose, stride * here.rate)
+        solve = model.static(ends[1], guess)
         iterations, factorisations = iterations + solve.iterations, factorisations + solve.factorisations
-        failure = _unusable(solve)
-        if failure is None:
-            answer = model.answer(solve.pose, unit)
-            failure = _jump(model, pose, guess, solve.pose, model.coupling.move(solve.pose, -stride * answer))
-        if failure is not None:
+        try:
+            _check_solve(solve)
+            there = Place(solve.pose, model.answer(solve.pose, unit), False)
+            if _astray(model, here, there, stride) is not None:  # by tangents as stale as Newton's factors: make new ones
+                factorisations += 1 + (not here.exact)
+                here, there = (_exact(model, *at, unit) for at in ((here, ends[0]), (there, ends[1])))
+                _check_way(model, here, there, stride)
+        except SolverError as failure:
             if stride == 1 or halvings == MOST_HALVINGS:
                 way = f"between {done / whole:.1%} and {(done + stride) / whole:.1%} of the way"
-                raise type(failure)(f"{way} from load {np.array2string(start.load, precision=4)}, {failure}")
+                origin = np.array2string(start.load, precision=4)
+                raise type(failure)(f"{way} from load {origin}, {failure}") from failure
             stride, halvings = stride // 2, halvings + 1
             continue
-        pose, rate, done = solve.pose, answer, done + stride
+        here, done = there, done + stride
         if stride < PARTS and done % (2 * stride) == 0:
             stride *= 2
-    tangent = model.tangent(pose, load)
+    tangent = model.tangent(here.pose, load)
     cost = Cost(iterations, factorisations, halvings, time.process_time() - began, solve.steps_m)
-    return Equilibrium(load, pose, tangent, cost)
+    return Equilibrium(load, here.pose, tangent, cost)
 
 
-def _unusable(solve: Solve) -> SolverError | None:
+def _exact(model: FemModel, place: Place, load: np.ndarray, unit: np.ndarray) -> Place:
+    if place.exact:
+        return place
+    model.refactorise(place.pose, load)
+    return Place(place.pose, model.answer(place.pose, unit), True)
+
+
+def _check_solve(solve: Solve) -> None:
     if not solve.converged:
-        return SolverError(f"Newton stopped after {solve.iterations} iterations, {solve.residual_n:.1e} N left")
+        raise SolverError(f"Newton stopped after {solve.iterations} iterations, {solve.residual_n:.1e} N left")
     if not solve.stable:
-        return SolverError("the equilibrium is not stable: its stiffness has a negative pivot")
-    return None
+        raise SolverError("the equilibrium is not stable: its stiffness has a negative pivot")
 
 
-def _jump(model: FemModel, start: Pose, ahead: Pose, end: Pose, behind: Pose) -> JumpError | None:
-    """Return what is wrong with a load step from ``start`` to ``end``, or None.
+def _check_way(model: FemModel, here: Place, there: Place, stride: int) -> None:
+    astray = _astray(model, here, there, stride)
+    if astray is not None:
+        node, distance = astray
+        x, y, z = 1e3 * model.solid.points[node]
+        raise JumpError(
+            f"the body jumps (snaps through or buckles): the node at ({x:.1f}, {y:.1f}, {z:.1f}) mm moves "
+            f"{1e3 * distance:.3g} mm past what the tangent says"
+        )
 
-    ``ahead`` is where the tangent at the start leads, ``behind`` where that at the end leads back to.
-    """
-    moved = np.abs(end.position - start.position).max()
-    astray = np.maximum(np.abs(end.position - ahead.position), np.abs(behind.position - start.position)).max(axis=1)
-    worst = int(astray.argmax())
-    if astray[worst] <= DEVIATION * moved + 10.0 * model.newton.tolerance_m:
-        return None
-    x, y, z = 1e3 * model.solid.points[worst]
-    return JumpError(
-        f"the body jumps (snaps through or buckles): the node at ({x:.1f}, {y:.1f}, {z:.1f}) mm ends "
-        f"{1e3 * astray[worst]:.3g} mm from where the tangent says"
-    )
+
+def _astray(model: FemModel, here: Place, there: Place, stride: int) -> tuple[int, float] | None:
+    """Return the node that a tangent at either end misses by most and by how many m, or None where that is little."""
+    ahead = model.coupling.move(here.pose, stride * here.rate).position
+    behind = model.coupling.move(there.pose, -stride * there.rate).position
+    missed = np.maximum(np.abs(there.pose.position - ahead), np.abs(here.pose.position - behind)).max(axis=1)
+    allowed = DEVIATION * np.abs(there.pose.position - here.pose.position).max() + 10.0 * model.newton.tolerance_m
+    worst = int(missed.argmax())
+    return None if missed[worst] <= allowed else (worst, float(missed[worst]))

@@ -166,9 +166,7 @@ class FemModel:
         SolverError
             If the Hessian is not positive: a buckling point, where no tangent exists.
         """
-        self._stepping = 0.0
-        if not factorise(self._potential(load)(pose, TANGENT), pose, self.coupling, self._solver):
-            raise SolverError("the equilibrium is not stable: its stiffness has a negative pivot")
+        self.refactorise(pose, load)
         forces = self.load_directions(pose)
         change = self._solver.solve(forces)
         blocks = self.viscous(pose)
@@ -178,6 +176,18 @@ class FemModel:
             change, forces.T @ change, np.einsum("ani,bni->ab", shapes, stiff),
             np.einsum("ani,n,bni->ab", shapes, self.nodal_mass, shapes),
         )
+
+    def refactorise(self, pose: Pose, load: np.ndarray) -> None:
+        """Let ``solve``, ``answer`` and ``response`` go by the factors at ``pose`` itself.
+
+        Raises
+        ------
+        SolverError
+            If the Hessian is not positive.
+        """
+        self._stepping = 0.0
+        if not factorise(self._potential(load)(pose, TANGENT), pose, self.coupling, self._solver):
+            raise SolverError("the equilibrium is not stable: its stiffness has a negative pivot")
 
     def solve(self, forces: np.ndarray) -> np.ndarray:
         """Return the answer (unknowns, k) to ``forces`` (unknowns, k) by the factors that the last solve left."""

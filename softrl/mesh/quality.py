@@ -50,4 +50,4 @@ def check_slivers(solid: Tetrahedra, min_dihedral_deg: float, name: str) -> None
 
 def _where(solid: Tetrahedra, element: int) -> str:
     x, y, z = 1e3 * solid.points[solid.corners[element]].mean(axis=0)
-    return f"({x:.1f}, {y:.1f}, {z:.1f}) mm"
+    return f"element {element}, ({x:.1f}, {y:.1f}, {z:.1f}) mm"

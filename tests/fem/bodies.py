@@ -89,6 +89,21 @@ def bar(cells: tuple[int, int, int], size: tuple[float, float, float]) -> Mesh:
     return Mesh(points, tetrahedra, region, np.zeros(len(tetrahedra), int), faces, np.zeros(len(faces), int), "bar")
 
 
+def arch(rise: float, span: float = 0.04, thickness: float = 1e-3) -> Mesh:
+    """Return a roof-shaped strip clamped at both ends along x, its ridge a plate: it snaps through under a force on it.
+
+    Its one cavity is as in ``bar``.
+    """
+    points, tetrahedra, _ = grid((8, 1, 1), (span, 0.004, thickness))
+    points = points - np.array([span / 2, 0.002, 0.0])
+    side = np.abs(points[:, 0])
+    region = np.where(side < 1e-9, PLATE, np.where(side > span / 2 - 1e-9, BASE, 0))
+    points[:, 2] += rise * (1.0 - 2.0 * side / span)
+    tetrahedra = oriented(points, tetrahedra)
+    faces = boundary(tetrahedra)[:, ::-1]
+    return Mesh(points, tetrahedra, region, np.zeros(len(tetrahedra), int), faces, np.zeros(len(faces), int), "arch")
+
+
 def model_of(mesh: Mesh, material: Material | None = None, **changes: object) -> FemModel:
     """Return a model of ``mesh`` in rubber, 1 MPa unless given, without damping."""
     settings = {"density_kg_m3": 1000.0, "rayleigh_mass_per_s": 0.0, "rayleigh_stiffness_s": 0.0, "newton": NEWTON}

@@ -199,6 +199,25 @@ def test_implicit_euler_is_of_first_order(box: Mesh) -> None:
     assert 1.6 < ratio < 2.6, f"measured ratio {ratio:.2f}"
 
 
+def test_implicit_euler_loses_energy_in_proportion_to_its_step() -> None:
+    # no damping: all that a freely swinging bar loses is the integrator's, and goes to zero with order 1
+    mesh = bar((1, 1, 4), (0.01, 0.01, 0.04))
+    pulled = model_of(mesh).static(np.array([0.0, 0.02, 0.0, 0.0])).pose
+    lost = []
+    for dt in (4e-4, 2e-4, 1e-4):
+        model = model_of(mesh)
+        state = model.state(pulled)
+        start = model.elastic_energy(pulled)
+        for _ in range(round(0.008 / dt)):
+            state, solve = model.step(state, np.zeros(4), dt)
+            assert solve.converged
+        kinetic = 0.5 * float((model.nodal_mass[:, None] * state.velocity**2).sum())
+        lost.append(1.0 - (model.elastic_energy(state.pose) + kinetic) / start)
+    order = np.log2(np.array(lost[:-1]) / lost[1:])
+    assert 0.0 < lost[-1] < lost[-2] < lost[-3]
+    assert np.abs(order - 1.0).max() < 0.25, f"measured order {order}, lost {lost}"
+
+
 def test_both_linear_solvers_agree(box: Mesh) -> None:
     best = model_of(box).static(LOAD).pose
     plain = model_of(box, solver=SuperLuSolver()).static(LOAD).pose

@@ -1,9 +1,11 @@
 """The stage: what it hands on, and that it is the same however it is run."""
 
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from omegaconf import OmegaConf
 
 from softrl.artifacts.mesh import Mesh
 from softrl.artifacts.snapshots import Snapshots
@@ -13,6 +15,7 @@ from softrl.fem.material import StableNeoHookean
 from softrl.fem.stage import Body, Config, build_model, run
 from tests.fem.bodies import box_robot
 
+CONF = Path(__file__).resolve().parents[2] / "conf"
 CONFIG = Config(
     law="stable_neo_hookean", moduli_pa=(1e6,), poisson=0.45, element_order=2, mean_dilatation=True,
     equilibria=5, faces_share=0.2, load_step=1.0, paths=2, trajectories=1, duration_s=0.02, hold_s=0.01, dt_s=0.002,
@@ -86,3 +89,22 @@ def test_bad_settings_are_refused() -> None:
         replace(CONFIG, dt_s=0.0)
     with pytest.raises(ConfigError, match=r"stage\.faces_share"):
         replace(CONFIG, faces_share=1.5)
+
+
+def test_the_stage_samples_the_body_that_the_simulator_steps() -> None:
+    stage, simulator = (OmegaConf.load(CONF / name / "fem.yaml") for name in ("stage", "simulator"))
+    for key in ("law", "moduli_pa", "poisson", "element_order", "mean_dilatation", "rayleigh_stiffness_s"):
+        assert stage[key] == simulator[key], key
+
+
+def test_order_and_dilatation_reach_the_model(box: Mesh) -> None:
+    material, robot = StableNeoHookean(1e6, 0.45), box_robot(2)
+    linear = build_model(Body(replace(CONFIG, element_order=1), robot, box, material))
+    pointwise = build_model(Body(replace(CONFIG, mean_dilatation=False), robot, box, material))
+    mean = build_model(Body(CONFIG, robot, box, material))
+    load = np.array([8e3, 0.0, 0.1, 0.0, 0.0])
+    work = [load @ m.coordinate(m.static(load).pose) for m in (linear, pointwise, mean)]
+    assert linear.solid.elements.shape[1] == 4
+    assert work[0] < work[1] < work[2]  # each freedom given softens the body
+    with pytest.raises(ConfigError, match=r"stage\.element_order=3"):
+        replace(CONFIG, element_order=3)
