@@ -1,4 +1,10 @@
-"""Equilibria along a path of loads: each starts from the one before it, moved along its tangent."""
+"""Equilibria along a path of loads: each starts from the one before it, moved along its tangent.
+
+A body that buckles or snaps through has several equilibria under one load, and Newton may leave the branch that
+began at rest. An equilibrium therefore counts only where every load step of its path ended at a stable equilibrium
+and moved the body as the tangents at both its ends say: at the start alone the tangent near a limit point is long and
+may happen to point beyond the jump. Otherwise the step is halved, and the load is missed in the end.
+"""
 
 import logging
 import time
@@ -11,9 +17,16 @@ import numpy as np
 from softrl.core.errors import SolverError
 from softrl.fem.coupling import Pose
 from softrl.fem.model import FemModel, Tangent
+from softrl.fem.newton import Solve
 
 log = logging.getLogger(__name__)
-REFINEMENTS = (1, 3, 9)  # how much finer the load steps become when an equilibrium is not found
+PARTS = 32  # of a load step: how short it becomes, by halves, where it fails
+MOST_HALVINGS = 24  # on one path
+DEVIATION = 0.3  # largest share of a step's motion (its largest nodal shift) that the tangent at an end may miss
+
+
+class JumpError(SolverError):
+    """A load step moved the body otherwise than its tangents said, however short it was: on another branch."""
 
 
 class Cost(NamedTuple):
@@ -22,12 +35,14 @@ class Cost(NamedTuple):
     Attributes
     ----------
     iterations, factorisations : over all load steps
+    halvings : how often a load step was halved
     seconds : processor time
     steps_m : largest nodal shift of each iteration of the last load step, m
     """
 
     iterations: int
     factorisations: int
+    halvings: int
     seconds: float
     steps_m: tuple[float, ...]
 
@@ -49,23 +64,37 @@ class Equilibrium:
     cost: Cost
 
 
+class Missed(NamedTuple):
+    """A load whose equilibrium was not found.
+
+    Attributes
+    ----------
+    reason : in a line, with the place on the path
+    jumped : whether there is an equilibrium, but only behind a jump
+    """
+
+    reason: str
+    jumped: bool
+
+
 def follow(
     model: FemModel, loads: np.ndarray, scale: np.ndarray, largest_step: float
-) -> Iterator[Equilibrium | None]:
-    """Yield the equilibrium of each row of ``loads`` (samples, chambers + 3), or None where it is not found.
+) -> Iterator[Equilibrium | Missed]:
+    """Yield the equilibrium of each row of ``loads`` (samples, chambers + 3), or why it was not found.
 
-    A change of load longer than ``largest_step`` (in units of ``scale``) is divided. After a failure the path
-    starts again at rest, which is the equilibrium under no load but the model's weight.
+    A change of load longer than ``largest_step`` (in units of ``scale``) is divided. A load that is missed on the way
+    from the one before is tried again from rest, which is the equilibrium under no load but the model's weight; the
+    path goes on there too.
     """
     rest = _rest(model, loads.shape[1])
     here = rest
     for load in loads:
         found = _reach(model, here, load, scale, largest_step)
-        if found is None and here is not rest:
+        if isinstance(found, Missed) and here is not rest:
             found = _reach(model, rest, load, scale, largest_step)
-        if found is None:
-            log.warning("no equilibrium found at load %s (Pa, N)", np.array2string(load, precision=4))
-        here = found or rest
+        if isinstance(found, Missed):
+            log.warning("no equilibrium at load %s (Pa, N): %s", np.array2string(load, precision=4), found.reason)
+        here = rest if isinstance(found, Missed) else found
         yield found
 
 
@@ -78,34 +107,68 @@ def _rest(model: FemModel, width: int) -> Equilibrium:
             f"{solve.residual_n:.1e} N left; "
             "check the mesh, and the weight against the material's modulus"
         )
-    return Equilibrium(zero, solve.pose, model.tangent(solve.pose, zero), Cost(0, 0, 0.0, ()))
+    return Equilibrium(zero, solve.pose, model.tangent(solve.pose, zero), Cost(0, 0, 0, 0.0, ()))
 
 
 def _reach(
     model: FemModel, start: Equilibrium, load: np.ndarray, scale: np.ndarray, largest_step: float
-) -> Equilibrium | None:
+) -> Equilibrium | Missed:
     distance = float(np.linalg.norm((load - start.load) / scale))
-    for refinement in REFINEMENTS:
-        count = refinement * max(1, int(np.ceil(distance / largest_step)))
-        try:
-            return _walk(model, start, load, count)
-        except SolverError as failure:
-            log.info("%d load steps were too few: %s", count, failure)
-    return None
+    try:
+        return _walk(model, start, load, max(1, int(np.ceil(distance / largest_step))))
+    except SolverError as failure:
+        return Missed(str(failure), isinstance(failure, JumpError))
 
 
 def _walk(model: FemModel, start: Equilibrium, load: np.ndarray, count: int) -> Equilibrium:
-    pose, began = start.pose, time.process_time()
-    guess = model.coupling.move(pose, start.tangent.change @ (load - start.load) / count)
-    iterations, factorisations = 0, 1
-    for share in np.arange(1, count + 1) / count:
-        solve = model.static(start.load + share * (load - start.load), guess)
-        if not solve.converged:
-            raise SolverError(f"Newton stopped after {solve.iterations} iterations, {solve.residual_n:.1e} N left")
+    """Go from ``start`` to ``load`` in ``count`` steps; one that fails is halved, later ones double again."""
+    pose, began, whole = start.pose, time.process_time(), PARTS * count
+    unit = (load - start.load) / whole
+    rate = start.tangent.change @ unit
+    iterations, factorisations, halvings = 0, 1, 0
+    done, stride = 0, PARTS
+    while done < whole:
+        guess = model.coupling.move(pose, stride * rate)
+        solve = model.static(start.load + (done + stride) / whole * (load - start.load), guess)
         iterations, factorisations = iterations + solve.iterations, factorisations + solve.factorisations
-        pose = solve.pose
-        if share < 1.0:
-            guess = model.predict(pose, (load - start.load) / count)
+        failure = _unusable(solve)
+        if failure is None:
+            answer = model.answer(solve.pose, unit)
+            failure = _jump(model, pose, guess, solve.pose, model.coupling.move(solve.pose, -stride * answer))
+        if failure is not None:
+            if stride == 1 or halvings == MOST_HALVINGS:
+                way = f"between {done / whole:.1%} and {(done + stride) / whole:.1%} of the way"
+                raise type(failure)(f"{way} from load {np.array2string(start.load, precision=4)}, {failure}")
+            stride, halvings = stride // 2, halvings + 1
+            continue
+        pose, rate, done = solve.pose, answer, done + stride
+        if stride < PARTS and done % (2 * stride) == 0:
+            stride *= 2
     tangent = model.tangent(pose, load)
-    cost = Cost(iterations, factorisations, time.process_time() - began, solve.steps_m)
+    cost = Cost(iterations, factorisations, halvings, time.process_time() - began, solve.steps_m)
     return Equilibrium(load, pose, tangent, cost)
+
+
+def _unusable(solve: Solve) -> SolverError | None:
+    if not solve.converged:
+        return SolverError(f"Newton stopped after {solve.iterations} iterations, {solve.residual_n:.1e} N left")
+    if not solve.stable:
+        return SolverError("the equilibrium is not stable: its stiffness has a negative pivot")
+    return None
+
+
+def _jump(model: FemModel, start: Pose, ahead: Pose, end: Pose, behind: Pose) -> JumpError | None:
+    """Return what is wrong with a load step from ``start`` to ``end``, or None.
+
+    ``ahead`` is where the tangent at the start leads, ``behind`` where that at the end leads back to.
+    """
+    moved = np.abs(end.position - start.position).max()
+    astray = np.maximum(np.abs(end.position - ahead.position), np.abs(behind.position - start.position)).max(axis=1)
+    worst = int(astray.argmax())
+    if astray[worst] <= DEVIATION * moved + 10.0 * model.newton.tolerance_m:
+        return None
+    x, y, z = 1e3 * model.solid.points[worst]
+    return JumpError(
+        f"the body jumps (snaps through or buckles): the node at ({x:.1f}, {y:.1f}, {z:.1f}) mm ends "
+        f"{1e3 * astray[worst]:.3g} mm from where the tangent says"
+    )

@@ -183,9 +183,9 @@ class FemModel:
         """Return the answer (unknowns, k) to ``forces`` (unknowns, k) by the factors that the last solve left."""
         return self._solver.solve(forces)
 
-    def predict(self, pose: Pose, load_change: np.ndarray) -> Pose:
-        """Return where ``pose`` moves under a small ``load_change``, by the factors that the last solve left."""
-        return self.coupling.move(pose, self._solver.solve(self.load_directions(pose) @ load_change))
+    def answer(self, pose: Pose, load_change: np.ndarray) -> np.ndarray:
+        """Return the change (unknowns,) under a small ``load_change``, by the factors that the last solve left."""
+        return self._solver.solve(self.load_directions(pose) @ load_change)
 
     def response(self, pose: Pose) -> np.ndarray:
         """Return d (volumes, tip) / d load (n + 3, n + 3) near ``pose``, by the factors that the last solve left."""

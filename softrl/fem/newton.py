@@ -51,6 +51,7 @@ class Solve(NamedTuple):
     iterations, factorisations : counts
     residual_n : largest nodal force out of balance, N
     steps_m : largest nodal shift of each iteration, m
+    stable : whether the Hessian factorised last, that is nearest to ``pose``, was positive as it was
     """
 
     pose: Pose
@@ -59,6 +60,7 @@ class Solve(NamedTuple):
     factorisations: int
     residual_n: float
     steps_m: tuple[float, ...]
+    stable: bool
 
 
 class Value(NamedTuple):
@@ -83,7 +85,7 @@ def minimise(
     shifts = 3 * len(coupling.free)
     pose, value = start, objective(start, STRESS)
     steps: list[float] = []
-    factorisations, fresh, reusable = 0, False, factors_ready
+    factorisations, fresh, reusable, positive = 0, False, factors_ready, True
     previous = np.inf
     residual = coupling.reduce(value.gradient, pose)
     while len(steps) < settings.max_iterations:
@@ -101,12 +103,12 @@ def minimise(
         residual = coupling.reduce(value.gradient, pose)
         steps.append(length)
         if done and share == 1.0:
-            return Solve(pose, True, len(steps), factorisations, _largest(residual, shifts), tuple(steps))
+            return Solve(pose, True, len(steps), factorisations, _largest(residual, shifts), tuple(steps), positive)
         if share == 0.0 and fresh:
             break
         reusable = reusable and share == 1.0
         previous = length if length > 0 else np.inf
-    return Solve(pose, False, len(steps), factorisations, _largest(residual, shifts), tuple(steps))
+    return Solve(pose, False, len(steps), factorisations, _largest(residual, shifts), tuple(steps), positive)
 
 
 def factorise(value: Value, pose: Pose, coupling: Coupling, solver: LinearSolver) -> bool:

@@ -16,7 +16,7 @@ from softrl.core.parallel import LOCAL, Parallel
 from softrl.core.progress import progress
 from softrl.core.resume import Kept, pack, unpack
 from softrl.core.tracking import Tracker
-from softrl.fem.continuation import Cost, Equilibrium, follow
+from softrl.fem.continuation import Cost, Equilibrium, Missed, follow
 from softrl.fem.figures import draw_newton, draw_shapes, draw_stretch, draw_tips, draw_trajectories
 from softrl.fem.lag import lag_at
 from softrl.fem.material import Material, material_of
@@ -36,6 +36,8 @@ class Config:
     law: str  # stable_neo_hookean, yeoh, mooney_rivlin or st_venant_kirchhoff
     moduli_pa: tuple[float, ...]  # Young's modulus; yeoh: c1, c2, c3; mooney_rivlin: c10, c01
     poisson: float
+    element_order: int  # 2: quadratic tetrahedra; 1: linear ones, which are far too stiff
+    mean_dilatation: bool  # changes of volume are weighed by their mean over an element; see FemModel
     equilibria: int  # Sobol samples of the loads
     faces_share: float  # share of them with one pressure at its limit
     load_step: float  # longest load step, in units of (half the pressure range, largest tip force)
@@ -55,6 +57,8 @@ class Config:
 
     def __post_init__(self) -> None:
         least = {"equilibria": 1, "paths": 1, "trajectories": 0, "processes": 1}
+        if self.element_order not in (1, 2):
+            raise ConfigError(f"stage.element_order={self.element_order}; expected 2 (quadratic) or 1 (linear)")
         for key, low in least.items():
             if getattr(self, key) < low:
                 raise ConfigError(f"stage.{key}={getattr(self, key)} must be at least {low}")
@@ -86,7 +90,8 @@ def run(
     Notes
     -----
     Gravity is left out: the mesh is the stress-free shape, and a reduced model adds gravity through the map of the
-    centre of mass. Loads whose equilibrium is not found are counted in ``failed`` and left out. Finished chains and
+    centre of mass. Loads whose equilibrium is not found, or only behind a jump (``fem.continuation``), are counted in
+    ``failed``, listed in ``failed_loads.csv`` with the reason, and left out. Finished chains and
     trajectories are kept under the working directory until the stage ends, so that a killed run goes on.
     """
     body = Body(config, robot, mesh, material_of(config.law, config.moduli_pa, config.poisson))
@@ -99,11 +104,11 @@ def run(
     ]
     began = time.monotonic()
     kept = Kept("fem", _mark(body))
-    samples, trajectories, reused = _compute(body, loads, chains, programs, parallel or LOCAL, kept)
+    samples, misses, trajectories, reused = _compute(body, loads, chains, programs, parallel or LOCAL, kept)
     tracker.metric("parts_resumed", reused)
     log.info("%d equilibria and %d trajectories in %.0f s", len(samples), len(trajectories), time.monotonic() - began)
-    _record_failures(loads, samples, tracker)
-    _refuse_failures(len(loads) - len(samples), config)
+    _record_failures(loads, misses, tracker)
+    _refuse_failures(misses, config)
     snapshots = _collect(body, loads, samples, clock, trajectories)
     _report(snapshots, samples, config.trajectories, tracker)
     tracker.figure("deformed_shapes", draw_shapes(mesh, snapshots))
@@ -121,7 +126,8 @@ def build_model(body: Body) -> FemModel:
     newton = NewtonSettings(config.tolerance_m, config.max_iterations, config.reuse_below)
     return FemModel(
         body.mesh, body.material, body.robot.mass_kg / body.mesh.volume(), config.rayleigh_mass_per_s,
-        config.rayleigh_stiffness_s, newton,
+        config.rayleigh_stiffness_s, newton, element_order=config.element_order,
+        mean_dilatation=config.mean_dilatation,
     )
 
 
@@ -142,15 +148,23 @@ class Row(NamedTuple):
 
 
 Found = tuple[int, Row, Cost]
+Lost = tuple[int, Missed]
+
+
+class Chain(NamedTuple):
+    """What became of the loads of a chain, each with its row number."""
+
+    found: list[Found]
+    missed: list[Lost]
 
 
 def _compute(
     body: Body, loads: np.ndarray, chains: list[np.ndarray], programs: list[np.ndarray], parallel: Parallel, kept: Kept
-) -> tuple[list[Found], list[Trajectory], int]:
+) -> tuple[list[Found], list[Lost], list[Trajectory], int]:
     """Work off all chains and programs in parallel; the result does not depend on where, or after how many kills.
 
-    Returns equilibria in the order of ``loads``, trajectories in that of ``programs``, and how many parts an earlier
-    run had kept.
+    Returns equilibria and misses in the order of ``loads``, trajectories in that of ``programs``, and how many parts
+    an earlier run had kept.
     """
     tasks = {f"chain_{k}": (_trace, body, loads, chain) for k, chain in enumerate(chains)}
     tasks |= {f"trajectory_{k}": (_move, body, program) for k, program in enumerate(programs)}
@@ -161,9 +175,11 @@ def _compute(
     results = parallel.map(_part, [tasks[name] for name in waiting], body.config.processes)
     for number, arrays in progress(results, "FEM: chains of equilibria, then trajectories", len(waiting)):
         kept.save(waiting[number], arrays)
-    samples = [found for k in range(len(chains)) for found in _chain_of(kept.load(f"chain_{k}"))]
+    traced = [_chain_of(kept.load(f"chain_{k}")) for k in range(len(chains))]
+    samples = sorted((found for chain in traced for found in chain.found), key=lambda f: f[0])
+    misses = sorted(lost for chain in traced for lost in chain.missed)
     moved = [kept.load(f"trajectory_{k}") for k in range(len(programs))]
-    return sorted(samples, key=lambda f: f[0]), [unpack(Trajectory, arrays) for arrays in moved if arrays], reused
+    return samples, misses, [unpack(Trajectory, arrays) for arrays in moved if arrays], reused
 
 
 def _mark(body: Body) -> str:
@@ -174,35 +190,38 @@ def _mark(body: Body) -> str:
     return fingerprint.of_values([config, asdict(body.robot), fingerprint.of_arrays(arrays), code])
 
 
-def _part(compute: Callable[..., list[Found] | Trajectory | None], *arguments: Any) -> dict[str, np.ndarray]:
+def _part(compute: Callable[..., Chain | Trajectory | None], *arguments: Any) -> dict[str, np.ndarray]:
     """Return one chain or trajectory as arrays; none where a trajectory failed."""
     made = compute(*arguments)
     if made is None:
         return {}
-    if isinstance(made, list):
-        rows = [{"number": np.asarray(n)} | pack(row, "row/") | pack(cost, "cost/") for n, row, cost in made]
-        return {f"{k}/{name}": array for k, row in enumerate(rows) for name, array in row.items()}
+    if isinstance(made, Chain):
+        rows = {n: pack(row, "row/") | pack(cost, "cost/") for n, row, cost in made.found}
+        rows |= {n: pack(miss, "missed/") for n, miss in made.missed}
+        return {f"{n}/{name}": array for n, row in rows.items() for name, array in row.items()}
     return pack(made)
 
 
-def _chain_of(arrays: dict[str, np.ndarray]) -> list[Found]:
-    """Return the equilibria that ``_part`` turned into arrays."""
-    count = 1 + max((int(name.split("/")[0]) for name in arrays), default=-1)
-    return [
-        (int(arrays[f"{k}/number"]), unpack(Row, arrays, f"{k}/row/"), unpack(Cost, arrays, f"{k}/cost/"))
-        for k in range(count)
-    ]
+def _chain_of(arrays: dict[str, np.ndarray]) -> Chain:
+    """Return the chain that ``_part`` turned into arrays."""
+    numbers = sorted({int(name.split("/")[0]) for name in arrays})
+    missed = {n for n in numbers if f"{n}/missed/reason" in arrays}
+    return Chain(
+        [(n, unpack(Row, arrays, f"{n}/row/"), unpack(Cost, arrays, f"{n}/cost/")) for n in numbers if n not in missed],
+        [(n, unpack(Missed, arrays, f"{n}/missed/")) for n in numbers if n in missed],
+    )
 
 
-def _trace(body: Body, loads: np.ndarray, chain: np.ndarray) -> list[Found]:
-    """Return the equilibria of the rows in ``chain`` that are found."""
+def _trace(body: Body, loads: np.ndarray, chain: np.ndarray) -> Chain:
+    """Return the equilibria of the rows in ``chain``, and which of them are missed."""
     model = build_model(body)
-    found = follow(model, loads[chain], load_scale(body.robot), body.config.load_step)
-    return [
-        (int(number), _row(model, equilibrium), equilibrium.cost)
-        for number, equilibrium in zip(chain, found, strict=True)
-        if equilibrium is not None
-    ]
+    traced = Chain([], [])
+    for number, end in zip(chain, follow(model, loads[chain], load_scale(body.robot), body.config.load_step), strict=True):
+        if isinstance(end, Missed):
+            traced.missed.append((int(number), end))
+        else:
+            traced.found.append((int(number), _row(model, end), end.cost))
+    return traced
 
 
 def _row(model: FemModel, equilibrium: Equilibrium) -> Row:
@@ -232,21 +251,29 @@ def _move(body: Body, program: np.ndarray) -> Trajectory | None:
         return None
 
 
-def _record_failures(loads: np.ndarray, samples: list[Found], tracker: Tracker) -> None:
-    """Keep the loads that found no equilibrium with the run, one a line."""
-    missing = np.setdiff1d(np.arange(len(loads)), [number for number, _, _ in samples])
-    if len(missing):
+def _record_failures(loads: np.ndarray, misses: list[Lost], tracker: Tracker) -> None:
+    """Keep the loads that found no equilibrium with the run, one a line, each with its reason."""
+    tracker.metric("jumps", sum(miss.jumped for _, miss in misses))
+    if misses:
         n = loads.shape[1] - 3
-        names = ["sample", *(f"p{k + 1}_pa" for k in range(n)), "force_x_n", "force_y_n", "force_z_n"]
-        rows = [",".join([str(number), *(f"{value:.9g}" for value in loads[number])]) for number in missing]
+        names = ["sample", *(f"p{k + 1}_pa" for k in range(n)), "force_x_n", "force_y_n", "force_z_n", "reason"]
+        rows = [
+            ",".join([str(number), *(f"{value:.9g}" for value in loads[number]), f'"{miss.reason}"'])
+            for number, miss in misses
+        ]
         tracker.text("failed_loads.csv", "\n".join([",".join(names), *rows]) + "\n")
 
 
-def _refuse_failures(failed: int, config: Config) -> None:
+def _refuse_failures(misses: list[Lost], config: Config) -> None:
+    failed, jumps = len(misses), sum(miss.jumped for _, miss in misses)
     if failed > config.max_failed_share * config.equilibria or failed == config.equilibria:
+        remedy = "use a smaller stage.load_step, or check mesh and material"
+        if 2 * jumps > failed:  # a shorter step changes nothing
+            remedy = "narrow the robot's pressures or tip_force_max_n, or use a stiffer material or thicker walls"
         raise SolverError(
-            f"{failed} of {config.equilibria} loads found no equilibrium, more than stage.max_failed_share="
-            f"{config.max_failed_share:g}; use a smaller stage.load_step, or check mesh and material"
+            f"{failed} of {config.equilibria} loads found no equilibrium, {jumps} of them but behind a jump, more than "
+            f"stage.max_failed_share={config.max_failed_share:g}; the first, sample {misses[0][0]}: "
+            f"{misses[0][1].reason}; {remedy}"
         )
 
 
@@ -295,6 +322,7 @@ def _report(
     tip = snapshots.coordinate[:, -3:]
     tracker.metric("equilibria", len(samples))
     tracker.metric("failed", snapshots.failed)
+    tracker.metric("load_steps_halved", sum(cost.halvings for _, _, cost in samples))
     tracker.metric("trajectories_failed", trajectories - len(snapshots.trajectory_load))
     tracker.metric("newton_iterations_mean", float(np.mean([cost.iterations for _, _, cost in samples])))
     tracker.metric("factorisations_mean", float(np.mean([cost.factorisations for _, _, cost in samples])))

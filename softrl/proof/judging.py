@@ -70,7 +70,8 @@ def plain(found: Diagnosis) -> Answer:
 def worth(folder: Path, name: str, given: Answer, robot: Robot, nominal: PccSimulator, dt_s: float) -> dict[str, Any]:
     """Return the rms error, mm, of every competitor on held-out runs and on the session out of distribution.
 
-    A model that diverges is left out, which the scores count as closing no gap. The oracle knows the truth without noise: its error is the noise. Simulators step by ``dt_s``, as in the fit.
+    A model that diverges is left out, which the scores count as closing no gap. The oracle knows the truth without
+    noise: its error is the noise. Simulators step by ``dt_s``, as in the fit.
     """
     if given["verdict"] == "crashed":
         return {"heldout": {}, "outside": {}}

@@ -34,6 +34,8 @@ class Generator:
     sessions, session_s : recordings that the diagnosis gets, and how long each is
     share : of the pressure range that they use; the session out of distribution uses all of it
     tip_force_n : known force on the tip in the session out of distribution
+    orientation : whether orientations are recorded: under its weight this body's tip leans other than an arc of
+        constant curvature does (0.4 degrees on the default robot), whatever is retuned
     position_noise_m, orientation_noise_rad, pressure_noise_pa : standard deviation of one component
     coloured_share, noise_memory_s : share of the noise's variance that is coloured, and its correlation time
     dropped_share, late_share : of the samples
@@ -45,6 +47,7 @@ class Generator:
     session_s: float
     share: float
     tip_force_n: float
+    orientation: bool
     position_noise_m: float
     orientation_noise_rad: float
     pressure_noise_pa: float
@@ -100,7 +103,7 @@ def make(case: Case, generator: Generator, robot: Robot, nominal: PccSimulator, 
     loud = [_ratio(nominal, replace(bare, hidden=(law,), amplitudes=(size,)), probes, mapped, own, floor)
             for law, size in zip(drawn, sizes, strict=True)]  # fmt: skip
     name = rng.bytes(8).hex()
-    record(truth, runs, last, noise, mapped, case.measured_pressure, robot, folder, name, rng)
+    record(truth, runs, last, noise, mapped, case.measured_pressure, generator.orientation, robot, folder, name, rng)
     return {
         "case": case.number,
         "folder": name,
@@ -123,6 +126,7 @@ def record(
     noise: Noise,
     mapped: Any,
     measured_pressure: bool,
+    orientation: bool,
     robot: Robot,
     folder: Path,
     name: str,
@@ -133,9 +137,8 @@ def record(
     for number, session in enumerate([*runs, last]):
         seen = sensed(truth.table, session.time, truth.moved(session, number), robot.length_m, noise, rng)
         label = rng.bytes(6).hex()
-        taken.append(
-            _recording(label, rng.bytes(6).hex(), session, seen, mapped, measured_pressure, number == len(runs))
-        )
+        made = _recording(label, rng.bytes(6).hex(), session, seen, mapped, measured_pressure, number == len(runs))
+        taken.append(made if orientation else replace(made, quaternion=None))
         clean[label] = seen.clean
     for part, chosen in ((RECORDINGS, taken[:-1]), (OUTSIDE, taken[-1:])):
         write(folder / part / name, RecordingSet(robot_name=robot.name, recordings=tuple(chosen)))

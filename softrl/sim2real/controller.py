@@ -1,17 +1,20 @@
 """From a reading of the tip to pressures: by the policy with the calibration, or by a model alone."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from softrl.artifacts.calibration import Calibration
 from softrl.artifacts.policy import Policy
 from softrl.artifacts.surrogate import Surrogate
 from softrl.calibration.pressure_map import PressureMap
+from softrl.core.driver import Sample
 from softrl.core.errors import ArtifactError
 from softrl.rl.inference import Inference
 from softrl.rl.tasks.task import Task
 from softrl.rl.workspace import Workspace
 from softrl.sim2real.course import Course
-from softrl.sim2real.rollout import Controller
+from softrl.sim2real.rollout import Controller, Watchful
 from softrl.surrogate.maps import PressureToJoints
 
 
@@ -57,6 +60,11 @@ class Calibrated:
 
     def __init__(self, inner: Controller, calibration: Calibration) -> None:
         self._inner, self._map = inner, PressureMap(calibration)
+
+    def watch(self, arrived: Sequence[Sample], step: int) -> None:
+        """Let the other look at the samples, which are of the robot's own pressures."""
+        if isinstance(self._inner, Watchful):
+            self._inner.watch(arrived, step)
 
     def pressure(self, position: np.ndarray, step: int, tip_force: np.ndarray | None = None) -> np.ndarray:
         """Return P_R (chambers,) Pa of the other's P_S."""

@@ -5,16 +5,18 @@ inverse asks for it in advance. Feedback then takes away what the simulation doe
 """
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from softrl.core.driver import Sample
 from softrl.core.errors import ConfigError
 from softrl.effects.chain import Plant
 from softrl.robots.robot import Robot
 from softrl.sim2real.filter import moving_average
+from softrl.sim2real.watch import LineWatch, Watch
 
 log = logging.getLogger(__name__)
 
@@ -36,6 +38,7 @@ class Planning:
     approach_weight : of the errors before the rollout counts
     feedback : share of a new misfit between prediction and reading that is taken as lasting, 0..1
     horizon_steps : commands over which a misfit is taken away
+    watch : of the air lines; what a broken one does is not taken as lasting
     """
 
     dt_s: float
@@ -47,6 +50,7 @@ class Planning:
     approach_weight: float
     feedback: float
     horizon_steps: int
+    watch: Watch
 
     def __post_init__(self) -> None:
         for name in (
@@ -198,6 +202,10 @@ def _second_difference(steps: int) -> np.ndarray:
 class PlannedController:
     """Sends a plan; a misfit between reading and prediction is taken as lasting and taken away by the commands to come.
 
+    While an air line is broken, and until the tip has forgotten it, the misfit learnt before is kept: commands that make up
+    for a line that is off would throw the tip far out once it is back on. What the fault leaves behind, in walls that creep
+    and remember, has nothing to do with the misfit before: the first readings after it are taken as lasting wholly.
+
     Parameters
     ----------
     prepared : the plan, whose first ``approach`` steps come before step 0
@@ -211,18 +219,33 @@ class PlannedController:
         self._plan, self._approach, self._settings, self._robot, self._read = prepared, approach, settings, robot, read
         self._change = np.zeros_like(prepared.request)
         self._lasting = np.zeros(3)
+        self._lines = LineWatch(settings.watch)
+        self._afresh = 0
+
+    def watch(self, arrived: Sequence[Sample], step: int) -> None:
+        """Take in the samples of the period before the command of ``step``; in the approach the robot counts as whole."""
+        trusted = self._lines.trusted
+        self._lines.advance(arrived, healthy=step <= 0)
+        if trusted and not self._lines.trusted:
+            log.info("step %d: an air line is off", step)
+        if self._lines.trusted and not trusted:
+            log.info("step %d: all air lines are on again", step)
+            self._afresh = self._settings.watch.afresh_steps
 
     def pressure(self, position: np.ndarray, step: int, tip_force: np.ndarray | None = None) -> np.ndarray:
         """Return (n,) Pa for the target of ``step`` (negative in the approach), the tip being at ``position`` (3,) m."""
         at = step + self._approach
         if at > 0 and self._settings.feedback > 0.0:
-            self._observe(at - 1, self._read(position, tip_force))
+            if self._lines.trusted:
+                self._observe(at - 1, self._read(position, tip_force))
             self._correct(at)
         return np.asarray(self._plan.request[at] + self._change[at])
 
     def _observe(self, k: int, reading: np.ndarray) -> None:
         expected = self._plan.predicted[k] + self._effect(k)
-        self._lasting += self._settings.feedback * (reading - expected - self._lasting)
+        share = 1.0 if self._afresh > 0 else self._settings.feedback
+        self._afresh = max(self._afresh - 1, 0)
+        self._lasting += share * (reading - expected - self._lasting)
 
     def _effect(self, k: int) -> np.ndarray:
         """Return what the changes so far add to reading ``k``, (3,) m."""

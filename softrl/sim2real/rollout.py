@@ -1,10 +1,10 @@
 """Following targets on a robot: observe, decide, smooth, send, at the pace of the robot's commands (Fig. 6b)."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -25,6 +25,15 @@ class Controller(Protocol):
 
         The tip is at ``position`` (3,) m and feels ``tip_force`` (3,) N.
         """
+        ...
+
+
+@runtime_checkable
+class Watchful(Protocol):
+    """A controller that looks at more than the tip."""
+
+    def watch(self, arrived: Sequence[Sample], step: int) -> None:
+        """Take in all samples (at least one) of the period before the command of ``step``."""
         ...
 
 
@@ -85,15 +94,19 @@ def follow(
     last: list[Sample] = []
     decision_s = []
     with driver:
-        samples = _wait(driver, [], pace.period_s)
+        arrived = _wait(driver, pace.period_s)
+        samples = [*arrived]
         for step in range(-pace.approach_steps, len(course.position)):
             if step in events:
                 events[step]()
             started = time.perf_counter()
+            if isinstance(controller, Watchful):
+                controller.watch(arrived, step)
             pressure = controller.pressure(samples[-1].position, step, samples[-1].tip_force)
             decision_s.append(time.perf_counter() - started)
             driver.command(average.advance(pressure))
-            samples = _wait(driver, samples, pace.period_s)
+            arrived = _wait(driver, pace.period_s)
+            samples += arrived
             last.append(samples[-1])
     counted = last[pace.approach_steps :]
     recording = recording_of(samples, robot, name, session)
@@ -102,9 +115,9 @@ def follow(
     return Rollout(recording, course, reached, pressed, np.array(decision_s[pace.approach_steps :]))
 
 
-def _wait(driver: Driver, samples: list[Sample], period_s: float) -> list[Sample]:
-    """Return ``samples`` with those of the next period, of which there must be one to decide on."""
+def _wait(driver: Driver, period_s: float) -> list[Sample]:
+    """Return the samples of the next period, of which there must be one to decide on."""
     arrived = driver.advance(period_s)
     if not arrived:
         raise DriverError(f"no sample arrived within {period_s:g} s; nothing to decide on: is the sensor on?")
-    return samples + arrived
+    return arrived

@@ -80,5 +80,6 @@ def test_loads_that_fail_are_recorded(box: Mesh, tmp_path: Path, monkeypatch: py
     with pytest.raises(SolverError, match="3 of 3 loads"):
         run(hopeless, box_robot(2), box, tracker=Keeper())
     lines = texts["failed_loads.csv"].splitlines()
-    assert lines[0] == "sample,p1_pa,p2_pa,force_x_n,force_y_n,force_z_n"
+    assert lines[0] == "sample,p1_pa,p2_pa,force_x_n,force_y_n,force_z_n,reason"
     assert [line.split(",")[0] for line in lines[1:]] == ["0", "1", "2"]
+    assert all("Newton stopped after" in line for line in lines[1:])

@@ -3,7 +3,7 @@
 import numpy as np
 
 from softrl.artifacts.mesh import Mesh
-from softrl.fem.continuation import follow
+from softrl.fem.continuation import Equilibrium, follow
 from softrl.fem.sampling import load_scale, paths, sobol_loads, step_program
 from tests.fem.bodies import box_robot, model_of
 
@@ -50,6 +50,6 @@ def test_a_path_ends_where_a_solve_from_rest_ends(box: Mesh) -> None:
     robot, model = box_robot(2), model_of(box)
     loads = sobol_loads(robot, 4, 0.0, 2)
     for load, found in zip(loads, follow(model, loads, load_scale(robot), 0.5), strict=True):
-        assert found is not None
+        assert isinstance(found, Equilibrium)
         alone = model.static(load)
         assert np.abs(alone.pose.position - found.pose.position).max() < 1e-7

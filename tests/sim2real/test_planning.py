@@ -18,12 +18,13 @@ from softrl.sim2real.course import Course
 from softrl.sim2real.drivers.rig import Noise
 from softrl.sim2real.planning import Plan, PlannedController, Planning, Route, linearise, plan
 from softrl.sim2real.rollout import Pace, follow
+from softrl.sim2real.watch import Watch
 from tests.sim2real.conftest import BenchDriver
 
 PERIOD_S, APPROACH, STEPS = 0.5, 2, 14
 SETTINGS = Planning(
     dt_s=0.01, memory_steps=4, probe_kpa=0.2, rounds=2, refinements=2, smoothness_mm_per_kpa=0.01,
-    approach_weight=0.1, feedback=0.5, horizon_steps=3,
+    approach_weight=0.1, feedback=0.5, horizon_steps=3, watch=Watch(settle_s=2.0, fault_kpa=3.0, after_s=0.4, afresh_steps=3),
 )  # fmt: skip
 HIDDEN = (Lag(fill_s=0.15, vent_s=0.3), Hysteresis(height=0.03, yield_strain=0.02))
 
