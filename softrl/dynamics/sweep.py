@@ -27,7 +27,7 @@ def draw(points: list[Point]) -> dict[str, Figure]:
                 _line(axis, chosen, f"{split}/{name}", f"C{k}o-", f"f_S, lambda = {weight:g}")
             _line(axis, points, f"{split}/arx_{name}", "k--", "linear map")
             axis.set(xscale="log", yscale="log", ylabel=label)
-            axis.set_title(title if row is axes[0] else "")
+            axis.set_title(title if axis in axes[0] else "")
             axis.set_xticks(runs, [str(n) for n in runs])
             axis.minorticks_off()
     for axis in axes[1]:

@@ -80,6 +80,7 @@ def test_inverse_and_recurrent_network_go_on_too(
     assert [checkpoint.resumed for checkpoint in checkpoints] == [10, 20]
 
 
+@pytest.mark.slow
 def test_the_stage_goes_on_and_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     robot, snapshots, model = fitted(3)
