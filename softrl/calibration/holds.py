@@ -79,6 +79,28 @@ def settled_holds(recordings: RecordingSet, hold_min_s: float, average_s: float,
     return Holds(np.array(pressure), np.array(position), np.array(run_of), np.array(last_row))
 
 
+def moving_rows(recordings: RecordingSet, runs: np.ndarray, settle_s: float, count: int) -> Holds:
+    """Return at most ``count`` rows, evenly over ``runs``, less than ``settle_s`` after a change of the command.
+
+    There valves, chambers and body are on their way to where the command leads.
+    """
+    found = []
+    for run in runs:
+        recording = recordings.recordings[int(run)]
+        for row in np.flatnonzero(_since_change(recording) < settle_s):
+            found.append((recording.pressure_cmd[row], recording.position[row], run, row))
+    chosen = np.unique(np.linspace(0, len(found) - 1, min(count, len(found))).round().astype(int))
+    pressure, position, run_of, row_of = zip(*(found[k] for k in chosen), strict=True)
+    return Holds(np.array(pressure), np.array(position), np.array(run_of), np.array(row_of))
+
+
+def _since_change(recording: Recording) -> np.ndarray:
+    """Return the time (steps,) s since the command changed last; inf before its first change."""
+    changed = np.abs(np.diff(recording.pressure_cmd, axis=0, prepend=recording.pressure_cmd[:1])).max(axis=1)
+    last = np.maximum.accumulate(np.where(changed > COMMAND_TOLERANCE_PA, recording.time, -np.inf))
+    return recording.time - last
+
+
 def split_holds(holds: Holds, heldout_share: float, rng: np.random.Generator) -> np.ndarray:
     """Return (holds,) bool: whole runs are held out, or (with a single run) a contiguous end of it."""
     runs = np.unique(holds.run)

@@ -6,13 +6,14 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from softrl.calibration.holds import Holds
-from softrl.calibration.kinematics import angle_between, arc
+from softrl.calibration.kinematics import angle_between, arc, rotation_vector
 from softrl.core.simulator import Motion, Simulator
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
 # velocities of both sides are slopes of parabolas over this window, so that camera noise is no velocity
 VELOCITY_WINDOW_S = 0.11
+SMALLEST_SPAN = 1e-9  # in SI; less than that is rounding
 
 
 def replay(simulator: Simulator, recording: Recording, pressure: np.ndarray) -> Motion:
@@ -38,8 +39,10 @@ def replay_errors(
     -----
     Paper Table 1: backbone length l, curvature kappa, orientation q, tip position p and its rate; l and kappa
     are those of the constant-curvature arc to the tip. Over all rows the lags of valve and body count too,
-    which no static map can remove.
+    which no static map can remove. Fig. 7b: the same errors in per cent of what the measured quantity spans over the
+    runs (``_pct``), a vector by the diagonal of its box.
     """
+    ranges = _ranges(robot, list(runs.values()))
     at_holds: dict[str, list[np.ndarray]] = {}
     over_runs: dict[str, list[np.ndarray]] = {}
     for number, recording in runs.items():
@@ -50,10 +53,13 @@ def replay_errors(
             over_runs.setdefault(f"{name}_run", []).append(error)
             if not name.startswith("velocity"):
                 at_holds.setdefault(f"{name}_hold", []).append(error[rows])
-    return {
-        _with_unit(name): _rms(np.concatenate(e)) * UNITS[name.rsplit("_", 1)[0]][1]
-        for name, e in (at_holds | over_runs).items()
+    errors = {name: _rms(np.concatenate(e)) for name, e in (at_holds | over_runs).items()}
+    shares = {
+        f"{name}_pct": 100.0 * error / ranges[_quantity(name)]
+        for name, error in errors.items()
+        if ranges[_quantity(name)] > SMALLEST_SPAN  # a robot that does not move spans nothing
     }
+    return {_with_unit(name): error * UNITS[_quantity(name)][1] for name, error in errors.items()} | shares
 
 
 UNITS = {
@@ -66,7 +72,23 @@ UNITS = {
 
 
 def _with_unit(name: str) -> str:
-    return f"{name}_{UNITS[name.rsplit('_', 1)[0]][0]}"
+    return f"{name}_{UNITS[_quantity(name)][0]}"
+
+
+def _quantity(name: str) -> str:
+    return name.rsplit("_", 1)[0]
+
+
+def _ranges(robot: Robot, recordings: list[Recording]) -> dict[str, float]:
+    """Return what each measured quantity spans over all ``recordings``, in SI."""
+    position = np.concatenate([recording.position for recording in recordings])
+    length, curvature = arc(position, robot.axis)
+    velocity = np.concatenate([_velocity(recording.time, recording.position) for recording in recordings])
+    measured = {"position": position, "arc_length": length, "curvature": curvature, "velocity": velocity}
+    if all(recording.quaternion is not None for recording in recordings):
+        measured["orientation"] = rotation_vector(np.concatenate([r.quaternion for r in recordings]))
+    ranges = {name: float(np.linalg.norm(np.ptp(values, axis=0))) for name, values in measured.items()}
+    return {name: ranges.get(name, 0.0) for name in UNITS}
 
 
 def _errors(robot: Robot, recording: Recording, motion: Motion) -> dict[str, np.ndarray]:

@@ -1,15 +1,35 @@
 """One parent run over the points of a sweep, closed whatever happens."""
 
+import importlib
+import importlib.util
 import logging
 import os
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
+import numpy as np
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
 log = logging.getLogger(__name__)
 PARENT_VARIABLE = "SOFTRL_PARENT_RUN"  # read by the points, which may run in processes of their own
 _open: list[Any] = []
+
+
+class Point(NamedTuple):
+    """A finished run of a sweep: its flat parameters as written, and its last metrics."""
+
+    params: Mapping[str, str]
+    metrics: Mapping[str, float]
+
+
+def spread_by(points: list[Point], key: str, metric: str) -> dict[str, tuple[float, float]]:
+    """Return value of parameter ``key`` -> mean and standard deviation of ``metric`` over the points that have it."""
+    values: dict[str, list[float]] = {}
+    for point in points:
+        if metric in point.metrics:
+            values.setdefault(point.params[key], []).append(point.metrics[metric])
+    return {value: (float(np.mean(found)), float(np.std(found))) for value, found in values.items()}
 
 
 class SweepParent(Callback):
@@ -36,6 +56,7 @@ def close_parents(error: BaseException | None) -> None:
     while _open:
         run = _open.pop()
         _copy_best_child(run)
+        _draw(run)
         run.__exit__(type(error) if error else None, error, None)
     os.environ.pop(PARENT_VARIABLE, None)
 
@@ -47,3 +68,14 @@ def _copy_best_child(parent: Any) -> None:
     if children:
         for name, value in children[0].data.metrics.items():
             parent.metric(name, value)
+
+
+def _draw(parent: Any) -> None:
+    """Put the figures that the stage's room draws of a sweep on the parent; most rooms draw none."""
+    stage = parent.run.data.tags["softrl.stage"].removeprefix("sweep:")
+    module = f"softrl.{stage}.sweep"
+    if importlib.util.find_spec(f"softrl.{stage}") is None or importlib.util.find_spec(module) is None:
+        return
+    points = [Point(run.data.params, run.data.metrics) for run in parent.store.children(parent.id)]
+    for name, figure in importlib.import_module(module).draw(points).items():
+        parent.figure(name, figure)

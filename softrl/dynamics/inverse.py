@@ -8,6 +8,7 @@ from torch import nn
 
 from softrl.artifacts.dynamics import InverseDynamics
 from softrl.core.progress import progress
+from softrl.dynamics.checkpoint import NO_CHECKPOINT, Checkpoint, Training, require_finite
 from softrl.dynamics.dataset import Windows
 from softrl.dynamics.transformer import ForwardNet
 
@@ -82,7 +83,9 @@ class InverseSettings:
     seed: int
 
 
-def train_inverse(forward: ForwardNet, train: Windows, settings: InverseSettings) -> tuple[InverseNet, np.ndarray]:
+def train_inverse(
+    forward: ForwardNet, train: Windows, settings: InverseSettings, checkpoint: Checkpoint = NO_CHECKPOINT
+) -> tuple[InverseNet, np.ndarray]:
     """Return the inverse of ``forward`` and the losses (updates, 2): pressure and cycle, dimensionless.
 
     Notes
@@ -101,8 +104,10 @@ def train_inverse(forward: ForwardNet, train: Windows, settings: InverseSettings
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimiser, settings.learning_rate, settings.updates + 1, pct_start=0.05
     )
-    losses = []
-    for _ in progress(range(settings.updates), "f_S inverse training"):
+    losses: dict[str, list[float]] = {"pressure": [], "cycle": []}
+    training = Training(net, optimiser, schedule, generator, losses)
+    checkpoint.restore(training)
+    for update in progress(range(training.done, settings.updates), "f_S inverse training"):
         rows, wanted = train.take(torch.randint(len(train), (settings.batch,), generator=generator))
         pressure = net(rows[:, -1], wanted)
         data = ((pressure - rows[:, -1, at]) / net.fine).pow(2).mean()
@@ -111,12 +116,17 @@ def train_inverse(forward: ForwardNet, train: Windows, settings: InverseSettings
             if settings.cycle_weight > 0
             else torch.zeros(())
         )
+        loss = data + settings.cycle_weight * cycle
+        require_finite(loss, "the inverse of f_S", update)
         optimiser.zero_grad()
-        (data + settings.cycle_weight * cycle).backward()
+        loss.backward()
         optimiser.step()
         schedule.step()
-        losses.append((float(data.detach()), float(cycle.detach())))
-    return net, np.array(losses)
+        losses["pressure"].append(float(data.detach()))
+        losses["cycle"].append(float(cycle.detach()))
+        training.done = update + 1
+        checkpoint.keep(training, settings.updates)
+    return net, np.array([losses["pressure"], losses["cycle"]]).T
 
 
 def _cycle_error(forward: ForwardNet, rows: torch.Tensor, pressure: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:

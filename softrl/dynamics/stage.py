@@ -14,11 +14,12 @@ from softrl.artifacts.dynamics import ForwardDynamics, InverseDynamics
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
 from softrl.core import fingerprint
-from softrl.core.errors import ConfigError
+from softrl.core.errors import ConfigError, SolverError
 from softrl.core.parallel import LOCAL, Parallel
 from softrl.core.resume import Kept
 from softrl.core.tracking import Tracker
 from softrl.dynamics.body import ReducedBody
+from softrl.dynamics.checkpoint import NO_CHECKPOINT, Checkpoint
 from softrl.dynamics.dataset import Body, Trajectories, Windows, full_order, random_loads, rolled
 from softrl.dynamics.evaluate import Predictor, onestep_errors, predictors, rollout, rollout_errors
 from softrl.dynamics.figures import draw_losses, draw_rollout, table
@@ -32,6 +33,9 @@ from softrl.robots.robot import Robot
 log = logging.getLogger(__name__)
 
 
+# settings that change neither motion nor weights
+NO_TRAINING_KEYS = ("processes", "checkpoint_updates", "heldout_runs", "rollout_s", "outside_runs", "outside_load_factor",
+                    "outside_speed_factor")  # fmt: skip
 # settings that the motion depends on
 MOTION_KEYS = ("training_runs", "runs_per_chunk", "run_s", "dt_s", "weight", "window", "seed")
 
@@ -54,8 +58,12 @@ class Config:
     physics_weight : lambda of eq. 10;  physics_samples : windows that set the residual's scale
     inverse_hidden, inverse_updates, inverse_batch, inverse_learning_rate : the inverse and its training
     cycle_weight : beta of eq. 18
+    checkpoint_updates : a training that was killed goes on from its last multiple of this
     gru_update_share : of the updates of f_S, for a recurrent network of equal size beside it; 0 leaves it out
     rollout_s : length of the rollouts that are judged
+    outside_runs : a further test set from outside of what was trained on; 0 leaves it out
+    outside_load_factor, outside_speed_factor : its loads span the training's range by this factor, and change this
+        much faster, the slew limit included
     """
 
     training_runs: int
@@ -85,19 +93,24 @@ class Config:
     inverse_batch: int
     inverse_learning_rate: float
     cycle_weight: float
+    checkpoint_updates: int
     gru_update_share: float
     rollout_s: float
+    outside_runs: int
+    outside_load_factor: float
+    outside_speed_factor: float
     seed: int
 
     def __post_init__(self) -> None:
         positive = ("training_runs", "validation_runs", "heldout_runs", "runs_per_chunk", "processes",
                     "run_s", "dt_s", "heads", "layers",
                     "feedforward", "linear_rows", "ridge", "onestep_updates", "rollout_steps", "learning_rate",
-                    "physics_samples", "inverse_hidden", "inverse_updates", "inverse_learning_rate")  # fmt: skip
+                    "physics_samples", "inverse_hidden", "inverse_updates", "inverse_learning_rate", "checkpoint_updates",
+                    "outside_load_factor", "outside_speed_factor")  # fmt: skip
         for name in positive:
             if getattr(self, name) <= 0:
                 raise ConfigError(f"stage.{name}={getattr(self, name):g} must be positive")
-        for name in ("physics_weight", "cycle_weight", "rollout_updates", "gru_update_share"):
+        for name in ("physics_weight", "cycle_weight", "rollout_updates", "gru_update_share", "outside_runs"):
             if getattr(self, name) < 0:
                 key = "lambda" if name == "physics_weight" else f"stage.{name}"
                 raise ConfigError(f"{key}={getattr(self, name):g} must not be negative")
@@ -125,11 +138,17 @@ class Sets(NamedTuple):
     train: Trajectories | StoredWindows
     validation: Trajectories
     heldout: Trajectories
+    outside: Trajectories | None = None
 
 
 def run(
-    config: Config, robot: Robot, reduced_model: ReducedModel, snapshots: Snapshots, parallel: Parallel | None = None,
-    *, tracker: Tracker,
+    config: Config,
+    robot: Robot,
+    reduced_model: ReducedModel,
+    snapshots: Snapshots,
+    parallel: Parallel | None = None,
+    *,
+    tracker: Tracker,
 ) -> Dynamics:
     """Return f_S and its inverse; errors on held-out runs and on the full model's are logged beside baselines."""
     torch.set_num_threads(1)
@@ -141,9 +160,12 @@ def run(
     if config.training_runs > config.runs_per_chunk:
         sets = sets._replace(train=_many(config, robot, reduced_model, body, parallel or LOCAL, kept, tracker))
     report_data(config, sets, snapshots, tracker)
-    net, history = learn_forward(config, sets, body)
-    others = {"gru": learn_gru(config, sets, body)} if config.gru_update_share > 0.0 else {}
-    inverse, inverse_losses = learn_inverse(config, net, sets.train)
+    weights = Kept("dynamics_training", _training_mark(config, kept))
+    trainings = {name: Checkpoint(weights, name, config.checkpoint_updates) for name in ("f_S", "gru", "inverse")}
+    net, history = learn_forward(config, sets, body, checkpoint=trainings["f_S"])
+    others = {"gru": learn_gru(config, sets, body, trainings["gru"])} if config.gru_update_share > 0.0 else {}
+    inverse, inverse_losses = learn_inverse(config, net, sets.train, trainings["inverse"])
+    tracker.metric("updates_resumed", sum(training.resumed for training in trainings.values()))
     tracker.figure("losses", draw_losses(history, inverse_losses))
     full = None if config.weight else full_order(snapshots, robot.axis, config.dt_s)
     report(config, net, inverse, body, sets, full, tracker, others)
@@ -155,6 +177,7 @@ def run(
     backward = InverseDynamics(
         weights_of(inverse), config.inverse_hidden, config.dt_s, config.cycle_weight, robot.chambers, robot.name
     )
+    weights.clear()
     kept.clear()
     return Dynamics(forward, backward)
 
@@ -174,6 +197,13 @@ def _mark(config: Config, robot: Robot, model: ReducedModel) -> str:
     settings = {key: value for key, value in asdict(config).items() if key in MOTION_KEYS}
     code = fingerprint.of_code("softrl.dynamics.generate", "softrl.dynamics.body")
     return fingerprint.of_values([settings, asdict(robot), fingerprint.of_arrays(arrays), code])
+
+
+def _training_mark(config: Config, motion: Kept) -> str:
+    """Return a hash of all that the weights depend on."""
+    settings = {key: value for key, value in asdict(config).items() if key not in NO_TRAINING_KEYS}
+    code = fingerprint.of_code("softrl.dynamics.training", "softrl.dynamics.inverse")
+    return fingerprint.of_values([settings, motion.folder.name, code])
 
 
 def _many(
@@ -221,21 +251,41 @@ def generate(config: Config, robot: Robot, body: Body, low: np.ndarray, high: np
     for count, seed in zip(counts, seeds, strict=True):
         load = random_loads(robot, low, high, count, steps, config.dt_s, np.random.default_rng(seed))
         sets.append(rolled(body, load, robot.axis, config.dt_s))
-    return Sets(*sets)
+    return Sets(*sets, outside=_outside(config, robot, body, low, high) if config.outside_runs else None)
 
 
-def learn_gru(config: Config, sets: Sets, body: Body) -> ForwardNet:
+def _outside(config: Config, robot: Robot, body: Body, low: np.ndarray, high: np.ndarray) -> Trajectories | None:
+    """Return runs of loads that are larger and change faster than any in training, or None where the body gives up."""
+    rng = np.random.default_rng(np.random.SeedSequence(config.seed).spawn(4)[3])
+    factor, speed = config.outside_load_factor, config.outside_speed_factor
+    steps = round(config.run_s / config.dt_s) + 1
+    # a longer step makes the same programs pass in fewer of them
+    load = random_loads(
+        robot, factor * low, factor * high, config.outside_runs, steps, speed * config.dt_s, rng
+    )  # fmt: skip
+    try:
+        return rolled(body, load, robot.axis, config.dt_s)
+    except SolverError as error:
+        log.warning("no errors outside of the training's range: %s; lower stage.outside_load_factor", error)
+        return None
+
+
+def learn_gru(config: Config, sets: Sets, body: Body, checkpoint: Checkpoint = NO_CHECKPOINT) -> ForwardNet:
     """Return the recurrent baseline, trained on data alone by a share of the updates of f_S."""
     share = config.gru_update_share
     own = replace(
         config, physics_weight=0.0, onestep_updates=max(1, round(share * config.onestep_updates)),
         rollout_updates=round(share * config.rollout_updates),
     )  # fmt: skip
-    return learn_forward(own, sets, body, GruNet)[0]
+    return learn_forward(own, sets, body, GruNet, checkpoint)[0]
 
 
 def learn_forward(
-    config: Config, sets: Sets, body: Body, kind: type[ForwardNet] = ForwardNet
+    config: Config,
+    sets: Sets,
+    body: Body,
+    kind: type[ForwardNet] = ForwardNet,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> tuple[ForwardNet, History]:
     """Return the trained network and how its training went."""
     train, validation = _windows(sets.train, config.window), Windows(sets.validation, config.window)
@@ -250,17 +300,19 @@ def learn_forward(
         config.batch, config.onestep_updates, config.rollout_updates, config.rollout_steps, config.learning_rate,
         config.physics_weight, config.seed,
     )  # fmt: skip
-    history = train_forward(net, train, validation, physics, settings)
+    history = train_forward(net, train, validation, physics, settings, checkpoint)
     return net.eval(), history
 
 
-def learn_inverse(config: Config, net: ForwardNet, runs: Trajectories | StoredWindows) -> tuple[InverseNet, np.ndarray]:
+def learn_inverse(
+    config: Config, net: ForwardNet, runs: Trajectories | StoredWindows, checkpoint: Checkpoint = NO_CHECKPOINT
+) -> tuple[InverseNet, np.ndarray]:
     """Return the trained inverse and its losses (updates, 2)."""
     settings = InverseSettings(
         config.inverse_hidden, config.inverse_updates, config.inverse_batch, config.inverse_learning_rate,
         config.cycle_weight, config.ridge, config.seed,
     )  # fmt: skip
-    return train_inverse(net, _windows(runs, config.window), settings)
+    return train_inverse(net, _windows(runs, config.window), settings, checkpoint)
 
 
 def report(
@@ -285,6 +337,8 @@ def report(
     known = predictors(net, body, config.dt_s)
     known |= {name: predictors(other, body, config.dt_s)["f_s"] for name, other in others.items()}
     _report_set("heldout", known, windows, config, tracker)
+    if sets.outside is not None:
+        _report_set("outside", known, Windows(sets.outside, config.window), config, tracker)
     for name, value in inverse_errors(inverse, net, windows).items():
         tracker.metric(f"heldout/{name}", value)
     if full is None or full.state.shape[1] < config.window + 3:
@@ -311,8 +365,8 @@ def _report_set(split: str, known: dict[str, Predictor], windows: Windows, confi
     }
     for name, values in errors.items():
         for key, value in values.items():
-            # the reduced model made the held-out runs and predicts no rotation: what it would score there says nothing
-            if name != "rom" or (split != "heldout" and "orientation" not in key):
+            # the reduced model made these runs and predicts no rotation: what it would score there says nothing
+            if name != "rom" or (split == "full_model" and "orientation" not in key):
                 tracker.metric(f"{split}/{key}" if name == "f_s" else f"{split}/{name}_{key}", value)
     tracker.text(f"errors_{split}.md", table(errors))
     first = torch.tensor([0])

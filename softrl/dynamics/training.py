@@ -7,6 +7,7 @@ import torch
 
 from softrl.core.progress import progress
 from softrl.core.scaling import Scaler
+from softrl.dynamics.checkpoint import NO_CHECKPOINT, Checkpoint, Training, require_finite
 from softrl.dynamics.dataset import KINDS, Windows
 from softrl.dynamics.physics_residual import PhysicsResidual
 from softrl.dynamics.transformer import ForwardNet, advance
@@ -79,9 +80,14 @@ def _shared_by_kind(rms: torch.Tensor) -> torch.Tensor:
 
 
 def train_forward(
-    net: ForwardNet, train: Windows, validation: Windows, physics: PhysicsResidual, settings: TrainingSettings
+    net: ForwardNet,
+    train: Windows,
+    validation: Windows,
+    physics: PhysicsResidual,
+    settings: TrainingSettings,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> History:
-    """Train ``net`` in place and return how it went.
+    """Train ``net`` in place, on from ``checkpoint``, and return how it went.
 
     Notes
     -----
@@ -92,24 +98,31 @@ def train_forward(
     optimiser = torch.optim.AdamW(net.parameters(), lr=settings.learning_rate, weight_decay=1e-4)
     updates = settings.onestep_updates + settings.rollout_updates
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, settings.learning_rate, updates + 1, pct_start=0.05)
-    data_losses, physics_losses, judged = [], [], []
-    for update in progress(range(updates), "f_S training"):
+    losses: dict[str, list[float]] = {"data": [], "physics": [], "validation_update": [], "validation": []}
+    training = Training(net, optimiser, schedule, generator, losses)
+    checkpoint.restore(training)
+    for update in progress(range(training.done, updates), "f_S training"):
         index = torch.randint(len(train), (settings.batch,), generator=generator)
         if update < settings.onestep_updates:
             data, residual = _onestep_loss(net, train, physics, index, settings.physics_weight > 0.0)
         else:
             share = index[: max(settings.batch // settings.rollout_steps, 16)]
             data, residual = _rollout_loss(net, train, physics, share, settings)
+        loss = data + settings.physics_weight * residual if settings.physics_weight > 0.0 else data
+        require_finite(loss, "f_S", update)
         optimiser.zero_grad()
-        (data + settings.physics_weight * residual if settings.physics_weight > 0.0 else data).backward()
+        loss.backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
         optimiser.step()
         schedule.step()
-        data_losses.append(float(data.detach()))
-        physics_losses.append(float(residual.detach()))
+        losses["data"].append(float(data.detach()))
+        losses["physics"].append(float(residual.detach()))
         if update % max(updates // 40, 1) == 0 or update == updates - 1:
-            judged.append((update, onestep_error(net, validation)))
-    return History(np.array(data_losses), np.array(physics_losses), *np.array(judged).T)
+            losses["validation_update"].append(update)
+            losses["validation"].append(onestep_error(net, validation))
+        training.done = update + 1
+        checkpoint.keep(training, updates)
+    return History(**{name: np.array(values) for name, values in losses.items()})
 
 
 def onestep_error(net: ForwardNet, windows: Windows, samples: int = 2000) -> float:

@@ -1,9 +1,12 @@
 """Pictures of laps and of training."""
 
+from dataclasses import replace
+
 import numpy as np
 from matplotlib.figure import Figure
 
 from softrl.rl.evaluate import Evaluation
+from softrl.rl.tasks.task import Task
 from softrl.surrogate.twin import Plane
 
 
@@ -26,6 +29,26 @@ def draw_laps(laps: dict[str, Evaluation], plane: Plane | None) -> Figure:
         below.plot(steps, got, ".-", color="C0", ms=3, lw=0.7)
         below.set(xlabel="step", ylabel=label)
     axes[0, 0].legend(frameon=False, fontsize=8)
+    return figure
+
+
+def draw_reward(task: Task) -> Figure:
+    """Return R_q over the position error and R_F over the force error, each as the task pays it by itself."""
+    figure = Figure(figsize=(7.0, 3.0), layout="constrained")
+    shapes = (
+        ("R_q", 1.0, task.position_scale_m, 1e3, "position error [mm]"),
+        ("R_F", 0.0, task.force_scale_n, 1.0, "force error [N]"),
+    )
+    for axis, (name, alpha, scale, unit, label) in zip(figure.subplots(1, 2, sharey=True), shapes, strict=True):
+        error = np.linspace(0.0, 15.0 * scale, 400)
+        zero = np.zeros_like(error)
+        part = replace(task, alpha=alpha)
+        axis.plot(unit * error, part.reward(error, zero) if name == "R_q" else part.reward(zero, error))
+        axis.axvline(unit * scale, color="0.6", lw=0.8, ls="--", label=f"scale, {unit * scale:g}")
+        share = task.alpha if name == "R_q" else 1.0 - task.alpha
+        axis.set(xlabel=label, title=f"{name}, weight {share:g} in R", ylim=(0.0, 1.02))
+        axis.legend(frameon=False, fontsize=8)
+    figure.axes[0].set_ylabel("reward")
     return figure
 
 

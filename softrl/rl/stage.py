@@ -13,7 +13,7 @@ from softrl.rl.actor import Actor, act_scaled
 from softrl.rl.agents.agent import Agent, Lesson, Practice
 from softrl.rl.batch import Batch, scales_of
 from softrl.rl.evaluate import Controller, Evaluation, corner_pushes, evaluate, expert, open_loop, rest
-from softrl.rl.figures import draw_history, draw_laps
+from softrl.rl.figures import draw_history, draw_laps, draw_reward
 from softrl.rl.tasks.task import Goals, Task
 from softrl.rl.vector_env import TwinVecEnv
 from softrl.rl.workspace import Workspace
@@ -97,6 +97,7 @@ def _report(config: Config, task: Task, space: Workspace, lesson: Lesson, tracke
     for name, value in metrics.items():
         tracker.metric(name, value)
     tracker.figure("evaluation", draw_laps(laps, task.plane(space)))
+    tracker.figure("reward", draw_reward(task))
     tracker.figure("training", draw_history(lesson.history))
     return metrics
 

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
-from softrl.calibration.holds import Holds, record_holds, settled_holds, split_holds
+from softrl.calibration.holds import Holds, moving_rows, record_holds, settled_holds, split_holds
 from softrl.calibration.inversion import pressure_by_simulator, steady_tip
+from softrl.calibration.kinematics import rotation_vector
 from softrl.calibration.pressure_map import PressureMap
+from softrl.calibration.replay import replay_errors
 from softrl.calibration.stage import Config, run
 from softrl.core.driver import Driver
 from softrl.core.errors import ConfigError, RecordingError
@@ -53,6 +55,7 @@ def test_stage_finds_the_pressures_that_acted(
     assert m["heldout/pressure_map_rms_kpa"] < 0.1 * m["heldout/pressure_map_identity_rms_kpa"]
     assert m["heldout/position_hold_mm"] < 0.1 * m["heldout/uncalibrated_position_hold_mm"]
     assert m["heldout/arc_length_hold_mm"] < m["heldout/uncalibrated_arc_length_hold_mm"]
+    assert 0.0 < m["heldout/position_hold_pct"] < m["heldout/uncalibrated_position_hold_pct"] < 100.0
     assert calibration.material["chosen"] == "yeoh"
 
 
@@ -98,6 +101,38 @@ def test_inversion_finds_pressures_of_a_known_tip(body: PccSimulator) -> None:
     found, miss = pressure_by_simulator(body, tip, np.full((2, 3), 1e3), 2.0, 0.02)
     np.testing.assert_allclose(found, pressure, atol=5.0)
     assert miss.max() < 1e-6
+
+
+def test_moving_rows_are_those_soon_after_a_change() -> None:
+    time = 0.1 * np.arange(1, 101)
+    pressure = np.zeros((100, 3))
+    pressure[20:60, 1] = 5e3
+    pressure[60:, 0] = 1e3
+    one = Recording("a", "s", time, pressure, position=np.outer(time, np.ones(3)))
+    rows = moving_rows(RecordingSet("triple", (one, one)), np.array([1]), 0.45, 1000)
+    assert rows.last_row.tolist() == [20, 21, 22, 23, 24, 60, 61, 62, 63, 64]
+    assert set(rows.run) == {1}
+    np.testing.assert_array_equal(rows.position[:, 0], time[rows.last_row])
+    few = moving_rows(RecordingSet("triple", (one,)), np.array([0]), 0.45, 3)
+    assert few.last_row.tolist() == [20, 24, 64] and few.pressure[1].tolist() == [0.0, 5e3, 0.0]
+
+
+def test_errors_in_per_cent_are_those_of_what_was_spanned(robot: Robot, body: PccSimulator) -> None:
+    time = 0.02 * np.arange(1, 151)
+    pressure = 2e4 * np.abs(np.sin(time[:, None] + np.arange(3)))
+    moved = body.simulate(time, pressure)
+    holds = Holds(pressure[-1:], moved.position[-1:], np.array([0]), np.array([149]))
+    one = Recording("a", "s", time, pressure, position=moved.position, quaternion=moved.quaternion)
+    exact = replay_errors(body, robot, {0: one}, holds, lambda p: p)
+    half = replay_errors(body, robot, {0: one}, holds, lambda p: 0.5 * p)
+    assert exact["position_run_pct"] < 1e-6
+    for name, unit, scale in (("position", "mm", 1e3), ("orientation", "deg", 180.0 / np.pi)):
+        values = moved.position if name == "position" else rotation_vector(moved.quaternion)
+        span = scale * np.linalg.norm(np.ptp(values, axis=0))
+        assert half[f"{name}_run_pct"] == pytest.approx(100.0 * half[f"{name}_run_{unit}"] / span)
+        assert 1.0 < half[f"{name}_run_pct"] < 100.0
+    still = Recording("a", "s", time, 0 * pressure, position=np.tile(moved.position[:1], (150, 1)))
+    assert not [name for name in replay_errors(body, robot, {0: still}, holds, lambda p: p) if "pct" in name]
 
 
 def test_moving_holds_are_left_out_and_too_few_are_told() -> None:

@@ -83,6 +83,22 @@ def test_scalers_and_training_see_training_runs_only(body: Body, sets: Sets) -> 
     assert history.validation[-1] > 1.0
 
 
+def test_outside_means_larger_and_faster_than_any_training_run(body: Body, robot: Robot) -> None:
+    c = config(training_runs=12, outside_runs=12, run_s=2.0)
+    made = generate(c, robot, body, LOW, HIGH)
+    assert made.outside is not None
+    inside, outside = made.train.load, made.outside.load
+    assert (inside >= LOW - 1e-9).all() and (inside <= HIGH + 1e-9).all()
+    assert ((outside < LOW - 1e-9) | (outside > HIGH + 1e-9)).any(axis=(0, 1)).all(), "every channel leaves the range"
+    assert (np.abs(outside) <= c.outside_load_factor * np.maximum(-LOW, HIGH) + 1e-9).all()
+    speeds = [np.abs(np.diff(load[..., :3], axis=1)).max() / c.dt_s for load in (inside, outside)]
+    assert speeds[0] <= 1.0001 * robot.slew_pa_per_s < speeds[1] <= 1.0001 * 2.0 * robot.slew_pa_per_s
+    fewer = generate(config(training_runs=4, run_s=2.0, outside_runs=12), robot, body, LOW, HIGH)
+    np.testing.assert_array_equal(fewer.train.load, inside[:4], err_msg="a smaller share is the beginning")
+    np.testing.assert_array_equal(fewer.outside.load, outside)  # type: ignore[union-attr]
+    assert generate(config(training_runs=1, outside_runs=0), robot, body, LOW, HIGH).outside is None
+
+
 def test_runs_of_the_three_sets_differ(sets: Sets) -> None:
     for first, second in ((sets.train, sets.heldout), (sets.train, sets.validation), (sets.validation, sets.heldout)):
         for load in second.load:
@@ -141,6 +157,8 @@ def test_report_names_errors_beside_baselines(body: Body, sets: Sets, trained: F
     for name in ("position_onestep_mm", "position_rollout_mm", "velocity_onestep_mm_s", "velocity_rollout_mm_s"):
         for baseline in ("", "arx_", "rate_stays_", "state_stays_"):
             assert np.isfinite(tracker.metrics[f"heldout/{baseline}{name}"])
+            assert np.isfinite(tracker.metrics[f"outside/{baseline}{name}"])
+        assert f"outside/rom_{name}" not in tracker.metrics
         assert np.isfinite(tracker.metrics[f"full_model/rom_{name}"])
         assert f"heldout/rom_{name}" not in tracker.metrics
     assert np.isfinite(tracker.metrics["heldout/inverse_pressure_kpa"])

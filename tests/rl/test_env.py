@@ -17,7 +17,9 @@ from softrl.core.errors import ArtifactError, ConfigError
 from softrl.rl.batch import Batch
 from softrl.rl.env import ENVIRONMENTS
 from softrl.rl.evaluate import evaluate, expert, open_loop, rest
+from softrl.rl.figures import draw_reward
 from softrl.rl.reward import weigh
+from softrl.rl.sweep import pareto_front
 from softrl.rl.tasks.curves import CURVES, random_fourier
 from softrl.rl.tasks.task import Task
 from softrl.rl.vector_env import TwinVecEnv
@@ -63,6 +65,26 @@ def test_a_seed_gives_the_same_episode(space: Workspace) -> None:
             rows.append(env.step_wait()[0])
         runs.append(np.stack(rows))
     np.testing.assert_array_equal(*runs)
+
+
+def test_the_front_holds_the_points_that_none_beats_in_both() -> None:
+    points = np.random.default_rng(0).uniform(size=(40, 2))
+    points[7] = points[3]  # of two equal ones either may stand for both
+    front = pareto_front(*points.T)
+    for k, point in enumerate(points):
+        beaten = ((points <= point).all(axis=1) & (points < point).any(axis=1)).any()
+        assert (k in front) == (not beaten) or k in (3, 7)
+    assert (np.diff(points[front, 0]) > 0.0).all() and (np.diff(points[front, 1]) < 0.0).all()
+
+
+def test_the_drawn_shapes_are_what_a_task_pays() -> None:
+    task = task_of("hybrid", alpha=0.3)
+    position, force = (axis.lines[0] for axis in draw_reward(task).axes)
+    x, y = position.get_data()
+    paid = task.reward(1e-3 * x, np.full_like(x, 1e3))  # a force far off pays nothing
+    np.testing.assert_allclose(paid, 0.3 * y, atol=1e-9)
+    x, y = force.get_data()
+    np.testing.assert_allclose(task.reward(np.full_like(x, 1e3), x), 0.7 * y, atol=1e-9)
 
 
 def test_the_reward_is_bounded_and_falls_with_either_error() -> None:
