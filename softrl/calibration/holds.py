@@ -79,16 +79,18 @@ def settled_holds(recordings: RecordingSet, hold_min_s: float, average_s: float,
     return Holds(np.array(pressure), np.array(position), np.array(run_of), np.array(last_row))
 
 
-def moving_rows(recordings: RecordingSet, runs: np.ndarray, settle_s: float, count: int) -> Holds:
+def moving_rows(recordings: RecordingSet, runs: np.ndarray, settle_s: float, count: int) -> Holds | None:
     """Return at most ``count`` rows, evenly over ``runs``, less than ``settle_s`` after a change of the command.
 
-    There valves, chambers and body are on their way to where the command leads.
+    None if the command never changes. There valves, chambers and body are on their way to where the command leads.
     """
     found = []
     for run in runs:
         recording = recordings.recordings[int(run)]
         for row in np.flatnonzero(_since_change(recording) < settle_s):
             found.append((recording.pressure_cmd[row], recording.position[row], run, row))
+    if not found:
+        return None
     chosen = np.unique(np.linspace(0, len(found) - 1, min(count, len(found))).round().astype(int))
     pressure, position, run_of, row_of = zip(*(found[k] for k in chosen), strict=True)
     return Holds(np.array(pressure), np.array(position), np.array(run_of), np.array(row_of))

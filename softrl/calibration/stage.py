@@ -230,6 +230,8 @@ def _report_moving(
     if not has_exact_inverse(simulator, robot):
         return
     moving = moving_rows(recordings, np.unique(holds.run[calibration.heldout]), config.hold_min_s, MOVING_ROWS)
+    if moving is None:
+        return
     pressure, miss = pressure_by_reduced_model(simulator, robot, moving.position)
     reached = np.isfinite(pressure).all(axis=1) & (miss < 1e-3 * config.residual_max_mm)
     if not reached.any():

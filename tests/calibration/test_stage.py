@@ -110,11 +110,13 @@ def test_moving_rows_are_those_soon_after_a_change() -> None:
     pressure[60:, 0] = 1e3
     one = Recording("a", "s", time, pressure, position=np.outer(time, np.ones(3)))
     rows = moving_rows(RecordingSet("triple", (one, one)), np.array([1]), 0.45, 1000)
-    assert rows.last_row.tolist() == [20, 21, 22, 23, 24, 60, 61, 62, 63, 64]
+    assert rows is not None and rows.last_row.tolist() == [20, 21, 22, 23, 24, 60, 61, 62, 63, 64]
     assert set(rows.run) == {1}
     np.testing.assert_array_equal(rows.position[:, 0], time[rows.last_row])
+    still = Recording("a", "s", time, 0 * pressure, position=np.zeros((100, 3)))
+    assert moving_rows(RecordingSet("triple", (still,)), np.array([0]), 0.45, 3) is None
     few = moving_rows(RecordingSet("triple", (one,)), np.array([0]), 0.45, 3)
-    assert few.last_row.tolist() == [20, 24, 64] and few.pressure[1].tolist() == [0.0, 5e3, 0.0]
+    assert few is not None and few.last_row.tolist() == [20, 24, 64] and few.pressure[1].tolist() == [0.0, 5e3, 0.0]
 
 
 def test_errors_in_per_cent_are_those_of_what_was_spanned(robot: Robot, body: PccSimulator) -> None:
