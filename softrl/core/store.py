@@ -30,6 +30,8 @@ log = logging.getLogger(__name__)
 EXPERIMENT = "softrl"
 PARENT = "mlflow.parentRunId"
 BATCH = 500
+WHOLE_ID = 32  # characters
+MOST_RUNS = 10_000  # searched for the beginning of an id
 
 
 @dataclass(frozen=True)
@@ -76,20 +78,32 @@ class Store:
         return runs[0] if runs else None
 
     def get(self, run_id: str) -> Run:
-        """Return a finished run by id.
+        """Return a finished run by its id, or by the beginning of its id that the log shows.
 
         Raises
         ------
         ArtifactError
-            If there is no such run, or it did not finish.
+            If there is no such run, several begin so, or it did not finish.
         """
         try:
-            run = self.client.get_run(run_id)
+            run = self.client.get_run(self._whole(run_id))
+        except ArtifactError:
+            raise
         except Exception as error:  # mlflow raises several unrelated classes here
             raise ArtifactError(f"run:{run_id} is not in this tracking store; `make ui` lists the runs") from error
         if run.info.status != "FINISHED":
             raise ArtifactError(f"run:{run_id} is {run.info.status.lower()}, not finished; rerun its stage")
         return run
+
+    def _whole(self, run_id: str) -> str:
+        """Return the id that begins with ``run_id``; ``run_id`` itself where none does, or it is whole."""
+        if len(run_id) >= WHOLE_ID:
+            return run_id
+        runs = self.client.search_runs([self.experiment], max_results=MOST_RUNS)
+        found = [run.info.run_id for run in runs if run.info.run_id.startswith(run_id)]
+        if len(found) > 1:
+            raise ArtifactError(f"run:{run_id} is the beginning of {len(found)} runs; give more of the id")
+        return found[0] if found else run_id
 
     def folder(self, run: Run, name: str) -> Path:
         """Return a local folder with the artifact ``name`` of a run; local stores are read in place."""

@@ -12,6 +12,8 @@ from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.statistics import MIN_BLOCKS, blocks_of, bootstrap_means, correlation_time
 from softrl.recordings.recording import Recording
 
+OVERLOOKED = 0.02  # of the noise's mean square: a difference that no data tell
+
 
 @dataclass(frozen=True)
 class Thresholds:
@@ -119,13 +121,14 @@ class Judge:
         """Return whether the data tell that ``better`` is better, by more than what both leave could bring about.
 
         Where both leave structure behind, neither is the truth, and a difference that is small beside what is left
-        says nothing about which of them is nearer to it.
+        says nothing about which of them is nearer to it. Nor does one that is nothing beside the noise: replays of equal
+        laws differ by their time steps.
         """
         change = worse - better
         drawn = bootstrap_means(change, self._blocks(change), self.thresholds.draws, np.random.default_rng(self.seed))
         sure = np.quantile(drawn, 1.0 - self.thresholds.confidence) > 0.0
         needed = ((1.0 + self.thresholds.material_gain) ** 2 - 1.0) * float(self.excess(better.mean())) ** 2
-        return bool(sure and change.mean() >= needed)
+        return bool(sure and change.mean() >= max(needed, OVERLOOKED * self.floor**2))
 
     def simplest(self, trials: Sequence[Any]) -> Any:
         """Return the best trial, or one with fewer free parameters from which the data cannot tell it."""

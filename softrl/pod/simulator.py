@@ -132,14 +132,11 @@ class RomSimulator:
                 f"simulator rom: {failed} of {len(load)} steps of {dt_s:g} s did not converge; "
                 "try a smaller dt_s, pressures within the snapshots' range, or weaker effects"
             )
-        if poses:
-            warn_beyond(self.reduced_model, farthest)
-        else:
-            self._report(farthest)
+        self._report(farthest)
         return position, quaternion
 
     def _report(self, farthest: float) -> None:
-        """Warn when a single step leaves the samples, and again only when one goes much farther."""
+        """Warn when a motion leaves the samples, and again only when one goes much farther: fits replay thousands."""
         name = self.reduced_model.robot_name
         if farthest > max(1.0, FARTHER * _reported.get(name, 0.0)):
             _reported[name] = farthest

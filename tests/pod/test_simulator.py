@@ -205,5 +205,5 @@ def test_leaving_the_samples_is_reported(tripod: Body, caplog: pytest.LogCapture
         for row in pressure:
             state = simulator(tripod).step(state, row, DT_S)
     assert np.isfinite(motion.position).all()
-    # two motions, each once; the steps of a third say so only as they go much farther
-    assert 2 <= len(caplog.records) <= 6 and "times the reach of its snapshots" in caplog.text
+    # told once, and again only for going much farther
+    assert 1 <= len(caplog.records) <= 6 and "times the reach of its snapshots" in caplog.text
