@@ -95,6 +95,11 @@ def follow(
     decision_s = []
     with driver:
         arrived = _wait(driver, pace.period_s)
+        if course.frame is not None and not np.isfinite(arrived[-1].tip_force).all():
+            raise DriverError(
+                f"course {course.name} presses on a surface, but the driver reports no force; connect a force sensor, "
+                "or take a policy of task=track with inputs.policy=run:<id>"
+            )
         samples = [*arrived]
         for step in range(-pace.approach_steps, len(course.position)):
             if step in events:
