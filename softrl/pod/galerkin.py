@@ -12,7 +12,15 @@ from softrl.core.errors import SolverError
 from softrl.core.progress import progress
 from softrl.fem.coupling import Pose
 from softrl.fem.loads import add_volume_stiffness
-from softrl.fem.material import LAW, STRESS, TANGENT, VISCOUS, Material
+from softrl.fem.material import (
+    LAW,
+    STRESS,
+    TANGENT,
+    VISCOUS,
+    Material,
+    add_second_derivative_of_volume,
+    cofactor_of,
+)
 from softrl.fem.model import FemModel
 from softrl.pod.basis import pod_basis
 from softrl.pod.hyperreduction import sample_elements
@@ -199,30 +207,6 @@ def _pose_of(model: FemModel, corners: np.ndarray) -> Pose:
 
 
 @nb.njit(cache=True)
-def _cofactor(f: np.ndarray, c: np.ndarray) -> float:
-    """Fill ``c`` with the cofactor of ``f`` and return the determinant."""
-    for i in range(3):
-        i1, i2 = (i + 1) % 3, (i + 2) % 3
-        for j in range(3):
-            j1, j2 = (j + 1) % 3, (j + 2) % 3
-            c[i, j] = f[i1, j1] * f[i2, j2] - f[i1, j2] * f[i2, j1]
-    return f[0, 0] * c[0, 0] + f[0, 1] * c[0, 1] + f[0, 2] * c[0, 2]
-
-
-@nb.njit(cache=True)
-def _add_second_derivative(factor: float, f: np.ndarray, a: np.ndarray) -> None:
-    """Add ``factor`` times the second derivative of det F to ``a`` (9, 9)."""
-    for i in range(3):
-        i1, i2 = (i + 1) % 3, (i + 2) % 3
-        for j in range(3):
-            j1, j2, row = (j + 1) % 3, (j + 2) % 3, 3 * i + j
-            a[row, 3 * i1 + j1] += factor * f[i2, j2]
-            a[row, 3 * i2 + j2] += factor * f[i1, j1]
-            a[row, 3 * i1 + j2] -= factor * f[i2, j1]
-            a[row, 3 * i2 + j1] -= factor * f[i1, j2]
-
-
-@nb.njit(cache=True)
 def stresses(law: Any, parameters: np.ndarray, bulk: float, gradient: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Return the first Piola-Kirchhoff stresses (elements, gauss, 9) Pa at deformation gradients of that shape.
 
@@ -235,7 +219,7 @@ def stresses(law: Any, parameters: np.ndarray, bulk: float, gradient: np.ndarray
         swept = volume = 0.0
         for k in range(gauss):
             f[:] = gradient[e, k].reshape(3, 3)
-            swept += weight[e, k] * _cofactor(f, c[k])
+            swept += weight[e, k] * cofactor_of(f, c[k])
             volume += weight[e, k]
         push = bulk * (swept / volume - 1.0)
         for k in range(gauss):
@@ -275,7 +259,7 @@ def elastic(
                     total += slope[e, k, i, a] * q[a]
                 f[k, i // 3, i % 3] = total
             if bulk > 0.0:
-                swept += weight[e, k] * _cofactor(f[k], c[k])
+                swept += weight[e, k] * cofactor_of(f[k], c[k])
                 volume += weight[e, k]
         if bulk > 0.0:
             push = bulk * (swept / volume - 1.0) if order < VISCOUS else 0.0  # viscosity has no stress of its own
@@ -297,7 +281,7 @@ def elastic(
             if order < TANGENT:
                 continue
             if bulk > 0.0:
-                _add_second_derivative(push, f[k], tangent)
+                add_second_derivative_of_volume(push, f[k], tangent)
             for i in range(9):
                 for a in range(r):
                     half[i, a] = 0.0
