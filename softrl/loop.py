@@ -20,6 +20,14 @@ ROOT_KEYS = (
     "robot", "simulator", "task", "agent", "driver", "effect", "tracking", "profile", "stage", "alpha", "lambda", "seed",
     "parallel", "bench", "recordings", "out", "force", "debug", "inputs", "hydra",
 )  # fmt: skip
+# the plain root keys; the rest are groups, paths, or checked where they are built
+ROOT_TYPES: dict[str, tuple[tuple[type, ...], str]] = {
+    "seed": ((int,), "whole number from 0 on"),
+    "alpha": ((int, float), "share between 0 and 1"),
+    "lambda": ((int, float), "number from 0 on"),
+    "force": ((bool,), "true or false"),
+    "debug": ((bool,), "true or false"),
+}
 
 
 def run_configured(cfg: DictConfig) -> None:
@@ -62,6 +70,10 @@ def _plain(cfg: DictConfig) -> dict[str, Any]:
     for key in container:
         if key not in ROOT_KEYS:
             raise ConfigError(f"{key}={container[key]} is an unknown key; expected one of {', '.join(ROOT_KEYS)}")
+    for key, (kinds, expected) in ROOT_TYPES.items():
+        value = container[key]
+        if type(value) not in kinds or (type(value) is not bool and value < 0):
+            raise ConfigError(f"{key}={value} is no {expected}")
     return {key: value for key, value in container.items() if key != "hydra"}
 
 

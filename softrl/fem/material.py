@@ -312,10 +312,9 @@ def corotational(parameters: np.ndarray, f: np.ndarray, p: np.ndarray, a: np.nda
 
 
 @dataclass(frozen=True)
-class StableNeoHookean:
-    """Neo-Hookean law that stays finite for inverted elements (Smith, De Goes, Kim 2018; no number checked)."""
+class _Hookean:
+    """A law of Young's modulus and Poisson's ratio that weighs the trace of its strain."""
 
-    kernel: ClassVar = stable_neo_hookean
     youngs_modulus_pa: float
     poisson: float
 
@@ -325,6 +324,17 @@ class StableNeoHookean:
     def pack(self) -> np.ndarray:
         """Return (lambda, mu) in Pa."""
         return np.array(lame(self.youngs_modulus_pa, self.poisson))
+
+    def split(self) -> tuple[np.ndarray, float]:
+        """Return (parameters, 0 Pa): this law weighs the trace of its strain, not J."""
+        return self.pack(), 0.0
+
+
+@dataclass(frozen=True)
+class StableNeoHookean(_Hookean):
+    """Neo-Hookean law that stays finite for inverted elements (Smith, De Goes, Kim 2018; no number checked)."""
+
+    kernel: ClassVar = stable_neo_hookean
 
     def split(self) -> tuple[np.ndarray, float]:
         """Return ((-2/3 mu, mu), bulk modulus) in Pa: what stays behind must not gain from a change of volume."""
@@ -333,43 +343,17 @@ class StableNeoHookean:
 
 
 @dataclass(frozen=True)
-class StVenantKirchhoff:
+class StVenantKirchhoff(_Hookean):
     """Linear law between Green strain and second Piola-Kirchhoff stress; softens and fails in compression."""
 
     kernel: ClassVar = st_venant_kirchhoff
-    youngs_modulus_pa: float
-    poisson: float
-
-    def __post_init__(self) -> None:
-        _check(self)
-
-    def pack(self) -> np.ndarray:
-        """Return (lambda, mu) in Pa."""
-        return np.array(lame(self.youngs_modulus_pa, self.poisson))
-
-    def split(self) -> tuple[np.ndarray, float]:
-        """Return (parameters, 0 Pa): this law weighs the trace of its strain, not J."""
-        return self.pack(), 0.0
 
 
 @dataclass(frozen=True)
-class Corotational:
+class Corotational(_Hookean):
     """Hooke's law in the frame of the polar decomposition of each F: large rotations, small strains."""
 
     kernel: ClassVar = corotational
-    youngs_modulus_pa: float
-    poisson: float
-
-    def __post_init__(self) -> None:
-        _check(self)
-
-    def pack(self) -> np.ndarray:
-        """Return (lambda, mu) in Pa."""
-        return np.array(lame(self.youngs_modulus_pa, self.poisson))
-
-    def split(self) -> tuple[np.ndarray, float]:
-        """Return (parameters, 0 Pa): this law weighs the trace of its strain, not J."""
-        return self.pack(), 0.0
 
 
 @dataclass(frozen=True)

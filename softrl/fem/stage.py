@@ -168,17 +168,19 @@ def _compute(
     """
     tasks = {f"chain_{k}": (_trace, body, loads, chain) for k, chain in enumerate(chains)}
     tasks |= {f"trajectory_{k}": (_move, body, program) for k, program in enumerate(programs)}
-    waiting = [name for name in tasks if name not in kept]
-    reused = len(tasks) - len(waiting)
+    # in memory from here on: another run of the same samples may end first, and clears the folder
+    parts = {name: kept.load(name) for name in tasks if name in kept}
+    waiting, reused = [name for name in tasks if name not in parts], len(parts)
     if reused:
         log.info("%d of %d chains and trajectories were finished by an earlier run and are kept", reused, len(tasks))
     results = parallel.map(_part, [tasks[name] for name in waiting], body.config.processes)
     for number, arrays in progress(results, "FEM: chains of equilibria, then trajectories", len(waiting)):
+        parts[waiting[number]] = arrays
         kept.save(waiting[number], arrays)
-    traced = [_chain_of(kept.load(f"chain_{k}")) for k in range(len(chains))]
+    traced = [_chain_of(parts[f"chain_{k}"]) for k in range(len(chains))]
     samples = sorted((found for chain in traced for found in chain.found), key=lambda f: f[0])
     misses = sorted(lost for chain in traced for lost in chain.missed)
-    moved = [kept.load(f"trajectory_{k}") for k in range(len(programs))]
+    moved = [parts[f"trajectory_{k}"] for k in range(len(programs))]
     return samples, misses, [unpack(Trajectory, arrays) for arrays in moved if arrays], reused
 
 
