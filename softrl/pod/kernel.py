@@ -254,7 +254,7 @@ def run_kernel(
             pressure[i] = load[step, i]
         for i in range(r):
             start[i] = y[i]
-            right[i] = turning[i]
+            right[i] = mass_scale * turning[i]
             for k in range(r):
                 right[i] += tables.frame[k, i] * load[step, k]
         for i in range(r):

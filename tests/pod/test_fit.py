@@ -42,7 +42,7 @@ def test_unseen_motion_is_recovered(body: Body) -> None:
     _, snapshots, model = body
     prediction = motions(model, snapshots)
     travel = np.linalg.norm(prediction.full[..., -3:], axis=-1).max()
-    # the law's own march leaves kinetic energy to its changing mass; ours does not: a few thousandths of the travel
+    # the law's own march does not keep the balance of kinetic energy in each step; ours does: thousandths of the travel
     assert prediction.tip_errors().max() < 5e-3 * travel
     # and half a per cent of the viscosity lags besides what does in the law
     assert prediction.tip_errors()[:, 0].max() < 1e-3 * travel
