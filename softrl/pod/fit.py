@@ -90,6 +90,8 @@ def fit_model(
         errors = _squared_tip_errors(replace(draft, energy=energy), samples)
         best = Choice(0.0, 2, 0.0, float(np.sqrt(errors.mean())))
         choices.insert(0, best)
+    elif not _settles(replace(draft, energy=energy), samples):
+        log.warning("every energy has wells beyond its samples, in which a fast motion may be caught: more equilibria help")
     log.info(
         "energy of degree %d, ridge %g, images of weight %g: tip %.3f mm in cross-validation over %d equilibria",
         best.degree,
@@ -228,7 +230,6 @@ def _first_that_settles(
         if _settles(replace(draft, energy=energy), samples):
             choices.insert(0, choices.pop(number))
             return choice
-    log.warning("every energy has wells beyond its samples, in which a fast motion may be caught: more equilibria help")
     return choices[0]
 
 
