@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softrl.core.errors import RecordingError
-from softrl.diagnosis.problem import MIN_FOLDS, place
+from softrl.diagnosis.problem import MIN_FOLDS, Registration, place
 from softrl.diagnosis.quality import unusable
 from softrl.recordings.check import DataCheck, check
 from softrl.recordings.recording import Recording, RecordingSet
@@ -20,6 +20,7 @@ LEAST_S = 15.0  # fits rather see fewer runs than shorter pieces
 MIN_SIGNAL = 3.0  # travel over noise below which nothing can be told
 FEW_SESSIONS = 2  # with this many sessions or fewer, runs are held out within each instead
 TURNED_FRAME_RAD = 1.0  # the whole motion turned by more than this against the base frame is no misalignment
+MISPLACED_SHARE = 0.5  # of the squared error under a common placement
 OTHER_FRAME_RAD = 0.3  # sessions whose best placements turn apart by more were recorded in different frames
 
 
@@ -161,14 +162,28 @@ def cut(run: Recording, end: float) -> Recording:
 
 
 def other_frames(simulated: Sequence[Recording], runs: Sequence[Recording]) -> float:
-    """Return the largest angle, rad, between the best placements of the simulation in any two sessions' frames."""
+    """Return the largest angle, rad, between the best placements of the simulation in any two sessions' frames.
+
+    A session's own placement counts only if it removes most of the error that a common one leaves there: motion along
+    one line fits at any turn about that line.
+    """
+    sessions = dict.fromkeys(run.session for run in runs)
+    points, seen = [
+        [np.concatenate([np.asarray(side[k].position) for k in range(len(runs)) if runs[k].session == session])
+         for session in sessions]
+        for side in (simulated, runs)
+    ]  # fmt: skip
+    common = place(np.concatenate(points), np.concatenate(seen))
     turns = []
-    for session in dict.fromkeys(r.session for r in runs):
-        mine = [k for k, r in enumerate(runs) if r.session == session]
-        points = np.concatenate([np.asarray(simulated[k].position) for k in mine])
-        turns.append(place(points, np.concatenate([np.asarray(runs[k].position) for k in mine])).turn)
+    for p, q in zip(points, seen, strict=True):
+        own = place(p, q)
+        turns.append(own.turn if _misplaced(own, p, q) < MISPLACED_SHARE * _misplaced(common, p, q) else common.turn)
     cosines = [0.5 * (np.trace(a.T @ b) - 1.0) for i, a in enumerate(turns) for b in turns[:i]]
     return float(np.arccos(np.clip(min(cosines, default=1.0), -1.0, 1.0)))
+
+
+def _misplaced(placed: Registration, points: np.ndarray, seen: np.ndarray) -> float:
+    return float(np.mean(np.sum((seen - points @ placed.turn.T - placed.shift) ** 2, axis=1)))
 
 
 def turned_frame(simulated: Sequence[Recording], runs: Sequence[Recording]) -> float:
