@@ -3,14 +3,15 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import comb
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from softrl.core.errors import RecordingError
+from softrl.diagnosis.gaps import mend_all, rows
 from softrl.diagnosis.problem import place
-from softrl.diagnosis.quality import unusable
-from softrl.recordings.check import DataCheck, check
+from softrl.diagnosis.quality import torn, unusable
+from softrl.recordings.check import DataCheck, check, driven
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.split import split
 from softrl.robots.robot import Robot
@@ -39,6 +40,7 @@ class Data:
     turn_noise : the same of the orientation, rad
     pressure_noise : the same of the measured pressure, Pa
     travel, pressure_travel : rms about the mean of what the training runs measured, m and Pa
+    mended : what was done about pauses in the samples, a sentence each
     """
 
     check: DataCheck
@@ -52,6 +54,7 @@ class Data:
     pressure_noise: float
     travel: float
     pressure_travel: float
+    mended: tuple[str, ...] = ()
 
     @property
     def splits(self) -> dict[str, tuple[Recording, ...]]:
@@ -79,31 +82,34 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: 
     marked = set(recordings.notes.get("out_of_distribution", ()))
     outside = tuple(r for r in usable if marked & {r.name, r.session})
     usable = [r for r in usable if not marked & {r.name, r.session}]
-    reason = _refuse(usable, found, robot, channel) or unusable(usable, found, robot)
+    parts, mended = mend_all([*usable, *outside], found)
+    whole = [part for run in usable for part in parts[run.name]]
+    reason = _refuse(usable, found, robot, channel) or torn(usable, whole, found, robot) or unusable(whole, robot)
     if reason:
         return Refusal(found, reason)
-    kept = replace(recordings, recordings=tuple(usable))
-    training, heldout = hold_out(kept, heldout_share, seed)
+    intact = tuple(run for run in usable if parts[run.name])
+    sides = hold_out(replace(recordings, recordings=intact), heldout_share, seed)
+    training, heldout = (tuple(part for run in side.recordings for part in parts[run.name]) for side in sides)
     noise, pressure_noise = _noise(found, usable, robot, channel)
-    travel = rms_about_mean([_seen(r, robot) for r in training.recordings])
+    travel = rms_about_mean([_seen(r, robot) for r in training])
     if travel < MIN_SIGNAL * noise:
         return Refusal(
             found,
             f"the motion ({1e3 * travel:.3g} mm rms) hardly exceeds its noise ({1e3 * noise:.3g} mm); drive harder",
         )
-    pressure = all(r.pressure_meas is not None for r in usable)
     return Data(
-        found,
-        training.recordings,
-        heldout.recordings,
-        outside,
-        pressure,
+        replace(found, excited=driven(whole, robot)),
+        training,
+        heldout,
+        tuple(part for run in outside for part in parts[run.name]),
+        all(r.pressure_meas is not None for r in whole),
         _orientation_trusted(usable, found, robot),
         noise,
         2.0 * np.sqrt(3.0) * found.noise_floor.get("quaternion", 0.0),  # a turn is twice the quaternion's vector
         pressure_noise,
         travel,
-        rms_about_mean([r.pressure_meas for r in training.recordings if r.pressure_meas is not None]),
+        rms_about_mean([r.pressure_meas for r in training if r.pressure_meas is not None]),
+        tuple(mended),
     )
 
 
@@ -135,9 +141,7 @@ def within(runs: Sequence[Recording], seconds: float) -> tuple[Recording, ...]:
 
 def cut(run: Recording, end: float) -> Recording:
     """Return the run up to ``end`` s."""
-    count = int(np.searchsorted(run.time, end, side="right"))
-    changed: dict[str, Any] = {name: values[:count] for name, values in run.channels() if name not in run.markers}
-    return replace(run, **changed, markers={name: values[:count] for name, values in run.markers.items()})
+    return rows(run, slice(int(np.searchsorted(run.time, end, side="right"))))
 
 
 def other_frames(simulated: Sequence[Recording], runs: Sequence[Recording]) -> float:

@@ -328,7 +328,7 @@ def _conclude(
 
 def _warnings(data: Data, whole: Problem) -> list[str]:
     """Return what is odd about the recordings, one line each."""
-    lines = list(data.check.warnings)
+    lines = [*data.check.warnings, *data.mended]
     if whole.register:
         lines.append(
             "the recorded frame differs from the robot's base frame, or between sessions: every session is placed by "

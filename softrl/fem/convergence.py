@@ -56,8 +56,13 @@ class Study:
 
 
 def study(
-    mesh: Mesh, material: Material, load: np.ndarray, newton: NewtonSettings, parts: Sequence[int] = (1, 2, 3),
-    element_order: int = 2, mean_dilatation: bool = True,
+    mesh: Mesh,
+    material: Material,
+    load: np.ndarray,
+    newton: NewtonSettings,
+    parts: Sequence[int] = (1, 2, 3),
+    element_order: int = 2,
+    mean_dilatation: bool = True,
 ) -> Study:
     """Return the tips of ``mesh`` under ``load`` (chambers + 3,) Pa and N, each edge cut into ``parts`` in turn.
 
@@ -118,9 +123,12 @@ def refine(mesh: Mesh, parts: int) -> Mesh:
         return mesh
     solid, tetrahedra = _lattice(4, parts), _tetrahedra_of(parts)
     face, triangles = _lattice(3, parts), _triangles_of(parts)
-    key = np.concatenate([
-        _keys(mesh.tetrahedra, solid).reshape(-1, 8), _keys(mesh.cavity_triangles, face).reshape(-1, 8),
-    ])
+    key = np.concatenate(
+        [
+            _keys(mesh.tetrahedra, solid).reshape(-1, 8),
+            _keys(mesh.cavity_triangles, face).reshape(-1, 8),
+        ]
+    )
     unique, number = np.unique(key, axis=0, return_inverse=True)
     number = number.ravel()
     inside = number[: len(mesh.tetrahedra) * len(solid)].reshape(-1, len(solid))
@@ -131,14 +139,20 @@ def refine(mesh: Mesh, parts: int) -> Mesh:
     alike = ((region == region[:, :1]) | (weight == 0)).all(axis=1)
     diagonal = _shortest_diagonal(points, inside, solid)
     cut = np.where(
-        diagonal[:, None, None] == 0, inside[:, tetrahedra[0]],
+        diagonal[:, None, None] == 0,
+        inside[:, tetrahedra[0]],
         np.where(diagonal[:, None, None] == 1, inside[:, tetrahedra[1]], inside[:, tetrahedra[2]]),
     ).reshape(-1, 4)
     flipped = tetrahedron_volumes(points, cut) < 0
     cut[flipped] = cut[flipped][:, [1, 0, 2, 3]]
     return Mesh(
-        points, cut, np.where(alike, region[:, 0], FREE), np.repeat(mesh.element_layer, parts**3),
-        surface[:, triangles].reshape(-1, 3), np.repeat(mesh.cavity_of_triangle, parts**2), mesh.robot_name,
+        points,
+        cut,
+        np.where(alike, region[:, 0], FREE),
+        np.repeat(mesh.element_layer, parts**3),
+        surface[:, triangles].reshape(-1, 3),
+        np.repeat(mesh.cavity_of_triangle, parts**2),
+        mesh.robot_name,
     )
 
 
@@ -217,9 +231,9 @@ def _triangles_of(parts: int) -> np.ndarray:
 def _shortest_diagonal(points: np.ndarray, inside: np.ndarray, lattice: np.ndarray) -> np.ndarray:
     """Return for each large tetrahedron which of its octahedra's three diagonals is the shortest (0, 1, 2)."""
     parts = int(lattice[0].sum())
-    ends = inside[:, [int(np.flatnonzero((lattice == parts * np.eye(4, dtype=int)[c]).all(axis=1))[0]) for c in range(4)]]
-    x = points[ends]
-    lengths = [
-        np.linalg.norm(x[:, 0] + x[:, k] - sum(x[:, c] for c in (1, 2, 3) if c != k), axis=1) for k in (1, 2, 3)
+    ends = inside[
+        :, [int(np.flatnonzero((lattice == parts * np.eye(4, dtype=int)[c]).all(axis=1))[0]) for c in range(4)]
     ]
+    x = points[ends]
+    lengths = [np.linalg.norm(x[:, 0] + x[:, k] - sum(x[:, c] for c in (1, 2, 3) if c != k), axis=1) for k in (1, 2, 3)]
     return np.argmin(lengths, axis=0)

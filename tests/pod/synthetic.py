@@ -150,7 +150,9 @@ def march(law: Law, loads: np.ndarray, dt: float, mass_damping: float, stiffness
         pull = LAG_SHARE * stiffness_damping * hold * stiffness @ u
         trial = z + dt * v
         for _ in range(40):
-            residual = mass @ (trial - z - dt * v) / dt**2 + damping @ (trial - z) / dt + pull + law.gradient(trial) - load
+            residual = (
+                mass @ (trial - z - dt * v) / dt**2 + damping @ (trial - z) / dt + pull + law.gradient(trial) - load
+            )
             step = np.linalg.solve(law.hessian(trial) + mass / dt**2 + damping / dt, residual)
             trial = trial - step
             if np.abs(step[law.chambers :]).max() < 1e-15:
