@@ -9,7 +9,7 @@ import numpy as np
 
 from softrl.core.errors import RecordingError
 from softrl.diagnosis.gaps import mend_all, rows
-from softrl.diagnosis.problem import place
+from softrl.diagnosis.problem import MIN_FOLDS, place
 from softrl.diagnosis.quality import torn, unusable
 from softrl.recordings.check import DataCheck, check, driven
 from softrl.recordings.recording import Recording, RecordingSet
@@ -17,6 +17,7 @@ from softrl.recordings.split import split
 from softrl.robots.robot import Robot
 
 MIN_RUN_S = 3.0  # a shorter run says nothing about dynamics
+LEAST_S = 15.0  # fits rather see fewer runs than shorter pieces
 MIN_SIGNAL = 3.0  # travel over noise below which nothing can be told
 FEW_SESSIONS = 2  # with this many sessions or fewer, runs are held out within each instead
 TURNED_FRAME_RAD = 1.0  # the whole motion turned by more than this against the base frame is no misalignment
@@ -130,13 +131,32 @@ def hold_out(recordings: RecordingSet, share: float, seed: int) -> tuple[Recordi
 
 
 def within(runs: Sequence[Recording], seconds: float) -> tuple[Recording, ...]:
-    """Return runs cut at one common length such that together they last at most ``seconds``; all start as recorded."""
-    lengths = np.array([np.ptp(r.time) for r in runs])
+    """Return runs that together last at most ``seconds``, cut at one common length; all start as recorded.
+
+    Where that would leave less than ``LEAST_S`` of each, the runs that were driven most are taken, one of every session
+    before a second of any: slow effects do not show in many short pieces.
+    """
+    count = max(int(seconds / LEAST_S), MIN_FOLDS)
+    if _common_length(runs, seconds) < LEAST_S and len(runs) > count:
+        drive = [float(np.sum(np.std(run.pressure_cmd[run.time < run.time[0] + LEAST_S], axis=0))) for run in runs]
+        turn: dict[str, int] = {}
+        order = []
+        for k in sorted(range(len(runs)), key=lambda k: -drive[k]):
+            turn[runs[k].session] = turn.get(runs[k].session, 0) + 1
+            order.append((turn[runs[k].session], -drive[k], k))
+        chosen = sorted(k for _, _, k in sorted(order)[:count])
+        runs = [runs[k] for k in chosen]
+    length = _common_length(runs, seconds)
+    return tuple(cut(run, run.time[0] + length) for run in runs)
+
+
+def _common_length(runs: Sequence[Recording], seconds: float) -> float:
+    """Return the length, s, at which runs are cut so that together they last at most ``seconds``."""
+    lengths = np.array([np.ptp(run.time) for run in runs])
     if lengths.sum() <= seconds:
-        return tuple(runs)
+        return float(lengths.max())
     limits = np.linspace(0.0, lengths.max(), 200)
-    limit = limits[np.flatnonzero(np.minimum(lengths, limits[:, None]).sum(axis=1) <= seconds)[-1]]
-    return tuple(cut(run, run.time[0] + limit) for run in runs)
+    return float(limits[np.flatnonzero(np.minimum(lengths, limits[:, None]).sum(axis=1) <= seconds)[-1]])
 
 
 def cut(run: Recording, end: float) -> Recording:

@@ -47,7 +47,7 @@ def mixed(runs: Sequence[Recording], simulated: Sequence[Recording], robot: Robo
     for session in dict.fromkeys(run.session for run in runs):
         mine = [k for k, run in enumerate(runs) if run.session == session]
         size = [_size(np.concatenate([_motion(side[k], robot) for k in mine])) for side in (runs, simulated)]
-        if size[1] > 0.0:
+        if min(size) > MIN_TRAVEL * robot.length_m:  # a session at rest has no size
             scales[session] = size[0] / size[1]
     if len(scales) < 2:
         return None
