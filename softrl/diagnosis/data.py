@@ -11,6 +11,7 @@ from softrl.core.errors import RecordingError
 from softrl.diagnosis.gaps import mend_all, rows
 from softrl.diagnosis.problem import MIN_FOLDS, place
 from softrl.diagnosis.quality import torn, unusable
+from softrl.diagnosis.spikes import without_spikes
 from softrl.recordings.check import DataCheck, check, driven
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.split import split
@@ -41,7 +42,7 @@ class Data:
     turn_noise : the same of the orientation, rad
     pressure_noise : the same of the measured pressure, Pa
     travel, pressure_travel : rms about the mean of what the training runs measured, m and Pa
-    mended : what was done about pauses in the samples, a sentence each
+    mended : what was done about wrong samples and pauses, a sentence each
     """
 
     check: DataCheck
@@ -79,16 +80,18 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: 
     """Return the recordings sorted by use, or the reason why they cannot tell anything."""
     found = check(recordings, robot)
     channel = "bend_angle" if robot.output == "bend_angle" else "position"
-    usable = [r for r in recordings.recordings if np.ptp(r.time) >= MIN_RUN_S and getattr(r, channel) is not None]
+    seen = [r for r in recordings.recordings if np.ptp(r.time) >= MIN_RUN_S and getattr(r, channel) is not None]
+    usable, spiked = without_spikes(seen)
     marked = set(recordings.notes.get("out_of_distribution", ()))
     outside = tuple(r for r in usable if marked & {r.name, r.session})
-    usable = [r for r in usable if not marked & {r.name, r.session}]
+    usable = tuple(r for r in usable if not marked & {r.name, r.session})
     parts, mended = mend_all([*usable, *outside], found)
-    whole = [part for run in usable for part in parts[run.name]]
-    reason = _refuse(usable, found, robot, channel) or torn(usable, whole, found, robot) or unusable(whole, robot)
+    intact = tuple(run for run in usable if parts[run.name])
+    whole = [part for run in intact for part in parts[run.name]]
+    reason = _refuse(usable, found, robot, channel) or torn(usable, intact, whole, found, robot)
+    reason = reason or unusable(whole, robot)
     if reason:
         return Refusal(found, reason)
-    intact = tuple(run for run in usable if parts[run.name])
     sides = hold_out(replace(recordings, recordings=intact), heldout_share, seed)
     training, heldout = (tuple(part for run in side.recordings for part in parts[run.name]) for side in sides)
     noise, pressure_noise = _noise(found, usable, robot, channel)
@@ -110,7 +113,7 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: 
         pressure_noise,
         travel,
         rms_about_mean([r.pressure_meas for r in training if r.pressure_meas is not None]),
-        tuple(mended),
+        (*spiked, *mended),
     )
 
 

@@ -74,7 +74,7 @@ def mend_all(runs: Sequence[Recording], check: DataCheck) -> tuple[dict[str, tup
     return parts, lines
 
 
-def rows(run: Recording, which: slice, name: str | None = None) -> Recording:
+def rows(run: Recording, which: slice | np.ndarray, name: str | None = None) -> Recording:
     """Return the samples ``which`` of a run, under another name if one is given."""
     changed: dict[str, Any] = {key: values[which] for key, values in run.channels() if key not in run.markers}
     markers = {key: values[which] for key, values in run.markers.items()}

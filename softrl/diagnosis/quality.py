@@ -27,16 +27,30 @@ def unusable(runs: Sequence[Recording], robot: Robot) -> str | None:
     return _clipped(runs) or _wrong_pressure(runs, robot) or _wrong_motion(runs, robot)
 
 
-def torn(runs: Sequence[Recording], parts: Sequence[Recording], check: DataCheck, robot: Robot) -> str | None:
-    """Return why the ``parts`` between pauses in the samples of ``runs`` cannot tell anything, or None."""
+def torn(
+    runs: Sequence[Recording],
+    intact: Sequence[Recording],
+    parts: Sequence[Recording],
+    check: DataCheck,
+    robot: Robot,
+) -> str | None:
+    """Return why what lies between pauses in the samples of ``runs`` cannot tell anything, or None.
+
+    Parameters
+    ----------
+    runs : as recorded
+    intact, parts : those of ``runs`` of which anything is left, and all that is left of them
+    check : findings on ``runs``
+    robot : whose runs they are
+    """
     names = {run.name for run in runs}
     missing = sum(length for run in check.runs if run.name in names for _, length in run.gaps)
     total, kept = (sum(float(np.ptp(run.time)) for run in some) for some in (runs, parts))
-    if kept == total or (kept >= MIN_TOTAL_S and len(parts) > 1 and driven(parts, robot)):
+    if kept == total or (kept >= MIN_TOTAL_S and len(intact) > 1 and driven(parts, robot)):
         return None
     return (
         f"samples are missing during {missing:.1f} s of {total:.1f} s ({missing / total:.0%}), and only {kept:.1f} s "
-        f"in {len(parts)} parts of {MIN_PART_S:g} s or more lie between"
+        f"in {len(parts)} parts of {MIN_PART_S:g} s or more out of {len(intact)} runs lie between"
         f"{'' if not parts or driven(parts, robot) else ', in which no chamber is driven'}; record without gaps"
     )
 
