@@ -3,14 +3,16 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import comb
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from softrl.core.errors import RecordingError
+from softrl.diagnosis.gaps import mend_all, rows
 from softrl.diagnosis.problem import MIN_FOLDS, Registration, place
-from softrl.diagnosis.quality import unusable
-from softrl.recordings.check import DataCheck, check
+from softrl.diagnosis.quality import torn, unusable
+from softrl.diagnosis.spikes import without_spikes
+from softrl.recordings.check import DataCheck, check, driven
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.split import split
 from softrl.robots.robot import Robot
@@ -41,6 +43,7 @@ class Data:
     turn_noise : the same of the orientation, rad
     pressure_noise : the same of the measured pressure, Pa
     travel, pressure_travel : rms about the mean of what the training runs measured, m and Pa
+    mended : what was done about wrong samples and pauses, a sentence each
     """
 
     check: DataCheck
@@ -54,6 +57,7 @@ class Data:
     pressure_noise: float
     travel: float
     pressure_travel: float
+    mended: tuple[str, ...] = ()
 
     @property
     def splits(self) -> dict[str, tuple[Recording, ...]]:
@@ -77,35 +81,40 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: 
     """Return the recordings sorted by use, or the reason why they cannot tell anything."""
     found = check(recordings, robot)
     channel = "bend_angle" if robot.output == "bend_angle" else "position"
-    usable = [r for r in recordings.recordings if np.ptp(r.time) >= MIN_RUN_S and getattr(r, channel) is not None]
+    seen = [r for r in recordings.recordings if np.ptp(r.time) >= MIN_RUN_S and getattr(r, channel) is not None]
+    usable, spiked = without_spikes(seen)
     marked = set(recordings.notes.get("out_of_distribution", ()))
     outside = tuple(r for r in usable if marked & {r.name, r.session})
-    usable = [r for r in usable if not marked & {r.name, r.session}]
-    reason = _refuse(usable, found, robot, channel) or unusable(usable, found, robot)
+    usable = tuple(r for r in usable if not marked & {r.name, r.session})
+    parts, mended = mend_all([*usable, *outside], found)
+    intact = tuple(run for run in usable if parts[run.name])
+    whole = [part for run in intact for part in parts[run.name]]
+    reason = _refuse(usable, found, robot, channel) or torn(usable, intact, whole, found, robot)
+    reason = reason or unusable(whole, robot)
     if reason:
         return Refusal(found, reason)
-    kept = replace(recordings, recordings=tuple(usable))
-    training, heldout = hold_out(kept, heldout_share, seed)
+    sides = hold_out(replace(recordings, recordings=intact), heldout_share, seed)
+    training, heldout = (tuple(part for run in side.recordings for part in parts[run.name]) for side in sides)
     noise, pressure_noise = _noise(found, usable, robot, channel)
-    travel = rms_about_mean([_seen(r, robot) for r in training.recordings])
+    travel = rms_about_mean([_seen(r, robot) for r in training])
     if travel < MIN_SIGNAL * noise:
         return Refusal(
             found,
             f"the motion ({1e3 * travel:.3g} mm rms) hardly exceeds its noise ({1e3 * noise:.3g} mm); drive harder",
         )
-    pressure = all(r.pressure_meas is not None for r in usable)
     return Data(
-        found,
-        training.recordings,
-        heldout.recordings,
-        outside,
-        pressure,
+        replace(found, excited=driven(whole, robot)),
+        training,
+        heldout,
+        tuple(part for run in outside for part in parts[run.name]),
+        all(r.pressure_meas is not None for r in whole),
         _orientation_trusted(usable, found, robot),
         noise,
         2.0 * np.sqrt(3.0) * found.noise_floor.get("quaternion", 0.0),  # a turn is twice the quaternion's vector
         pressure_noise,
         travel,
-        rms_about_mean([r.pressure_meas for r in training.recordings if r.pressure_meas is not None]),
+        rms_about_mean([r.pressure_meas for r in training if r.pressure_meas is not None]),
+        (*spiked, *mended),
     )
 
 
@@ -156,9 +165,7 @@ def _common_length(runs: Sequence[Recording], seconds: float) -> float:
 
 def cut(run: Recording, end: float) -> Recording:
     """Return the run up to ``end`` s."""
-    count = int(np.searchsorted(run.time, end, side="right"))
-    changed: dict[str, Any] = {name: values[:count] for name, values in run.channels() if name not in run.markers}
-    return replace(run, **changed, markers={name: values[:count] for name, values in run.markers.items()})
+    return rows(run, slice(int(np.searchsorted(run.time, end, side="right"))))
 
 
 def other_frames(simulated: Sequence[Recording], runs: Sequence[Recording]) -> float:
