@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import joblib
@@ -18,7 +18,8 @@ from softrl.diagnosis.statistics import left_out
 
 log = logging.getLogger(__name__)
 MIN_AMPLITUDE = 0.25  # a search begins at least at this share of an effect's typical size
-FIRST_ITERATIONS = 4  # of every start; only the best of them goes on
+FIRST_ITERATIONS = 8  # of every start, with longer steps
+BEATEN = 9.0  # times the best squared error, after ``FIRST_ITERATIONS``: such a fit is not followed further
 SAME_NAME = 2  # forms of one effect (all chambers, one chamber) that are fitted in full
 ROUGH_STARTS = 2  # of every effect that are followed
 LOOK_SHARE = 0.2  # of the best effect's gain, along straight lines, which another needs to be fitted at all
@@ -220,7 +221,26 @@ def fit_leads(fitting: Problem, current: Trial, leads: Sequence[Lead], search: S
         seen[lead.choice.name] = seen.get(lead.choice.name, 0) + 1
         if seen[lead.choice.name] <= SAME_NAME:
             tasks.append((current.hypothesis.with_effect(lead.choice), starting_points(current, lead, search.starts)))
-    return fit_trials(fitting, None, tasks, search)
+    return raced(fitting, None, tasks, search)
+
+
+def raced(
+    fitting: Problem,
+    unseen: Problem | None,
+    tasks: Sequence[tuple[Hypothesis, list[np.ndarray]]],
+    search: Search,
+    best: float = np.inf,
+) -> list[Trial]:
+    """Return the fitted hypotheses, in order; those that are beaten after a few iterations are not fitted to the end.
+
+    ``best`` is the mean squared error, on runs left out, of a trial that they have to compete with.
+    """
+    first = replace(search, iterations=FIRST_ITERATIONS)
+    heat = {trial.hypothesis: trial for trial in fit_trials(fitting.rough, unseen, tasks, first)}
+    best = min([best, *(float(trial.inside.mean()) for trial in heat.values())])
+    going = [(h, [t.fit.point]) for h, t in heat.items() if t.inside.mean() <= BEATEN * best]
+    finished = {trial.hypothesis: trial for trial in fit_trials(fitting, unseen, going, search)}
+    return list((heat | finished).values())
 
 
 def fit_trials(
@@ -241,21 +261,16 @@ def _fit_trial(
     fitting: Problem, unseen: Problem | None, hypothesis: Hypothesis, points: list[np.ndarray], iterations: int
 ) -> Trial | None:
     low, high = fitting.space(hypothesis).bounds
-    rough = []
-    quick = fitting if len(points) < 2 else fitting.rough  # several starts are told apart with longer steps
+    found = []
     for start in points or [np.zeros(len(low))]:
-        first = iterations if len(points) < 2 else FIRST_ITERATIONS
         try:
-            rough.append(least_squares(lambda u: quick.residual(hypothesis, u).flat, start, low, high, first))
+            found.append(least_squares(lambda u: fitting.residual(hypothesis, u).flat, start, low, high, iterations))
         except SolverError as error:
             log.debug("%s does not run from its start: %s", hypothesis.label(), error)
-    if not rough:
+    if not found:
         return None
-    fit = min(rough, key=lambda found: found.cost)
+    fit = min(found, key=lambda one: one.cost)
     try:
-        if len(points) > 1:
-            rest = max(iterations - FIRST_ITERATIONS, 1)
-            fit = least_squares(lambda u: fitting.residual(hypothesis, u).flat, fit.point, low, high, rest)
         placed = fitting.residual(hypothesis, fit.point).registrations
         squares = inside = _squares_left_out(fitting, fit, low, high)
         if unseen is not None:
@@ -448,14 +463,19 @@ def _begins(fitting: Problem, base: _Base, choice: Choice, points: list[np.ndarr
         moved = moved - basis @ (basis.T @ moved)
         return moved if moved @ moved > 1e-12 * cost else None
 
+    def left(moved: np.ndarray) -> float:
+        return float(np.sum((residual + moved) ** 2))
+
     found: list[tuple[float, np.ndarray]] = []
     for point in points:
         along = direction(point)
         if along is not None:
             share = float(np.clip(-(along @ residual) / (along @ along), 0.0, 2.0))
-            rest = float(np.sum((residual + share * along) ** 2))
             begin = np.where(log_axis, point, zero + max(share, MIN_AMPLITUDE) * (point - zero))
-            found.append((rest, begin))
+            shorter = direction(begin)
+            if shorter is None or left(along) < left(shorter):  # a wall out of reach does nothing
+                begin, shorter = point, along
+            found.append((min(left(share * along), left(shorter)), begin))
     if not log_axis[0]:
         found += _jointly(direction, points[0], zero, log_axis, residual, choice)
     return sorted(found, key=lambda pair: pair[0])
