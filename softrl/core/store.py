@@ -15,6 +15,7 @@ from urllib.request import url2pathname
 from filelock import FileLock
 
 from softrl.core.errors import ArtifactError
+from softrl.core.fingerprint import of_values
 
 os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
 os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 EXPERIMENT = "softrl"
 PARENT = "mlflow.parentRunId"
+POINT = "softrl.point."
 BATCH = 500
 WHOLE_ID = 32  # characters
 MOST_RUNS = 10_000  # searched for the beginning of an id
@@ -55,8 +57,8 @@ class Store:
         folder.mkdir(parents=True, exist_ok=True)
         # several processes that meet a fresh database would all try to migrate it
         with FileLock(folder / "mlflow.db.lock"):
-            quiet = logging.getLogger("alembic")
-            quiet.setLevel(logging.WARNING)
+            for name in ("alembic", "mlflow.store.db.utils"):
+                logging.getLogger(name).setLevel(logging.WARNING)
             self.client = MlflowClient(f"sqlite:///{folder / 'mlflow.db'}")
             self.experiment = self._experiment((folder / "mlartifacts").as_uri())
 
@@ -116,10 +118,20 @@ class Store:
             self.client.download_artifacts(run.info.run_id, name, str(cached.parent))
         return cached
 
-    def children(self, parent: str) -> list[Run]:
-        """Return the finished runs under a parent, newest first."""
-        condition = f"attributes.status = 'FINISHED' and tags.`{PARENT}` = '{parent}'"
-        return list(self.client.search_runs([self.experiment], condition, order_by=["attributes.start_time DESC"]))
+    def copy(self, run_id: str, folder: Path) -> None:
+        """Copy all files of a run to ``folder``."""
+        folder.mkdir(parents=True, exist_ok=True)
+        self.client.download_artifacts(run_id, "", str(folder))
+
+    def add_point(self, parent: str, run_id: str, words: str) -> None:
+        """Note at a sweep's parent that ``run_id``, made now or reused, is the point of the overrides ``words``."""
+        self.client.set_tag(parent, POINT + of_values(words), f"{run_id} {words}")
+
+    def points(self, parent: str) -> list[tuple[str, Run]]:
+        """Return (overrides, run) of a sweep's finished points."""
+        tags = self.client.get_run(parent).data.tags
+        found = [value.split(" ", 1) for name, value in tags.items() if name.startswith(POINT)]
+        return [(words, self.client.get_run(run_id)) for run_id, words in sorted(found, key=lambda point: point[1])]
 
     def close_abandoned(self) -> int:
         """Mark runs of killed processes on this machine as failed; return how many there were."""
