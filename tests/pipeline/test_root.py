@@ -49,6 +49,6 @@ def test_the_latest_policy_is_that_of_the_task() -> None:
         return None if tags.get("task") == "force" else SimpleNamespace()
 
     assembly = Assembly(SimpleNamespace(find=find), composed("stage=sim2real", "task=force"), {})
-    with pytest.raises(ArtifactError, match=r"task=force holds a Policy; there is one with another task; run stage=rl task=force"):
+    with pytest.raises(ArtifactError, match=r"there is one with another task; run stage=rl task=force"):
         assembly._locate(Policy, "policy")
     assert asked[0]["task"] == "force"
