@@ -59,7 +59,9 @@ def run_stage(stage: str, cfg: Mapping[str, Any], folder: Path, made: Mapping[st
         return _reused(store, stage, task.before, folder)
     log.info("%s: started", stage)
     start = time.monotonic()
-    with store.start(stage, _tags(stage, task.mark, assembly), os.environ.get(PARENT_VARIABLE), folder) as run:
+    tags = _tags(stage, task.mark, assembly)
+    name = ", ".join([" ".join([stage, *assembly.task_tag().values()]), tags["profile"], f"seed {tags['seed']}"])
+    with store.start(name, tags, os.environ.get(PARENT_VARIABLE), folder) as run:
         run.params(_flat(cfg))
         run.link(assembly.inputs)
         try:
@@ -147,6 +149,7 @@ def _tags(stage: str, mark: str, assembly: Assembly) -> dict[str, str]:
         "stage": stage,
         "fingerprint": mark,
         "robot": assembly.robot_mark,
+        "robot_name": assembly.robot.name,
         "profile": assembly.cfg["profile"]["name"],
         "git": _git_revision(),
         "inputs": json.dumps(assembly.inputs),

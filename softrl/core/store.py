@@ -153,6 +153,7 @@ class Store:
         """Open a run; its texts are written to ``folder`` too."""
         owner = {"host": socket.gethostname(), "pid": str(os.getpid())}
         all_tags = {f"softrl.{key}": value for key, value in (tags | owner).items()}
+        all_tags["mlflow.source.name"] = f"softrl stage={tags['stage']}"
         if parent:
             all_tags[PARENT] = parent
         run = self.client.create_run(self.experiment, run_name=name, tags=all_tags)
@@ -206,11 +207,12 @@ class OpenRun:
         self.text("config.json", json.dumps(values, indent=1, default=str))
 
     def link(self, inputs: dict[str, str]) -> None:
-        """Show on the run's page which runs its inputs came from."""
+        """Show on the run's page where its figures are and which runs its inputs came from."""
         page = f"#/experiments/{self.store.experiment}/runs"
         lines = [f"- {name}: [{run_id}]({page}/{run_id})" for name, run_id in inputs.items()]
-        if lines:
-            self.store.client.set_tag(self.id, "mlflow.note.content", "\n".join(["Inputs", "", *lines]))
+        figures = f"[Figures, reports and artifacts]({page}/{self.id}/artifacts)"
+        note = "\n".join([figures, "", *(["Inputs", "", *lines] if lines else [])])
+        self.store.client.set_tag(self.id, "mlflow.note.content", note)
 
     def artifact(self, name: str, artifact: Any) -> None:
         """Store an artifact under ``name``; it appears whole or not at all."""
