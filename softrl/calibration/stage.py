@@ -24,7 +24,7 @@ from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
 MOVING_ROWS = 400  # that f_RS is judged on beside the settled holds
-REPOSITORY = Path(__file__).resolve().parents[2]
+ROOTS = Path(__file__).resolve().parents[1:3]  # assets/ lies in the installed package, or beside it
 
 
 @dataclass(frozen=True)
@@ -121,8 +121,8 @@ def run(
 
 def _fit_material(config: Config, tracker: Tracker) -> dict[str, object]:
     path = Path(str(config.material_curve))
-    if not path.is_absolute() and not path.exists():
-        path = REPOSITORY / path
+    if not path.exists():
+        path = next((root / path for root in ROOTS if (root / path).is_file()), path)
     curve = read_tensile(path, config.curve_bins, config.stretch_max)
     fits = fit_materials(curve, config.curve_blocks)
     for fit in fits:
