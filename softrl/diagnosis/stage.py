@@ -41,6 +41,7 @@ from softrl.diagnosis.hypothesise import Search, fit_trials
 from softrl.diagnosis.join import joined
 from softrl.diagnosis.judge import Judge, Thresholds
 from softrl.diagnosis.locate import corrected, locate
+from softrl.diagnosis.prelude import preludes
 from softrl.diagnosis.problem import ORIENTATION_LEVER, Numerics, Problem
 from softrl.diagnosis.quality import mixed
 from softrl.diagnosis.report import page
@@ -159,6 +160,7 @@ def _whole(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Pr
     """Return the problem from command to motion, with registration if sessions use different frames."""
     turns = config.orientation and data.orientation
     bare = Problem(robot, simulator, data.training, config.numerics, "motion", "command", False, turns)
+    bare = replace(bare, before=preludes(data.training, [r for runs in data.splits.values() for r in runs], robot))
     if robot.output == "bend_angle":
         return bare
     nominal = bare.replayed(Hypothesis((), ()), np.zeros(0))
@@ -182,13 +184,13 @@ def _examine(config: Config, whole: Problem, data: Data, full: Data) -> list[Fin
     if not (data.pressure and config.measured_pressure):
         return [_examine_motion(config, whole, data, "command to motion", SITES)]
     valve = _examine_valve(config, whole, full)
-    behind = replace(whole, drive="measured", runs=_without_bias(whole.runs, valve, whole))
-    shifted = {run.name: run for run in behind.runs}
     body = replace(
         data,
-        training=tuple(shifted[r.name] for r in data.training),
+        training=_without_bias(whole.runs, valve, whole),
         heldout=_without_bias(data.heldout, valve, whole),
     )
+    before = preludes(body.training, (*body.training, *body.heldout), whole.robot)
+    behind = replace(whole, drive="measured", runs=body.training, before=before)
     sites = tuple(site for site in SITES if site != "valve")
     return [valve, _examine_motion(config, behind, body, "measured pressure to motion", sites)]
 

@@ -18,7 +18,14 @@ MAX_STEPS = 5_000_000
 PAUSE_PERIODS = 5.0  # a pause of more than this many median periods is no ordinary time between samples
 
 
-def replay(plant: Plant, recording: Recording, dt_s: float, drive: str = "command", settle_s: float = 0.0) -> Recording:
+def replay(
+    plant: Plant,
+    recording: Recording,
+    dt_s: float,
+    drive: str = "command",
+    settle_s: float = 0.0,
+    before: Sequence[float] | None = None,
+) -> Recording:
     """Return what the plant's sensors report under a recording's commands, at the recording's times.
 
     Parameters
@@ -31,6 +38,7 @@ def replay(plant: Plant, recording: Recording, dt_s: float, drive: str = "comman
         valve, which tests the body apart from the valve
     settle_s : time before the first sample during which the plant is held under the first row (of the
         measured pressure if there is one), for a recording that does not begin at rest
+    before : (chambers,) Pa that act on the body during that time instead, where its past was another
 
     Returns
     -------
@@ -43,7 +51,7 @@ def replay(plant: Plant, recording: Recording, dt_s: float, drive: str = "comman
     -----
     Between grid points positions are interpolated linearly, quaternions likewise and normalised.
     """
-    return replay_batch([plant], recording, dt_s, drive, settle_s)[0]
+    return replay_batch([plant], recording, dt_s, drive, settle_s, before=before)[0]
 
 
 def replay_batch(
@@ -53,17 +61,19 @@ def replay_batch(
     drive: str = "command",
     settle_s: float = 0.0,
     workers: int = 1,
+    before: Sequence[float] | None = None,
 ) -> list[Recording]:
     """Return what ``replay`` returns for each of ``plants``, whose robot is the same; see ``simulate_batch``."""
     time, pressure, force = _drive_on_grid(recording, dt_s, drive, settle_s)
+    past = None if before is None else np.tile(np.asarray(before, dtype=float), (round(settle_s / dt_s), 1))
     if drive == "command":
-        motions = simulate_batch(plants, time, pressure, force, workers)
+        motions = simulate_batch(plants, time, pressure, force, workers, past)
     else:
         behind = [_behind_valve(plant) for plant in plants]
         motions = []
         for gauges, group in groupby(range(len(plants)), lambda k: plants[k].chain.gauges):
             seen = _seen_by(gauges, plants[0].chain.robot, pressure)
-            motions += simulate_batch([behind[k] for k in group], time, seen, force, workers)
+            motions += simulate_batch([behind[k] for k in group], time, seen, force, workers, past)
     return [_reported(recording, plants[0].chain.robot, time, motion) for motion in motions]
 
 
