@@ -73,5 +73,5 @@ def test_a_damaged_artifact_is_told_in_one_line(damage: str, sample: Sample, tmp
         meta.write_text(meta.read_text().replace('"names"', '"other"'))
     else:
         meta.write_text("{")
-    with pytest.raises(ArtifactError, match="holds a damaged Sample .*; rerun stage=fem"):
+    with pytest.raises(ArtifactError, match=r"holds a damaged Sample .*; rerun stage=fem"):
         Sample.load(tmp_path / "x")
