@@ -34,7 +34,7 @@ class ReducedModel(Artifact):
     pressure_min_pa, pressure_max_pa : the robot's limits
     load_low, load_high : (r,) Pa and N, range of the sampled loads
     rayleigh_mass_per_s, rayleigh_stiffness_s, youngs_modulus_pa : of the full model
-    symmetry : the robot's symmetries used in the fit: none, rotations, or all
+    symmetry : the robot's symmetries used in the fit of the energy: none or all
     modes : (modes, nodes, 3) float32, orthonormal in the nodal masses, kg^-0.5
     singular_values : (samples,) kg^0.5 m, of the mass-weighted snapshots
     robot_name : the robot

@@ -10,7 +10,7 @@ from softrl.artifacts.calibration import Calibration
 from softrl.calibration.figures import draw_pressure_map, draw_tensile
 from softrl.calibration.holds import Holds, moving_rows, record_holds, settled_holds, split_holds
 from softrl.calibration.inversion import has_exact_inverse, pressure_by_reduced_model, pressure_by_simulator
-from softrl.calibration.material_fit import as_record, best_fit, fit_materials
+from softrl.calibration.material_fit import as_record, best_fit, fit_materials, held_out, in_words
 from softrl.calibration.mlp import Ensemble, EnsembleSettings, fit_ensemble
 from softrl.calibration.pressure_map import PressureMap
 from softrl.calibration.replay import replay_errors
@@ -129,14 +129,10 @@ def _fit_material(config: Config, tracker: Tracker) -> dict[str, object]:
         tracker.metric(f"heldout/{fit.law}_stress_kpa", fit.heldout_rms_pa / 1e3)
         tracker.metric(f"heldout/{fit.law}_extrapolated_stress_kpa", fit.extrapolation_rms_pa / 1e3)
     tracker.metric("train/initial_youngs_modulus_kpa", best_fit(fits).initial_youngs_modulus_pa / 1e3)
-    tracker.figure("tensile_fits", draw_tensile(curve, fits))
-    log.info(
-        "%s: %s fits best, %.1f kPa on held-out stretches",
-        path.name,
-        best_fit(fits).law,
-        best_fit(fits).heldout_rms_pa / 1e3,
-    )
-    return as_record(fits)
+    tracker.figure("tensile_fits", draw_tensile(curve, fits, held_out(curve, config.curve_blocks)))
+    sentence = in_words(curve, fits)
+    log.info("%s: %s", path.name, sentence)
+    return as_record(fits) | {"sentence": sentence}
 
 
 def _invert(config: Config, robot: Robot, simulator: Simulator, holds: Holds) -> tuple[Holds, np.ndarray]:

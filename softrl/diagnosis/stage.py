@@ -22,6 +22,7 @@ from softrl.diagnosis.data import (
     prepare,
     require_robot,
     turned_frame,
+    within,
 )
 from softrl.diagnosis.examine import Finding, Part, examine
 from softrl.diagnosis.explain import (
@@ -38,12 +39,13 @@ from softrl.diagnosis.hidden import behind, in_words, read_map
 from softrl.diagnosis.hypothesis import Hypothesis, candidates
 from softrl.diagnosis.hypothesise import Search, fit_trials
 from softrl.diagnosis.join import joined
-from softrl.diagnosis.judge import Thresholds
+from softrl.diagnosis.judge import Judge, Thresholds
 from softrl.diagnosis.locate import corrected, locate
 from softrl.diagnosis.problem import ORIENTATION_LEVER, Numerics, Problem
 from softrl.diagnosis.quality import mixed
 from softrl.diagnosis.report import page
 from softrl.diagnosis.response import step_responses
+from softrl.diagnosis.step import suited
 from softrl.effects.effect import SITES
 from softrl.effects.library import names
 from softrl.pcc.simulator import PccSimulator
@@ -117,8 +119,10 @@ def run(
     found = prepare(recordings, robot, config.heldout_share, config.seed)
     if isinstance(found, Refusal):
         return _cannot_tell(found, robot, simulator, tracker)
-    lumped = isinstance(simulator, PccSimulator)
-    data = found.shortened(config.search.fit_lumped_s if lumped else config.search.fit_s)
+    longer = _with_step(config, robot, simulator, found)
+    seconds = config.search.fit_lumped_s if isinstance(simulator, PccSimulator) else config.search.fit_s
+    data = found.shortened(seconds * longer.numerics.dt_s / config.numerics.dt_s)
+    config = longer
     whole = _whole(config, robot, simulator, data)
     apart = mixed(data.training, whole.replayed(Hypothesis((), ()), np.zeros(0)), robot)
     if apart:
@@ -135,6 +139,20 @@ def run(
         diagnosis = _with_map(diagnosis, calibration)
     _report(diagnosis, config, data, whole, findings, judged, tracker)
     return diagnosis
+
+
+def _with_step(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Config:
+    """Return the configuration with the longest steps that the robot's motion allows."""
+    drive = "measured" if data.pressure and config.measured_pressure else "command"
+    part = within(data.training, config.search.fit_s)
+    body = Problem(robot, simulator, part, config.numerics, "motion", drive, False, False)
+    material = Judge(
+        body, _floor_in_bin(data.noise, data, config), data.travel, config.thresholds, config.seed
+    ).material
+    numerics = suited(body, material)
+    if numerics != config.numerics:
+        log.info("the motion is slow: steps of %g s, and of %g s to rank", numerics.dt_s, numerics.rough_dt_s)
+    return replace(config, numerics=numerics)
 
 
 def _whole(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Problem:
@@ -328,7 +346,7 @@ def _conclude(
 
 def _warnings(data: Data, whole: Problem) -> list[str]:
     """Return what is odd about the recordings, one line each."""
-    lines = list(data.check.warnings)
+    lines = [*data.check.warnings, *data.mended]
     if whole.register:
         lines.append(
             "the recorded frame differs from the robot's base frame, or between sessions: every session is placed by "

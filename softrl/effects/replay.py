@@ -15,6 +15,7 @@ from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
 MAX_STEPS = 5_000_000
+PAUSE_PERIODS = 5.0  # a pause of more than this many median periods is no ordinary time between samples
 
 
 def replay(plant: Plant, recording: Recording, dt_s: float, drive: str = "command", settle_s: float = 0.0) -> Recording:
@@ -71,11 +72,29 @@ def _drive_on_grid(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Return the uniform grid (steps,) s, the pressures (steps, chambers) Pa and forces (steps, 3) N on it."""
     time, first = _grid(recording, dt_s, settle_s)
-    pressure = _mean_held(recording.time, _driving(recording, drive), time, dt_s)
+    stamps, rows = recording.time, _driving(recording, drive)
+    if drive == "measured":
+        stamps, rows = _without_pauses(stamps, rows)
+    pressure = _mean_held(stamps, rows, time, dt_s)
     if first and recording.pressure_meas is not None:
         pressure[:first] = recording.pressure_meas[0]
     force = None if recording.tip_force is None else _mean_held(recording.time, recording.tip_force, time, dt_s)
     return time, pressure, force
+
+
+def _without_pauses(stamps: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return samples (samples,), (samples, n) with further ones within pauses, where the pressure changes evenly.
+
+    A command is held, but a measured pressure that was held until the end of a pause would be early by half of it.
+    """
+    step = np.diff(stamps)
+    period = float(np.median(step))
+    wide = np.flatnonzero(step > PAUSE_PERIODS * period)
+    if not len(wide):
+        return stamps, rows
+    added = np.concatenate([np.arange(stamps[k] + period, stamps[k + 1] - 0.5 * period, period) for k in wide])
+    filled = np.sort(np.concatenate([stamps, added]))
+    return filled, np.stack([np.interp(filled, stamps, column) for column in rows.T], axis=1)
 
 
 def _mean_held(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray, dt_s: float) -> np.ndarray:

@@ -22,7 +22,7 @@ from softrl.fem.lag import lag_at
 from softrl.fem.material import Material, material_of
 from softrl.fem.model import FemModel
 from softrl.fem.newton import NewtonSettings
-from softrl.fem.sampling import load_scale, paths, sobol_loads, step_program
+from softrl.fem.sampling import load_scale, paths, sobol_loads, step_program, with_waypoints
 from softrl.fem.trajectory import Trajectory, roll_out
 from softrl.robots.robot import Robot
 
@@ -96,7 +96,8 @@ def run(
     """
     body = Body(config, robot, mesh, material_of(config.law, config.moduli_pa, config.poisson))
     loads = sobol_loads(robot, config.equilibria, config.faces_share, config.seed)
-    chains = paths(loads, load_scale(robot), config.paths)
+    scale = load_scale(robot)
+    loads, chains = with_waypoints(loads, paths(loads, scale, config.paths), scale, config.load_step)
     clock = np.arange(1, round(config.duration_s / config.dt_s) + 1) * config.dt_s
     programs = [
         step_program(robot, clock, config.hold_s, rng)
@@ -108,7 +109,7 @@ def run(
     tracker.metric("parts_resumed", reused)
     log.info("%d equilibria and %d trajectories in %.0f s", len(samples), len(trajectories), time.monotonic() - began)
     _record_failures(loads, misses, tracker)
-    _refuse_failures(misses, config)
+    _refuse_failures(misses, len(loads), config)
     snapshots = _collect(body, loads, samples, clock, trajectories)
     _report(snapshots, samples, config.trajectories, tracker)
     tracker.figure("deformed_shapes", draw_shapes(mesh, snapshots))
@@ -266,14 +267,14 @@ def _record_failures(loads: np.ndarray, misses: list[Lost], tracker: Tracker) ->
         tracker.text("failed_loads.csv", "\n".join([",".join(names), *rows]) + "\n")
 
 
-def _refuse_failures(misses: list[Lost], config: Config) -> None:
+def _refuse_failures(misses: list[Lost], samples: int, config: Config) -> None:
     failed, jumps = len(misses), sum(miss.jumped for _, miss in misses)
-    if failed > config.max_failed_share * config.equilibria or failed == config.equilibria:
+    if failed > config.max_failed_share * samples or failed == samples:
         remedy = "use a smaller stage.load_step, or check mesh and material"
         if 2 * jumps > failed:  # a shorter step changes nothing
             remedy = "narrow the robot's pressures or tip_force_max_n, or use a stiffer material or thicker walls"
         raise SolverError(
-            f"{failed} of {config.equilibria} loads found no equilibrium, {jumps} of them but behind a jump, more than "
+            f"{failed} of {samples} loads found no equilibrium, {jumps} of them but behind a jump, more than "
             f"stage.max_failed_share={config.max_failed_share:g}; the first, sample {misses[0][0]}: "
             f"{misses[0][1].reason}; {remedy}"
         )

@@ -37,7 +37,10 @@ def by_equilibria(
     Sobol points fill the loads evenly however many are taken, so a share is what a smaller run would have seen.
     """
     seen, heldout = samples
-    lean = replace(settings, energy_degree_max=max(choice.degree, 2), ridges=(max(choice.ridge, 1e-12),))
+    lean = replace(
+        settings, energy_degree_max=max(choice.degree, 2), ridges=(max(choice.ridge, 1e-12),),
+        image_weights=(choice.image_weight,),
+    )  # fmt: skip
     points = []
     for share in shares:
         count = max(settings.folds, round(share * len(seen.load)))

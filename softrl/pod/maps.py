@@ -9,17 +9,20 @@ from softrl.pod.polynomial import basis, count, degree_of
 RIDGE = 1e-9
 
 
-def fit_map(points: np.ndarray, targets: np.ndarray, degree: int, through_origin: bool) -> np.ndarray:
+def fit_map(
+    points: np.ndarray, targets: np.ndarray, weight: np.ndarray, degree: int, through_origin: bool
+) -> np.ndarray:
     """Return coefficients (columns, monomials) of polynomials from ``points`` (S, r) to ``targets`` (S, columns).
 
-    ``through_origin`` leaves out the constant term: the map of rest is zero.
+    ``weight`` (S,) is that of each sample's squares. ``through_origin`` leaves out the constant term: the map of rest is zero.
     """
     rows = basis(points.shape[1], degree).values(points)
     skip = 1 if through_origin else 0
-    scale = np.linalg.norm(rows, axis=0) + 1e-300
+    scale = np.linalg.norm(rows * np.sqrt(weight)[:, None], axis=0) + 1e-300
     scaled = (rows / scale)[:, skip:]
-    normal = scaled.T @ scaled + RIDGE * np.eye(scaled.shape[1])
-    found = np.linalg.solve(normal, scaled.T @ targets) / scale[skip:, None]
+    weighed = scaled * weight[:, None]
+    normal = weighed.T @ scaled + RIDGE * np.eye(scaled.shape[1])
+    found = np.linalg.solve(normal, weighed.T @ targets) / scale[skip:, None]
     return np.pad(found.T, ((0, 0), (skip, 0)))
 
 
@@ -37,12 +40,13 @@ class Degree(NamedTuple):
 
 
 def best_degree(
-    points: np.ndarray, targets: np.ndarray, fold: np.ndarray, judged: slice, degree_max: int, through_origin: bool
+    points: np.ndarray, targets: np.ndarray, weight: np.ndarray, fold: np.ndarray, judged: slice, degree_max: int,
+    through_origin: bool,
 ) -> Degree:
     """Return the degree up to ``degree_max`` whose error over folds that the fit did not see is smallest.
 
-    ``fold`` (S,) numbers the part of each sample; the error is that of the rows ``judged``.
-    A degree with more monomials than samples is not tried.
+    ``weight`` (S,) is that of each sample in the fits, ``fold`` (S,) numbers its part; the error is that of the rows
+    ``judged``. A degree with more monomials than samples is not tried.
     """
     errors: dict[int, float] = {}
     for degree in range(1 if through_origin else 0, degree_max + 1):
@@ -51,7 +55,9 @@ def best_degree(
         left = np.empty_like(targets)
         for part in np.unique(fold):
             seen = fold != part
-            left[~seen] = evaluate(fit_map(points[seen], targets[seen], degree, through_origin), points[~seen])
+            left[~seen] = evaluate(
+                fit_map(points[seen], targets[seen], weight[seen], degree, through_origin), points[~seen]
+            )
         errors[degree] = float(((left - targets)[judged] ** 2).mean())
     best = min(errors, key=lambda degree: errors[degree])
     return Degree(best, errors[best])

@@ -27,6 +27,7 @@ class Tables(NamedTuple):
     quadratic : (r, r) J, elastic Hessian at rest: what makes an indefinite Newton matrix definite
     mass_root, stiffness_root, lag_root : (r r, k) of mass, viscosity and the share of it that lags; the last may have
         no columns
+    mass_slope : (r r r, k) gradient of ``mass_root`` by y, the first axis by which coordinate
     weight : (3, r, k) N/(m/s^2) m, mass times the gradient of the centre of mass by y
     rotation : (3, k) rad;  lag_rotation : (3 r, k) rad per y, of the lags
     rest_volume : (n,) m^3;  rest_tip : (3,) m
@@ -47,6 +48,7 @@ class Tables(NamedTuple):
     mass_root: np.ndarray
     stiffness_root: np.ndarray
     lag_root: np.ndarray
+    mass_slope: np.ndarray
     weight: np.ndarray
     rotation: np.ndarray
     lag_rotation: np.ndarray
@@ -94,7 +96,7 @@ def fill_potential(
     """Fill gradient (r,) and Hessian (r, r) of the potential at ``y`` in J; return ``|y|``."""
     r = len(y)
     radius = to_ball(y, point)
-    fill_monomials(point, tables.parent, tables.variable, values)
+    fill_monomials(point, tables.parent, tables.variable, values[: max(tables.gradient.shape[1], tables.weight.shape[2])])
     for i in range(r):
         gradient[i] = polynomial(tables.gradient[i], values)
     pair = 0

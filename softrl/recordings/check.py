@@ -1,6 +1,6 @@
 """How good the data are before anything is concluded: sampling, clipping, excitation, noise floor."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,8 +85,7 @@ def check_run(recording: Recording, robot: Robot) -> RunCheck:
     period = float(np.median(step))
     pauses = np.flatnonzero(step > GAP_PERIODS * period)
     gaps = tuple((float(recording.time[k]), float(step[k])) for k in pauses)
-    span = robot.pressure_max_pa - robot.pressure_min_pa
-    excited = tuple(np.flatnonzero(np.ptp(recording.pressure_cmd, axis=0) > EXCITED_SHARE * span).tolist())
+    excited = driven([recording], robot)
     windows = list(_hold_windows(recording))
     noise = {channel: _noise(values, windows) for channel, values in _sensed(recording)}
     held = {channel: _held_share(recording, values) for channel, values in _sensed(recording)}
@@ -111,6 +110,13 @@ def check_run(recording: Recording, robot: Robot) -> RunCheck:
         held,
         warnings,
     )
+
+
+def driven(runs: Sequence[Recording], robot: Robot) -> tuple[int, ...]:
+    """Return the chambers whose command moves by more than ``EXCITED_SHARE`` of the robot's range in any run."""
+    span = robot.pressure_max_pa - robot.pressure_min_pa
+    moved: np.ndarray = np.max([np.ptp(run.pressure_cmd, axis=0) for run in runs], axis=0)
+    return tuple(np.flatnonzero(moved > EXCITED_SHARE * span).tolist())
 
 
 def _sensed(recording: Recording) -> Iterator[tuple[str, np.ndarray]]:

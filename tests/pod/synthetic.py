@@ -114,6 +114,12 @@ class Law:
         root[n:, n:] += np.outer([1.0, 1.0, 0.0], [1.0, 1.0, 0.0]) * 0.0 + np.eye(3) * 2.0 * z[n + 2]
         return root.T @ root
 
+    def turning(self, z: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Return the force (n + 3,) of inertia at constant ``rate``, by differences that are exact for this mass."""
+        steps = np.diag(np.r_[np.full(self.chambers, 1e-6), np.full(3, 1e-3)])
+        slope = np.array([(self.mass(z + e) - self.mass(z - e)) / (2.0 * e.sum()) for e in steps])
+        return 0.5 * np.einsum("jkl,k,l->j", slope, rate, rate) - np.einsum("kjl,k,l->j", slope, rate, rate)
+
     def centre_of_mass(self, z: np.ndarray) -> np.ndarray:
         """Return its displacement (3,) m: linear, and sinking as the body bends."""
         tip = z[self.chambers :]
@@ -148,6 +154,7 @@ def march(law: Law, loads: np.ndarray, dt: float, mass_damping: float, stiffness
         mass = law.mass(z)
         damping = mass_damping * mass + stiffness_damping * (1.0 - LAG_SHARE * hold) * stiffness
         pull = LAG_SHARE * stiffness_damping * hold * stiffness @ u
+        load = load + law.turning(z, v)
         trial = z + dt * v
         for _ in range(40):
             residual = mass @ (trial - z - dt * v) / dt**2 + damping @ (trial - z) / dt + pull + law.gradient(trial) - load

@@ -82,7 +82,7 @@ def test_an_unforced_body_never_gains_energy(body: Body, dt_s: float) -> None:
     lag = velocity.copy()
     for _ in range(200):
         state = [(model.frame @ part)[None] for part in (y, velocity, lag)]
-        energy.append(mechanical_energy(model, state[0], state[1], lag=state[2])[0])
+        energy.append(mechanical_energy(model, state[0], state[1], lag=state[2], dt_s=dt_s)[0])
         failed, _ = run_kernel(
             y,
             velocity,
