@@ -27,7 +27,7 @@ from softrl.sim2real.keep import keeping
 from softrl.sim2real.planning import Planning
 from softrl.sim2real.report import report_bandwidth, report_recovery, report_rollouts
 from softrl.sim2real.rollout import Pace, Rollout
-from softrl.sim2real.trial import Trial, mount
+from softrl.sim2real.trial import LINE_OFF, Trial, mount
 
 log = logging.getLogger(__name__)
 RUN_NOTES = {
@@ -124,7 +124,10 @@ def run(
     tracker.metric("samples", sum(len(r.time) for r in recordings))
     tracker.metric("recorded_s", sum(float(np.ptp(r.time)) for r in recordings))
     notes = {r.name: next(text for kind, text in RUN_NOTES.items() if kind in r.name) for r in recordings}
-    return RecordingSet(robot_name=robot.name, recordings=tuple(recordings), notes={"run_notes": notes})
+    disturbed = [r.name for r in recordings if r.session.endswith(LINE_OFF)]
+    return RecordingSet(
+        robot_name=robot.name, recordings=tuple(recordings), notes={"run_notes": notes, "disturbed": disturbed}
+    )
 
 
 def _require_fit(config: Config, robot: Robot, curves: tuple[str, ...], driver: Driver) -> None:
