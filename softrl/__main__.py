@@ -29,7 +29,9 @@ def _choices() -> str:
     """Return the configuration groups and their options for --help; what begins with _ is a part of other options."""
     groups = sorted(folder for folder in CONF.iterdir() if folder.is_dir() and folder.name != "hydra")
     options = {g.name: sorted(file.stem for file in g.glob("*.yaml") if not file.stem.startswith("_")) for g in groups}
-    lines = [textwrap.fill(f"{name}: {', '.join(found)}", 116, subsequent_indent="  ") for name, found in options.items()]
+    lines = [
+        textwrap.fill(f"{name}: {', '.join(found)}", 116, subsequent_indent="  ") for name, found in options.items()
+    ]
     return "\n".join(lines).replace("\n", "\n  ")
 
 

@@ -72,9 +72,7 @@ class Runs:
 
     def go(self, step: Step, made: Made) -> str | None:
         """Run a step and return the id of its run, or None if it failed."""
-        self.commands[step.name] = " ".join(
-            ["python -m softrl", f"stage={step.stage}", *self._shared, *step.words]
-        )
+        self.commands[step.name] = " ".join(["python -m softrl", f"stage={step.stage}", *self._shared, *step.words])
         folder = self._folder / f"{step.name.replace(':', '_')}_{step.seed}"
         try:
             outcome = run_stage(step.stage, self.configuration(step), folder, made)
@@ -140,9 +138,7 @@ def seed_steps(config: Config, seed: int) -> list[Step]:
     return steps
 
 
-def follow(
-    steps: Sequence[Step], do: Callable[[Step, Made], str | None], made: Made, failed: set[str]
-) -> list[Step]:
+def follow(steps: Sequence[Step], do: Callable[[Step, Made], str | None], made: Made, failed: set[str]) -> list[Step]:
     """Do the steps in order and return those done; ``made`` and ``failed`` grow, what stands on a failed one is left out."""
     done = []
     for step in steps:

@@ -191,8 +191,10 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
     lines += [_effect_sentence(effect) for effect in diagnosis.effects]
     for rival in diagnosis.rivals[:4]:
         verb = "cannot be told from" if rival["equivalent"] else "is worse than"
+        if rival["score_gap"] < 0.0 and not rival["equivalent"]:
+            verb = "needs more parameters and fits all runs together no better than"
         lines.append(
-            f"{rival['name']} {verb} {rival['instead_of']}: by {rival['score_gap']:.2g} {rival['unit']} "
+            f"{rival['name']} {verb} {rival['instead_of']}: held out by {rival['score_gap']:.2g} {rival['unit']} "
             f"({rival['low']:.2g} to {rival['high']:.2g})."
         )
     odd = [name for name, entry in diagnosis.retuned.items() if not entry["plausible"]]

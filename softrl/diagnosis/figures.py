@@ -62,9 +62,10 @@ def draw_run(heldout: Problem, judged: dict[str, Traces]) -> Figure:
 def draw_map(heldout: Problem, judged: dict[str, Traces]) -> Figure:
     """Draw the held-out error before and after, over time and pressure, and over two pressures (or pressure and rate)."""
     command = np.concatenate([1e-3 * run.pressure_cmd for run in heldout.runs])
-    order = np.argsort(-np.ptp(command, axis=0))
+    moved: np.ndarray = np.max([np.ptp(1e-3 * run.pressure_cmd, axis=0) for run in heldout.runs], axis=0)
+    order = np.argsort(-moved)  # within runs: a chamber that is held at another level on another day is not driven
     first = order[0]
-    if len(order) > 1 and np.ptp(command[:, order[1]]) > 0.0:
+    if len(order) > 1 and moved[order[1]] > 0.0:
         second, other = command[:, order[1]], f"command of chamber {order[1] + 1}, kPa"
     else:
         second = np.concatenate([np.gradient(1e-3 * run.pressure_cmd[:, first], run.time) for run in heldout.runs])

@@ -70,9 +70,7 @@ class Study:
         return 100.0 * self.limit.uncertainty_m / float(np.linalg.norm(self.limit.value_m))
 
 
-def study(
-    body: Callable[[Mesh], FemModel], mesh: Mesh, load: np.ndarray, parts: Sequence[int] = (1, 2, 3)
-) -> Study:
+def study(body: Callable[[Mesh], FemModel], mesh: Mesh, load: np.ndarray, parts: Sequence[int] = (1, 2, 3)) -> Study:
     """Return the tips of what ``body`` makes of ``mesh`` under ``load``, each edge cut into ``parts`` in turn.
 
     Each finer body starts in the shape of the coarsest, which saves it half of its iterations.

@@ -70,7 +70,9 @@ def solid_of(mesh: Mesh, order: int) -> Solid:
     """Return the elements of ``order`` 1 or 2 on ``mesh``."""
     orders = {1: linear_mesh, 2: quadratic_mesh}
     if order not in orders:
-        raise ConfigError(f"element_order={order} is unknown; expected 2 (quadratic tetrahedra) or 1 (linear, they lock)")
+        raise ConfigError(
+            f"element_order={order} is unknown; expected 2 (quadratic tetrahedra) or 1 (linear, they lock)"
+        )
     return orders[order](mesh)
 
 
@@ -80,9 +82,15 @@ def linear_mesh(mesh: Mesh) -> Solid:
     gradients = _barycentric_gradients(mesh.points, tetrahedra)[:, None]
     weights = tetrahedron_volumes(mesh.points, tetrahedra)[:, None]
     return Solid(
-        np.array(mesh.points, dtype=float), len(mesh.points), np.zeros((0, 2), dtype=np.int64), tetrahedra,
-        np.asarray(mesh.node_region), mesh.cavity_triangles.astype(np.int64), mesh.cavity_of_triangle.astype(np.int64),
-        np.ascontiguousarray(gradients), weights,
+        np.array(mesh.points, dtype=float),
+        len(mesh.points),
+        np.zeros((0, 2), dtype=np.int64),
+        tetrahedra,
+        np.asarray(mesh.node_region),
+        mesh.cavity_triangles.astype(np.int64),
+        mesh.cavity_of_triangle.astype(np.int64),
+        np.ascontiguousarray(gradients),
+        weights,
     )
 
 
@@ -110,8 +118,15 @@ def quadratic_mesh(mesh: Mesh) -> Solid:
     middle = corners + np.searchsorted(key, side_key)
     gradients, weights = shape_gradients(mesh.points, tetrahedra)
     return Solid(
-        points, corners, edge, elements, region, np.hstack([triangles, middle.reshape(-1, 3)]),
-        mesh.cavity_of_triangle.astype(np.int64), gradients, weights,
+        points,
+        corners,
+        edge,
+        elements,
+        region,
+        np.hstack([triangles, middle.reshape(-1, 3)]),
+        mesh.cavity_of_triangle.astype(np.int64),
+        gradients,
+        weights,
     )
 
 

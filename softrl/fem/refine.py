@@ -27,9 +27,12 @@ def refine(mesh: Mesh, parts: int) -> Mesh:
         return mesh
     solid, tetrahedra = _lattice(4, parts), _tetrahedra_of(parts)
     face, triangles = _lattice(3, parts), _triangles_of(parts)
-    key = np.concatenate([
-        _keys(mesh.tetrahedra, solid).reshape(-1, 8), _keys(mesh.cavity_triangles, face).reshape(-1, 8),
-    ])
+    key = np.concatenate(
+        [
+            _keys(mesh.tetrahedra, solid).reshape(-1, 8),
+            _keys(mesh.cavity_triangles, face).reshape(-1, 8),
+        ]
+    )
     unique, number = np.unique(key, axis=0, return_inverse=True)
     number = number.ravel()
     inside = number[: len(mesh.tetrahedra) * len(solid)].reshape(-1, len(solid))
@@ -40,14 +43,20 @@ def refine(mesh: Mesh, parts: int) -> Mesh:
     alike = ((region == region[:, :1]) | (weight == 0)).all(axis=1)
     diagonal = _shortest_diagonal(points, inside, solid)
     cut = np.where(
-        diagonal[:, None, None] == 0, inside[:, tetrahedra[0]],
+        diagonal[:, None, None] == 0,
+        inside[:, tetrahedra[0]],
         np.where(diagonal[:, None, None] == 1, inside[:, tetrahedra[1]], inside[:, tetrahedra[2]]),
     ).reshape(-1, 4)
     flipped = tetrahedron_volumes(points, cut) < 0
     cut[flipped] = cut[flipped][:, [1, 0, 2, 3]]
     return Mesh(
-        points, cut, np.where(alike, region[:, 0], FREE), np.repeat(mesh.element_layer, parts**3),
-        surface[:, triangles].reshape(-1, 3), np.repeat(mesh.cavity_of_triangle, parts**2), mesh.robot_name,
+        points,
+        cut,
+        np.where(alike, region[:, 0], FREE),
+        np.repeat(mesh.element_layer, parts**3),
+        surface[:, triangles].reshape(-1, 3),
+        np.repeat(mesh.cavity_of_triangle, parts**2),
+        mesh.robot_name,
     )
 
 
@@ -67,7 +76,9 @@ def _interpolated(coarse: Solid, position: np.ndarray, fine: Solid) -> np.ndarra
     owner[fine.elements] = (np.arange(len(fine.elements)) // children)[:, None]
     nodes = coarse.elements[owner]
     corner = coarse.points[nodes[:, :4]]
-    inner = np.linalg.solve(np.swapaxes(corner[:, 1:] - corner[:, :1], 1, 2), (fine.points - corner[:, 0])[..., None])[..., 0]
+    inner = np.linalg.solve(np.swapaxes(corner[:, 1:] - corner[:, :1], 1, 2), (fine.points - corner[:, 0])[..., None])[
+        ..., 0
+    ]
     share = np.concatenate([1.0 - inner.sum(axis=1, keepdims=True), inner], axis=1)
     return np.einsum("na,nai->ni", shape_at(share, nodes.shape[1]), position[nodes])
 
@@ -132,9 +143,9 @@ def _triangles_of(parts: int) -> np.ndarray:
 def _shortest_diagonal(points: np.ndarray, inside: np.ndarray, lattice: np.ndarray) -> np.ndarray:
     """Return for each large tetrahedron which of its octahedra's three diagonals is the shortest (0, 1, 2)."""
     parts = int(lattice[0].sum())
-    ends = inside[:, [int(np.flatnonzero((lattice == parts * np.eye(4, dtype=int)[c]).all(axis=1))[0]) for c in range(4)]]
-    x = points[ends]
-    lengths = [
-        np.linalg.norm(x[:, 0] + x[:, k] - sum(x[:, c] for c in (1, 2, 3) if c != k), axis=1) for k in (1, 2, 3)
+    ends = inside[
+        :, [int(np.flatnonzero((lattice == parts * np.eye(4, dtype=int)[c]).all(axis=1))[0]) for c in range(4)]
     ]
+    x = points[ends]
+    lengths = [np.linalg.norm(x[:, 0] + x[:, k] - sum(x[:, c] for c in (1, 2, 3) if c != k), axis=1) for k in (1, 2, 3)]
     return np.argmin(lengths, axis=0)

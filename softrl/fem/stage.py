@@ -82,9 +82,7 @@ class Body(NamedTuple):
     material: Material
 
 
-def run(
-    config: Config, robot: Robot, mesh: Mesh, parallel: Parallel | None = None, *, tracker: Tracker
-) -> Snapshots:
+def run(config: Config, robot: Robot, mesh: Mesh, parallel: Parallel | None = None, *, tracker: Tracker) -> Snapshots:
     """Return equilibria over the robot's loads, with tangents, and trajectories of the full model.
 
     Notes
@@ -126,8 +124,13 @@ def build_model(body: Body) -> FemModel:
     config = body.config
     newton = NewtonSettings(config.tolerance_m, config.max_iterations, config.reuse_below)
     return FemModel(
-        body.mesh, body.material, body.robot.mass_kg / body.mesh.volume(), config.rayleigh_mass_per_s,
-        config.rayleigh_stiffness_s, newton, element_order=config.element_order,
+        body.mesh,
+        body.material,
+        body.robot.mass_kg / body.mesh.volume(),
+        config.rayleigh_mass_per_s,
+        config.rayleigh_stiffness_s,
+        newton,
+        element_order=config.element_order,
         mean_dilatation=config.mean_dilatation,
     )
 
@@ -219,7 +222,9 @@ def _trace(body: Body, loads: np.ndarray, chain: np.ndarray) -> Chain:
     """Return the equilibria of the rows in ``chain``, and which of them are missed."""
     model = build_model(body)
     traced = Chain([], [])
-    for number, end in zip(chain, follow(model, loads[chain], load_scale(body.robot), body.config.load_step), strict=True):
+    for number, end in zip(
+        chain, follow(model, loads[chain], load_scale(body.robot), body.config.load_step), strict=True
+    ):
         if isinstance(end, Missed):
             traced.missed.append((int(number), end))
         else:
@@ -319,9 +324,7 @@ def corner_mass(model: FemModel) -> np.ndarray:
     return mass
 
 
-def _report(
-    snapshots: Snapshots, samples: list[Found], trajectories: int, tracker: Tracker
-) -> None:
+def _report(snapshots: Snapshots, samples: list[Found], trajectories: int, tracker: Tracker) -> None:
     tip = snapshots.coordinate[:, -3:]
     tracker.metric("equilibria", len(samples))
     tracker.metric("failed", snapshots.failed)

@@ -44,9 +44,7 @@ def by_equilibria(
     points = []
     for share in shares:
         count = max(settings.folds, round(share * len(seen.load)))
-        model, _ = fit_model(
-            lean, robot, snapshots, seen.rows(slice(0, count)), pod, np.random.default_rng(0)
-        )
+        model, _ = fit_model(lean, robot, snapshots, seen.rows(slice(0, count)), pod, np.random.default_rng(0))
         points.append(Point(count, *errors_of(model, snapshots, heldout)))
     return points
 

@@ -15,7 +15,6 @@ MAX_ITERATIONS = 60
 LONGEST_STEP = 0.5  # of y, in one iteration
 
 
-
 @nb.njit(cache=True)
 def tip_pose(
     y: np.ndarray,

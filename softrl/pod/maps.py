@@ -40,7 +40,12 @@ class Degree(NamedTuple):
 
 
 def best_degree(
-    points: np.ndarray, targets: np.ndarray, weight: np.ndarray, fold: np.ndarray, judged: slice, degree_max: int,
+    points: np.ndarray,
+    targets: np.ndarray,
+    weight: np.ndarray,
+    fold: np.ndarray,
+    judged: slice,
+    degree_max: int,
     through_origin: bool,
 ) -> Degree:
     """Return the degree up to ``degree_max`` whose error over folds that the fit did not see is smallest.

@@ -96,7 +96,9 @@ def fill_potential(
     """Fill gradient (r,) and Hessian (r, r) of the potential at ``y`` in J; return ``|y|``."""
     r = len(y)
     radius = to_ball(y, point)
-    fill_monomials(point, tables.parent, tables.variable, values[: max(tables.gradient.shape[1], tables.weight.shape[2])])
+    fill_monomials(
+        point, tables.parent, tables.variable, values[: max(tables.gradient.shape[1], tables.weight.shape[2])]
+    )
     for i in range(r):
         gradient[i] = polynomial(tables.gradient[i], values)
     pair = 0

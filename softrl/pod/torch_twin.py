@@ -78,7 +78,9 @@ class TorchRom(torch.nn.Module):
         mass, turning = self._inertia(y, rate)
         stiff, loose = self._viscosity(y)
         late = rate if lag is None else lag @ self.inverse.T
-        viscous = self.stiffness_damping * (_times(stiff, rate) + _times(loose, late)) + _times(self.mass_damping * mass, rate)
+        viscous = self.stiffness_damping * (_times(stiff, rate) + _times(loose, late)) + _times(
+            self.mass_damping * mass, rate
+        )
         inside = _times(self.mass_scale * mass, change) - self.mass_scale * turning + viscous + self._slope(y)
         return inside @ self.inverse - load
 

@@ -61,8 +61,11 @@ class Trial:
         made = controllers(self.models, self.planning, self.pace, course, prepared)
         for name in DISTURBED:
             run = f"{course.name}_{name}_line_off"
-            yield name, follow(
-                driver, self.models.robot, made[name], course, self.pace, run, f"{course.name}_line_off", events
+            yield (
+                name,
+                follow(
+                    driver, self.models.robot, made[name], course, self.pace, run, f"{course.name}_line_off", events
+                ),
             )
 
 
