@@ -377,7 +377,8 @@ def _report(
     for split, values in diagnosis.errors_deg.items():
         for name, error in values.items():
             tracker.metric(f"{split}/{name}_error_deg", error)
-    tracker.metric("heldout/gap_closed_share", share_closed(diagnosis.errors_mm["heldout"]))
+    if (share := share_closed(diagnosis.errors_mm["heldout"])) is not None:
+        tracker.metric("heldout/gap_closed_share", share)
     tracker.metric("effects_named_count", len(diagnosis.effects))
     for sentence in diagnosis.sentences:
         log.info("%s", sentence)
