@@ -4,20 +4,22 @@ import logging
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from softrl.artifacts.mesh import Mesh
 from softrl.bench.figures import draw_scaling
 from softrl.bench.reference import Reference
-from softrl.bench.refine import refined
 from softrl.bench.watch import Watch, peak_memory_gb
 from softrl.core.errors import ConfigError, SolverError
 from softrl.core.tracking import Tracker
+from softrl.fem.convergence import Study, draw_convergence, study
 from softrl.fem.coupling import Pose
 from softrl.fem.material import TANGENT, StableNeoHookean, material_of
 from softrl.fem.model import FemModel, State
 from softrl.fem.newton import factorise
+from softrl.fem.refine import refine
 from softrl.fem.simulator import FemSimulator
 
 log = logging.getLogger(__name__)
@@ -39,41 +41,44 @@ class FemBench:
     simulator : the full model, its settings and its mesh
     pressure_pa : in the first chamber, as a jump
     dt_s : of the steps;  steps : in a timed run, from rest
-    mesh_unknowns : sizes of the finer meshes; each is measured in a process of its own
+    mesh_parts : into how many an edge is cut on each finer mesh; each is measured in a process of its own
     reference_steps : of the scikit-fem reference; 0 leaves it out
-    convergence_unknowns : two sizes of finer meshes on which the tip's displacement is compared; none leaves it out
+    convergence_parts : likewise, of three or more meshes, the first its own (1), from which the tip's displacement is
+        extrapolated; none leaves it out
     """
 
     simulator: FemSimulator
     pressure_pa: float
     dt_s: float
     steps: int
-    mesh_unknowns: tuple[int, ...]
+    mesh_parts: tuple[int, ...]
     reference_steps: int
-    convergence_unknowns: tuple[int, ...]
+    convergence_parts: tuple[int, ...]
 
     def __post_init__(self) -> None:
         for name in ("pressure_pa", "dt_s", "steps"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"bench.fem.{name}={getattr(self, name):g} must be positive")
-        if len(self.convergence_unknowns) not in (0, 2):
-            raise ConfigError(f"bench.fem.convergence_unknowns={self.convergence_unknowns}; expected two sizes, or []")
+        if self.convergence_parts and (len(self.convergence_parts) < 3 or self.convergence_parts[0] != 1):
+            raise ConfigError(f"bench.fem.convergence_parts={self.convergence_parts}; expected 1 and two more, or []")
 
     def measure(self, watch: Watch, seed: int, tracker: Tracker) -> dict[str, float]:
         """Return the metrics; there is nothing random here."""
         unknowns, metrics = self.cost(watch)
         metrics["unknowns"] = unknowns
-        sizes = [Cost(unknowns, metrics)] + [self._elsewhere(wanted, watch) for wanted in self.mesh_unknowns]
+        sizes = [Cost(unknowns, metrics)] + [self._elsewhere(parts, watch) for parts in self.mesh_parts]
         for size in sizes[1:]:
             metrics |= {f"at_{size.unknowns}/{name}": value for name, value in size.metrics.items()}
         metrics["peak_memory_gb"] = sizes[-1].metrics["peak_memory_gb"]
         metrics["peak_memory_unknowns"] = sizes[-1].unknowns
-        if len(sizes) > 1:
-            tracker.figure("fem_scaling", draw_scaling([s.unknowns for s in sizes], [s.metrics for s in sizes]))
         if self.reference_steps:
             metrics |= self.against_reference(watch)
-        if self.convergence_unknowns:
-            metrics |= self.convergence()
+        found = self.convergence() if self.convergence_parts else None
+        if found is not None:
+            metrics |= _distance(found)
+            tracker.figure("fem_convergence", draw_convergence({self.simulator.mesh.robot_name: found}))
+        if len(sizes) > 1:
+            tracker.figure("fem_scaling", draw_scaling([s.unknowns for s in sizes], [s.metrics for s in sizes], found))
         return metrics
 
     def cost(self, watch: Watch) -> Cost:
@@ -131,42 +136,21 @@ class FemBench:
             "scikit_fem_node_difference_mm": 1e3 * float(np.abs(ended[0].position - ended[1].position).max()),
         }  # fmt: skip
 
-    def convergence(self) -> dict[str, float]:
-        """Return how far the tip's displacement at rest is from that of infinitely many unknowns.
+    def convergence(self) -> Study:
+        """Return how far the pressure moves the tip, without weight, on finer and finer meshes."""
+        still = replace(self.simulator.robot, gravity_m_s2=(0.0, 0.0, 0.0))
 
-        Notes
-        -----
-        Two finer meshes of the same body by halved edges; the displacement is taken to approach its limit as a power of
-        the unknowns, fitted through the three. Where it does so in no such way, the finest mesh stands for the limit.
-        """
-        meshes = [self.simulator.mesh, *(refined(self.simulator.mesh, n) for n in self.convergence_unknowns)]
-        found = [self._displacement(replace(self.simulator, mesh=mesh)) for mesh in meshes]
-        unknowns, tips = np.array([u for u, _ in found], dtype=float), np.array([d for _, d in found])
-        limit, order = extrapolated(unknowns, tips)
-        return {
-            "convergence_error_pct": 100.0 * abs(limit - tips[0]) / limit,
-            "convergence_limit_mm": 1e3 * limit,
-            "convergence_order_in_h": order,
-            **{f"at_{int(u)}/tip_displacement_mm": 1e3 * d for u, d in zip(unknowns, tips, strict=True)},
-        }
+        def body(mesh: Mesh) -> FemModel:
+            return replace(self.simulator, robot=still, mesh=mesh).model
 
-    def _displacement(self, simulator: FemSimulator) -> tuple[int, float]:
-        """Return unknowns, and how far (m) the pressure moves the tip at equilibrium, without weight."""
-        model = replace(simulator, robot=replace(simulator.robot, gravity_m_s2=(0.0, 0.0, 0.0))).model
-        pose = model.rest()
-        for share in (0.5, 1.0):
-            solve = model.static(share * self._load, pose)
-            if not solve.converged:
-                raise SolverError(f"no equilibrium at {share * self.pressure_pa:g} Pa in {solve.iterations} iterations")
-            pose = solve.pose
-        return model.coupling.unknowns, float(np.linalg.norm(model.tip(pose) - model.rest_tip))
+        return study(body, self.simulator.mesh, self._load, self.convergence_parts)
 
-    def _elsewhere(self, unknowns: int, watch: Watch) -> Cost:
-        """Return the cost on a finer mesh, measured in a process of its own, so that its memory is its own too."""
-        finer = refined(self.simulator.mesh, unknowns)
+    def _elsewhere(self, parts: int, watch: Watch) -> Cost:
+        """Return the cost on a finer mesh, timed once, in a process of its own, so that its memory is its own too."""
+        finer = refine(self.simulator.mesh, parts)
         bench = replace(self, simulator=replace(self.simulator, mesh=finer))
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-            return pool.submit(_cost, bench, watch).result()
+            return pool.submit(_cost, bench, replace(watch, repeats=1)).result()
 
     @property
     def _load(self) -> np.ndarray:
@@ -189,29 +173,19 @@ class FemBench:
         return self._run(model, 2)
 
 
+def _distance(found: Study) -> dict[str, float]:
+    """Return how far the first mesh's tip is from the limit of all, and what each equilibrium took."""
+    metrics = {
+        "convergence_error_pct": float(found.error_pct[0]),
+        "convergence_uncertainty_pct": found.uncertainty_pct,
+        "convergence_limit_mm": 1e3 * float(np.linalg.norm(found.limit.value_m)),
+        "convergence_order_in_h": found.limit.order,
+    }
+    for unknowns, tip, seconds in zip(found.unknowns, found.tip_m, found.seconds, strict=True):
+        metrics[f"at_{unknowns}/tip_displacement_mm"] = 1e3 * float(np.linalg.norm(tip))
+        metrics[f"at_{unknowns}/equilibrium_s"] = float(seconds)
+    return metrics
+
+
 def _cost(bench: FemBench, watch: Watch) -> Cost:
     return bench.cost(watch)
-
-
-def extrapolated(unknowns: np.ndarray, values: np.ndarray) -> tuple[float, float]:
-    """Return the limit of three ``values`` at three falling mesh widths ``unknowns ** (-1/3)``, and the order in it.
-
-    Not monotone values have no order: the last one and 0 are returned then.
-    """
-    width = unknowns ** (-1.0 / 3.0)
-    steps = np.diff(values)
-    if steps[0] * steps[1] <= 0.0:
-        return float(values[-1]), 0.0
-
-    def mismatch(order: float) -> Any:
-        h = width**order
-        return (h[0] - h[1]) / (h[1] - h[2]) - steps[0] / steps[1]
-
-    low, high = 0.2, 6.0
-    if mismatch(low) * mismatch(high) > 0.0:
-        return float(values[-1]), 0.0
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if mismatch(low) * mismatch(middle) > 0.0 else (low, middle)
-    h = width**low
-    return float(values[2] + steps[1] * h[2] / (h[1] - h[2])), low

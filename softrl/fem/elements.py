@@ -127,6 +127,20 @@ def shape_gradients(points: np.ndarray, tetrahedra: np.ndarray) -> tuple[np.ndar
     return gradients, np.repeat(volume[:, None] / 4.0, 4, axis=1)
 
 
+def barycentric(corner: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return the barycentric coordinates (n, 4) of ``points`` (n, 3) in tetrahedra of ``corner`` (n, 4, 3)."""
+    sides = np.swapaxes(corner[:, 1:] - corner[:, :1], 1, 2)
+    inner = np.linalg.solve(sides, (points - corner[:, 0])[..., None])[..., 0]
+    return np.concatenate([1.0 - inner.sum(axis=1, keepdims=True), inner], axis=1)
+
+
+def shape_at(share: np.ndarray, nodes: int) -> np.ndarray:
+    """Return the shape functions (points, nodes) of elements of 4 or 10 nodes at barycentric points (points, 4)."""
+    if nodes == 4:
+        return share
+    return np.concatenate([share * (2.0 * share - 1.0), 4.0 * share[:, EDGES[:, 0]] * share[:, EDGES[:, 1]]], axis=1)
+
+
 def _barycentric_gradients(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
     """Return the gradients (elements, 4, 3) in 1/m of the barycentric coordinates."""
     corner = points[tetrahedra]

@@ -6,16 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softrl.artifacts.mesh import tetrahedron_volumes
-from softrl.bench.fem import FemBench, extrapolated
+from softrl.bench.fem import FemBench
 from softrl.bench.reference import Reference
-from softrl.bench.refine import quadratic_unknowns, refined
 from softrl.bench.stage import Config, run
 from softrl.bench.watch import Timing, Watch, machine, peak_memory_gb
 from softrl.core.config import build
 from softrl.core.errors import ConfigError
 from softrl.core.tracking import NullTracker
-from softrl.fem.elements import quadratic_mesh
 from tests.bench.full import full_simulator
 from tests.fem.bodies import NEWTON, box_robot, hollow_box, model_of
 
@@ -41,33 +38,12 @@ def test_the_reference_makes_the_same_step() -> None:
     assert theirs.iterations <= 6, "a wrong matrix would converge slowly"
 
 
-@pytest.mark.parametrize("factor", [1.5, 4.0])
-def test_a_refined_mesh_is_the_same_body(factor: float) -> None:
-    wanted = int(factor * quadratic_unknowns(BOX))
-    finer = refined(BOX, wanted)
-    finer.validate()
-    assert abs(quadratic_unknowns(finer) / wanted - 1.0) < 0.15
-    assert finer.volume() == pytest.approx(BOX.volume(), rel=1e-12)
-    for k in range(2):
-        assert finer.cavity_volume(k) == pytest.approx(BOX.cavity_volume(k), rel=1e-12)
-    quadratic_mesh(finer)  # refuses a surface that does not fit the elements
-    before = tetrahedron_volumes(BOX.points, BOX.tetrahedra).sum()
-    assert tetrahedron_volumes(finer.points, finer.tetrahedra).sum() == pytest.approx(before)
-    assert refined(BOX, 10) is BOX
-
-
-def test_the_limit_of_a_power_law_is_found() -> None:
-    unknowns = np.array([1e4, 3e4, 1e5])
-    limit, order = extrapolated(unknowns, 2.0 - 0.7 * unknowns ** (-2.0 / 3.0))
-    assert limit == pytest.approx(2.0, rel=1e-9) and order == pytest.approx(2.0, rel=1e-6)
-    assert extrapolated(unknowns, np.array([1.0, 2.0, 1.5])) == (1.5, 0.0)
-
-
 def test_the_stage_reports_what_it_promises(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("skfem")
     tracker = NullTracker()
-    finer = replace(BENCH, mesh_unknowns=(quadratic_unknowns(BOX) + 300,), convergence_unknowns=(1500, 2200))
-    made = run(Config(1, "cpu", 0), SIMULATOR.robot, {"fem": finer}, tracker=tracker)
+    small = replace(SIMULATOR, robot=box_robot(1), mesh=hollow_box())
+    finer = replace(BENCH, simulator=small, mesh_parts=(2,), convergence_parts=(1, 2, 3))
+    made = run(Config(1, "cpu", 0), small.robot, {"fem": finer}, tracker=tracker)
     promised = {"assembly_ms", "factor_solve_ms", "step_ms", "steps_per_s", "speedup_vs_scikit_fem",
                 "convergence_error_pct", "peak_memory_gb"}  # fmt: skip
     assert promised <= set(tracker.metrics) and all(np.isfinite(list(tracker.metrics.values())))
@@ -89,5 +65,7 @@ def test_timings_are_medians_and_take_turns() -> None:
 def test_bad_settings_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"bench\.fem\.dt_s"):
         replace(BENCH, dt_s=0.0)
+    with pytest.raises(ConfigError, match=r"convergence_parts"):
+        replace(BENCH, convergence_parts=(2, 3, 4))
     with pytest.raises(ConfigError, match=r"stage\.clock=sun"):
         build({"repeats": 1, "clock": "sun", "seed": 0}, Config, "stage")

@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_bvp
 from scipy.spatial.transform import Rotation
 
 from softrl.artifacts.mesh import PLATE, Mesh
 from softrl.core.errors import MeshError
-from softrl.fem.material import StableNeoHookean, StVenantKirchhoff
+from softrl.fem.material import StableNeoHookean, StVenantKirchhoff, lame
 from softrl.fem.newton import NewtonSettings
 from softrl.fem.solver import SuperLuSolver
 from tests.fem.bodies import NEWTON, bar, error_norms, hollow_box, hollow_sphere, model_of, solved_inside
@@ -107,6 +108,61 @@ def test_pressure_in_a_thick_sphere_widens_it_as_lame_says() -> None:
     widening = share * ((1 - 2 * nu) * inner + (1 + nu) * outer**3 / (2 * inner**2))
     expected = 3 * widening / inner  # relative change of volume, which hardly sees the facets
     assert model.coordinate(solve.pose)[0] / model.rest_volume[0] == pytest.approx(expected, rel=0.04)
+
+
+def inflated(pressure_pa: float, young: float, nu: float, inner: float, outer: float) -> float:
+    """Return the inner hoop stretch of a thick stable Neo-Hookean sphere under a pressure, from its radial equation.
+
+    With r(R): d/dR P_rr + 2/R (P_rr - P_tt) = 0, P_rr = 0 outside and -p (r/R)^2 inside.
+    """
+    lam, mu = lame(young, nu)
+
+    def stress(hoop: np.ndarray, radial: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        push = (lam + mu) * (hoop**2 * radial - 1.0) - mu
+        return mu * radial + push * hoop**2, mu * hoop + push * hoop * radial
+
+    def radial_of(pull: np.ndarray, hoop: np.ndarray) -> np.ndarray:
+        return (pull + (lam + 2.0 * mu) * hoop**2) / (mu + (lam + mu) * hoop**4)  # P_rr is linear in dr/dR
+
+    def slope(radius: np.ndarray, y: np.ndarray) -> np.ndarray:
+        hoop = y[0] / radius
+        radial = radial_of(y[1], hoop)
+        return np.stack([radial, 2.0 / radius * (stress(hoop, radial)[1] - y[1])])
+
+    def ends(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.array([(a[1] + pressure_pa * (a[0] / inner) ** 2) / young, b[1] / young])
+
+    radius = np.linspace(inner, outer, 40)
+    start = np.cbrt(radius**3 + 0.3 * inner**3)
+    found = solve_bvp(slope, ends, radius, np.stack([start, np.zeros_like(radius)]), tol=1e-8)
+    assert found.success, found.message
+    return float(found.y[0, 0] / inner)
+
+
+def test_the_radial_equation_tends_to_the_closed_form_of_an_incompressible_sphere() -> None:
+    young, hoop, ratio = 1e6, 1.3, 8.0
+    outside = np.cbrt(1.0 + (hoop**3 - 1.0) / ratio)
+    pressure = young / 3.0 * ((2.0 / outside + 0.5 / outside**4) - (2.0 / hoop + 0.5 / hoop**4))
+    missed = [inflated(pressure, young, nu, 0.01, 0.02) - hoop for nu in (0.49, 0.499, 0.4999)]
+    assert abs(missed[2]) < 1e-3 < abs(missed[0]), f"measured {missed}"
+    assert missed[0] / missed[1] == pytest.approx(10.0, rel=0.2), f"measured {missed}"
+
+
+def test_pressure_blows_a_thick_sphere_up_as_its_radial_equation_says() -> None:
+    # to twice its cavity: large strains, and a pressure that follows the wall; flat facets miss by their width squared
+    inner, outer, nu, pressure, facets = 0.01, 0.02, 0.45, 1.9e5, np.array([3, 4])
+    grown = []
+    for count in facets:
+        mesh = hollow_sphere(inner, outer, layers=2, cells=int(count))
+        model = model_of(mesh, StableNeoHookean(1e6, nu), newton=replace(NEWTON, tolerance_m=1e-7))
+        half = model.static(np.r_[0.5 * pressure, np.zeros(3)])
+        solve = model.static(np.r_[pressure, np.zeros(3)], half.pose)
+        assert half.converged and solve.converged
+        grown.append(np.cbrt(1.0 + model.coordinate(solve.pose)[0] / model.rest_volume[0]) - 1.0)
+    limit = np.linalg.solve(np.stack([np.ones(2), facets**-2.0], axis=1), grown)[0]
+    expected = inflated(pressure, 1e6, nu, inner, outer) - 1.0
+    assert expected > 0.25
+    assert limit == pytest.approx(expected, rel=0.01), f"the radius grows by {grown}, in the limit by {limit:.4f}"
 
 
 def test_equilibrium_balances_the_base(box: Mesh) -> None:

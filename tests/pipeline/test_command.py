@@ -38,6 +38,8 @@ def results(folder: Path) -> list[dict]:
         (["stage=pod"], "run stage=fem first"),
         (["stage=pod", "inputs.snapshots=run:0"], "run:0 is not in this tracking store"),
         (["stage=simulate", "simulator=pcc", "recordings=nowhere"], "nowhere is no folder"),
+        (["stage=mesh", "inputs.mehs=latest"], "snapshots (of stage=fem)"),
+        (["stage=mesh", "driver=nothing"], "'driver': rig_serial rig_udp"),
     ],
 )
 def test_a_mistake_is_one_line_and_status_2(tmp_path: Path, words: list[str], says: str) -> None:
@@ -50,7 +52,7 @@ def test_a_mistake_is_one_line_and_status_2(tmp_path: Path, words: list[str], sa
 
 def test_help_is_quick_to_say_what_one_can_do(tmp_path: Path) -> None:
     done = softrl(tmp_path, "--help")
-    assert done.returncode == 0 and "stage=diagnosis" in done.stdout
+    assert done.returncode == 0 and "stage=diagnosis" in done.stdout and "_rig" not in done.stdout
     loaded = subprocess.run(
         [sys.executable, "-X", "importtime", "-m", "softrl", "--help"],
         cwd=tmp_path,
@@ -64,8 +66,11 @@ def test_help_is_quick_to_say_what_one_can_do(tmp_path: Path) -> None:
 def test_a_finished_run_is_reused_until_forced(tmp_path: Path) -> None:
     words = ["stage=mesh", "profile=tiny"]
     first, second, third = (
-        softrl(tmp_path, *words, *more, f"hydra.run.dir=out/{k}") for k, more in enumerate([[], [], ["force=true"]])
+        softrl(tmp_path, *words, *more, f"hydra.run.dir=out/{k}", f"out=copy/{k}")
+        for k, more in enumerate([[], [], ["force=true"]])
     )
+    for k in range(3):  # made or reused
+        assert (tmp_path / f"copy/{k}/mesh/arrays.npz").is_file() and (tmp_path / f"copy/{k}/result.json").is_file()
     assert [run.returncode for run in (first, second, third)] == [0, 0, 0], third.stderr
     ids = [json.loads((tmp_path / f"out/{k}/result.json").read_text())["run_id"] for k in range(3)]
     assert ids[0] == ids[1] != ids[2]
@@ -77,9 +82,10 @@ def test_a_sweep_is_one_parent_with_a_child_per_point(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     store = Store(Location(None, str(tmp_path)))
     runs = store.client.search_runs([store.experiment])
+    assert done.stderr.count("point ") == 1 and "\nseed=1 " in done.stderr and "\nseed=2 " in done.stderr
     parents = [run for run in runs if run.data.tags["softrl.stage"] == "sweep:mesh"]
     assert len(parents) == 1 and parents[0].info.status == "FINISHED"
-    assert len(store.children(parents[0].info.run_id)) == 2
+    assert len(store.points(parents[0].info.run_id)) == 2
     assert parents[0].data.metrics  # the page shows a collapsed parent only
 
 
