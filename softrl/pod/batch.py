@@ -28,8 +28,8 @@ def run_batch(
 ) -> tuple[np.ndarray, int, float]:
     """Roll out from ``y``, ``velocity`` and ``lag`` (B, r), which are used up, under ``load`` (B, steps, r) Pa and N.
 
-    Blocks of trajectories run in threads, one a core. Returns the path (B, steps, r), the number of steps that did not converge, and the largest ``|y|``; the same motions
-    as ``pod.kernel.run_kernel`` makes, to round-off.
+    Blocks of trajectories run in threads, one a core. Returns the path (B, steps, r), the number of steps that did not
+    converge, and the largest ``|y|``; the same motions as ``pod.kernel.run_kernel`` makes, to round-off.
     """
     path = np.empty(load.shape)
     blocks = [slice(first, first + LANES) for first in range(0, len(y), LANES)]
