@@ -1,8 +1,11 @@
 """The door: ``python -m softrl stage=...``."""
 
+import _thread
 import os
 import signal
 import sys
+import textwrap
+import threading
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -11,7 +14,7 @@ os.environ.setdefault("HYDRA_FULL_ERROR", "1")
 
 import hydra
 from hydra.errors import ConfigCompositionException, HydraException
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from softrl.core.errors import SoftrlError
@@ -22,6 +25,17 @@ _mistakes: list[SoftrlError] = []
 CONF = next(folder for folder in (HERE / "conf", HERE.parent / "conf") if folder.is_dir())
 
 os.environ.setdefault("SOFTRL_HOME", str(CONF.parent))  # experiments/ is searched beside conf/
+
+
+def _choices() -> str:
+    """Return the configuration groups and their options for --help; what begins with _ is a part of other options."""
+    groups = sorted(folder for folder in CONF.iterdir() if folder.is_dir() and folder.name != "hydra")
+    options = {g.name: sorted(file.stem for file in g.glob("*.yaml") if not file.stem.startswith("_")) for g in groups}
+    lines = [textwrap.fill(f"{name}: {', '.join(found)}", 116, subsequent_indent="  ") for name, found in options.items()]
+    return "\n".join(lines).replace("\n", "\n  ")
+
+
+OmegaConf.register_new_resolver("choices", _choices, replace=True)
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")
@@ -42,6 +56,7 @@ def main() -> None:
     sweep = bool({"-m", "--multirun"} & set(sys.argv[1:]))
     sys.argv[1:] = [word for given in sys.argv[1:] for word in _spell_out(given, sweep)]
     signal.signal(signal.SIGTERM, _stop)
+    sys.unraisablehook = _repeat_interrupt
     error: BaseException | None = None
     try:
         run()
@@ -85,10 +100,14 @@ def _one_line(error: Exception) -> str:
     if isinstance(error, ConfigCompositionException) and lines[0].startswith("Could not override"):
         whole = not any(word.startswith("stage=") and word != "stage=all" for word in sys.argv)
         hint = "a key of one stage needs that stage alone: stage=<name>" if whole else "`--cfg job` prints every key"
+        if "'inputs." in lines[0]:
+            from softrl.assembly import inputs_in_words
+
+            hint = f"expected one of {inputs_in_words()}"
         return f"{lines[0].rstrip('.')}: there is no such key; {hint}"
     if "Could not load 'hydra/launcher/submitit" in str(error):
         return "launcher=slurm needs a launcher that is not installed; pip install 'softrl[slurm]'"
-    shown = [line for line in lines if not line.startswith(NOISE)]
+    shown = [line for line in lines if not line.startswith((*NOISE, "_"))]
     return " ".join(shown)
 
 
@@ -99,6 +118,14 @@ def _leave(message: str, status: int) -> NoReturn:
 
 def _stop(number: int, frame: Any) -> NoReturn:
     raise KeyboardInterrupt
+
+
+def _repeat_interrupt(lost: "sys.UnraisableHookArgs") -> None:
+    """Interrupt again if a destructor or a callback swallowed the interrupt; leave the rest to Python."""
+    if lost.exc_type is KeyboardInterrupt:
+        threading.Timer(0.1, _thread.interrupt_main).start()
+    else:
+        sys.__unraisablehook__(lost)
 
 
 if __name__ == "__main__":

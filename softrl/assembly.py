@@ -1,14 +1,19 @@
 """Fills the parameters of a stage by their types: artifacts from the store, objects from the configuration."""
 
+import importlib
 import inspect
+import logging
+import pkgutil
 import types
 import typing
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from softrl import artifacts
 from softrl.artifacts.artifact import Artifact
 from softrl.artifacts.diagnosis import Diagnosis
+from softrl.artifacts.policy import Policy
 from softrl.core import fingerprint
 from softrl.core.config import TARGET, UNFILLED, build, build_target, constructor_hints, target_class
 from softrl.core.errors import ArtifactError, ConfigError
@@ -19,6 +24,8 @@ from softrl.effects.library import effect_class
 from softrl.recordings.read import read as read_recordings
 from softrl.recordings.recording import RecordingSet
 from softrl.robots.robot import Robot
+
+log = logging.getLogger(__name__)
 
 # parameters of a stage that are built from the configuration group of the same name
 OBJECTS = ("simulator", "task", "agent", "driver", "bench")
@@ -49,6 +56,17 @@ class Assembly:
         hints = typing.get_type_hints(run)
         names = [name for name in inspect.signature(run).parameters if name not in ("config", "tracker")]
         return {name: self._argument(name, hints[name]) for name in names}
+
+    def task_tag(self) -> dict[str, str]:
+        """Return the tag by which what was made for a task is found, if the stage took one."""
+        return {"task": _task_of(self.cfg)} if "task" in self.used else {}
+
+    def warn_of_unused(self, stage: str) -> None:
+        """Tell of inputs that were named and play no part."""
+        for name, source in self.cfg["inputs"].items():
+            if source != "latest" and name not in self.inputs:
+                taken = ", ".join(self.inputs) or "none"
+                log.warning("inputs.%s=%s plays no part in stage=%s, whose inputs are: %s", name, source, stage, taken)
 
     def _argument(self, name: str, hint: Any) -> Any:
         kind, optional = _without_none(hint)
@@ -128,8 +146,24 @@ class Assembly:
     def _absent(self, kind: type[Artifact]) -> bool:
         """Return whether the newest run that makes ``kind`` was wanted, and there is none."""
         wanted = self.made.get(kind.key()) or self.cfg["inputs"].get(kind.key(), "latest")
+        return wanted == "latest" and self.store.find(self._tags_of(kind)) is None
+
+    def _tags_of(self, kind: type[Artifact]) -> dict[str, str]:
+        """Return what a run must carry whose artifact is taken for the latest."""
         tags = {"stage": kind.stage, "robot": self.robot_mark, "profile": self.cfg["profile"]["name"]}
-        return wanted == "latest" and self.store.find(tags) is None
+        return tags | ({"task": _task_of(self.cfg)} if kind is Policy else {})
+
+    def _nothing_found(self, kind: type[Artifact], name: str) -> str:
+        """Return what to do where no run makes the artifact, and what is there instead."""
+        tags = self._tags_of(kind)
+        task = f" task={tags['task']}" if "task" in tags else ""
+        others = [key for key in ("task", "profile", "robot") if key in tags and self.store.find(_without(tags, key))]
+        others = ["robot, or with other numbers of this one" if key == "robot" else key for key in others]
+        near = f"; there is one with another {' or '.join(others)}" if others else ""
+        return (
+            f"no finished {kind.stage} run of robot {self.robot.name} with profile={tags['profile']}{task} holds a "
+            f"{kind.kind()}{near}; run stage={kind.stage}{task} first, or name one with inputs.{name}=run:<id>"
+        )
 
     def _locate(self, kind: type[Artifact], name: str) -> tuple[Path, str]:
         wanted = self.made.get(name) or self.cfg["inputs"].get(name, "latest")
@@ -137,16 +171,45 @@ class Assembly:
             path = Path(wanted[5:]).expanduser().resolve()
             return path, f"path:{path}:{fingerprint.of_folder(path)}"
         if wanted == "latest":
-            tags = {"stage": kind.stage, "robot": self.robot_mark, "profile": self.cfg["profile"]["name"]}
-            run = self.store.find(tags)
+            run = self.store.find(self._tags_of(kind))
             if run is None:
-                raise ArtifactError(
-                    f"no finished {kind.stage} run of robot {self.robot.name} with profile={tags['profile']} holds a "
-                    f"{kind.kind()}; run stage={kind.stage} first, or name one with inputs.{name}=run:<id>"
-                )
+                raise ArtifactError(self._nothing_found(kind, name))
         else:
             run = self.store.get(wanted.removeprefix("run:"))
+            made_by = run.data.tags.get("softrl.stage")
+            if name not in run.data.tags.get("softrl.artifacts", name).split():
+                raise ArtifactError(
+                    f"inputs.{name}={wanted} is a run of stage={made_by}, which makes no {kind.kind()}; expected one of "
+                    f"stage={kind.stage}"
+                )
         return self.store.folder(run, name), run.info.run_id
+
+
+def _task_of(cfg: Mapping[str, Any]) -> str:
+    """Return the name of the chosen task: that of its file."""
+    return str(cfg["task"][TARGET]).split(".")[-2]
+
+
+def makers() -> dict[str, str]:
+    """Return artifact name -> the stage that makes it."""
+    for module in pkgutil.iter_modules(artifacts.__path__):
+        importlib.import_module(f"{artifacts.__name__}.{module.name}")
+    ours = [kind for kind in Artifact.__subclasses__() if kind.__module__.startswith("softrl.")]
+    return {kind.key(): kind.stage for kind in ours}
+
+
+def inputs_in_words() -> str:
+    """Return the artifact names, each with the stage that makes it."""
+    return ", ".join(f"{name} (of stage={stage})" for name, stage in makers().items())
+
+
+def check_inputs(inputs: Mapping[str, Any]) -> None:
+    """Refuse names that no stage makes, and what says nothing about where an artifact is."""
+    for name, source in inputs.items():
+        if name not in makers():
+            raise ConfigError(f"inputs.{name}={source} is an unknown key; expected one of {inputs_in_words()}")
+        if source != "latest" and not str(source).startswith(("run:", "path:")):
+            raise ConfigError(f"inputs.{name}={source} is refused; expected latest, run:<id> or path:<folder>")
 
 
 def output_kinds(run: Any) -> list[type[Artifact]]:
@@ -155,6 +218,10 @@ def output_kinds(run: Any) -> list[type[Artifact]]:
     if isinstance(returned, type) and issubclass(returned, Artifact):
         return [returned]
     return list(typing.get_type_hints(returned).values())
+
+
+def _without(tags: dict[str, str], key: str) -> dict[str, str]:
+    return {name: value for name, value in tags.items() if name != key}
 
 
 def _without_none(hint: Any) -> tuple[Any, bool]:

@@ -2,6 +2,8 @@
 
 import json
 import logging
+import os
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +11,11 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
+from softrl.assembly import check_inputs
 from softrl.core.errors import ConfigError
 from softrl.core.progress import progress
+from softrl.core.store import Location, Store
+from softrl.core.sweep import PARENT_VARIABLE
 from softrl.paper import run_paper
 from softrl.pipeline import STAGES, Outcome, outputs, run_stage
 from softrl.report.table import table
@@ -20,13 +25,14 @@ ROOT_KEYS = (
     "robot", "simulator", "task", "agent", "driver", "effect", "tracking", "profile", "stage", "alpha", "lambda", "seed",
     "parallel", "bench", "recordings", "out", "force", "debug", "inputs", "hydra",
 )  # fmt: skip
-# the plain root keys; the rest are groups, paths, or checked where they are built
-ROOT_TYPES: dict[str, tuple[tuple[type, ...], str]] = {
-    "seed": ((int,), "whole number from 0 on"),
-    "alpha": ((int, float), "share between 0 and 1"),
-    "lambda": ((int, float), "number from 0 on"),
-    "force": ((bool,), "true or false"),
-    "debug": ((bool,), "true or false"),
+# the plain root keys: types, smallest and largest value, and both in words; groups are checked where they are built
+LARGEST_SEED = 2**32 - 1  # that every library takes
+ROOT_RANGES: dict[str, tuple[tuple[type, ...], float, float, str]] = {
+    "seed": ((int,), 0, LARGEST_SEED, f"a whole number from 0 to {LARGEST_SEED}"),
+    "alpha": ((int, float), 0.0, 1.0, "a share between 0 and 1"),
+    "lambda": ((int, float), 0.0, sys.float_info.max, "a number from 0 on"),
+    "force": ((bool,), False, True, "true or false"),
+    "debug": ((bool,), False, True, "true or false"),
 }
 
 
@@ -40,7 +46,11 @@ def run_configured(cfg: DictConfig) -> None:
         finished = _run_all(list(chosen.overrides.task), folder)
     else:
         finished = [run_stage(stage, _plain(cfg), folder)]
-    log.info("%s", table(finished))
+    if parent := os.environ.get(PARENT_VARIABLE):  # the sweep ends in one table of all its points
+        location = Location(cfg.tracking.uri, cfg.tracking.folder)
+        Store(location).add_point(parent, finished[-1].run_id, " ".join(chosen.overrides.task))
+    else:
+        log.info("%s", table(finished))
 
 
 def _run_all(overrides: list[str], folder: Path) -> list[Outcome]:
@@ -54,7 +64,9 @@ def _run_all(overrides: list[str], folder: Path) -> list[Outcome]:
     finished: list[Outcome] = []
     made: dict[str, str] = {}
     for stage in progress(STAGES, "whole loop"):
-        outcome = run_stage(stage, _compose([*shared, f"stage={stage}"]), folder / stage, made)
+        config = _compose([*shared, f"stage={stage}"])
+        config["out"] = config["out"] and f"{config['out']}/{stage}"
+        outcome = run_stage(stage, config, folder / stage, made)
         made |= {name: f"run:{outcome.run_id}" for name in outputs(stage)}
         finished.append(outcome)
     _write_summary(finished, folder)
@@ -70,10 +82,14 @@ def _plain(cfg: DictConfig) -> dict[str, Any]:
     for key in container:
         if key not in ROOT_KEYS:
             raise ConfigError(f"{key}={container[key]} is an unknown key; expected one of {', '.join(ROOT_KEYS)}")
-    for key, (kinds, expected) in ROOT_TYPES.items():
+    for key, (kinds, low, high, expected) in ROOT_RANGES.items():
         value = container[key]
-        if type(value) not in kinds or (type(value) is not bool and value < 0):
-            raise ConfigError(f"{key}={value} is no {expected}")
+        if type(value) not in kinds or not low <= value <= high:
+            raise ConfigError(f"{key}={value} is refused; expected {expected}")
+    for key in ("recordings", "out"):
+        if container[key] is not None and not isinstance(container[key], str):
+            raise ConfigError(f"{key}={container[key]} is refused; expected a folder, such as {key}=./{container[key]}")
+    check_inputs(container["inputs"])
     return {key: value for key, value in container.items() if key != "hydra"}
 
 

@@ -2,21 +2,22 @@
 
 import json
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from softrl.core.config import build
 from softrl.core.errors import ConfigError, SoftrlError
 from softrl.core.progress import progress
 from softrl.core.store import write_text
-from softrl.pipeline import Outcome, outputs, run_stage
-from softrl.report.paper import collect, table_of
+from softrl.pipeline import Outcome, finished_before, outputs, run_stage
+from softrl.report.paper import FULL_SIZE, collect, table_of
 
 log = logging.getLogger(__name__)
 BODY = ("mesh", "fem", "pod")
 Compose = Callable[[list[str]], dict[str, Any]]
+Made = dict[str, str]
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,7 @@ class Config:
     seeds : of everything that is learned or recorded;  body_seed : of mesh, fem and pod
     tasks : of stage rl;  rollouts : whether policies are rolled out on the driver
     benches : of stage bench, run once
+    minutes : roughly, of all of it from nothing on two cores, or null where nobody knows
     keep : file that the rows are copied to, or null
     """
 
@@ -36,11 +38,26 @@ class Config:
     tasks: tuple[str, ...]
     rollouts: bool
     benches: tuple[str, ...]
+    minutes: float | None
     keep: str | None
 
     def __post_init__(self) -> None:
         if not self.seeds or len(set(self.seeds)) != len(self.seeds):
             raise ConfigError(f"stage.seeds={list(self.seeds)}; expected one or more, all different")
+
+
+class Step(NamedTuple):
+    """One run: its name in the rows, its overrides, and the steps that it stands on."""
+
+    name: str
+    seed: int
+    needs: tuple[str, ...]
+    words: tuple[str, ...] = ()
+
+    @property
+    def stage(self) -> str:
+        """The stage to run."""
+        return self.name.split(":")[0]
 
 
 class Runs:
@@ -53,65 +70,113 @@ class Runs:
         self.why_not: dict[str, str] = {}
         self.commands: dict[str, str] = {}
 
-    def go(self, stage: str, seed: int, made: dict[str, str], *words: str, name: str = "") -> bool:
-        """Run ``stage`` and add its artifacts to ``made``; return whether it finished."""
-        name = name or stage
-        overrides = [*self._shared, *words, f"seed={seed}"]
-        self.commands[name] = " ".join(["python -m softrl", f"stage={stage}", *self._shared, *words])
+    def go(self, step: Step, made: Made) -> str | None:
+        """Run a step and return the id of its run, or None if it failed."""
+        self.commands[step.name] = " ".join(
+            ["python -m softrl", f"stage={step.stage}", *self._shared, *step.words]
+        )
+        folder = self._folder / f"{step.name.replace(':', '_')}_{step.seed}"
         try:
-            config = self._compose([*overrides, f"stage={stage}"])
-            outcome = run_stage(stage, config, self._folder / f"{name.replace(':', '_')}_{seed}", made)
+            outcome = run_stage(step.stage, self.configuration(step), folder, made)
         except SoftrlError as error:
-            log.warning("%s with seed %d failed: %s", name, seed, error)
-            self.why_not[name] = f"seed {seed}: {error}"
-            return False
-        made |= {kind: f"run:{outcome.run_id}" for kind in outputs(stage)}
-        self.results.setdefault(name, []).append(outcome.metrics)
+            log.warning("%s with seed %d failed: %s", step.name, step.seed, error)
+            self.why_not[step.name] = f"seed {step.seed}: {error}"
+            return None
+        self.results.setdefault(step.name, []).append(outcome.metrics)
         self.finished.append(outcome)
-        return True
+        return outcome.run_id
+
+    def look(self, step: Step, made: Made) -> str | None:
+        """Return the id of the run that a step would reuse, or None."""
+        try:
+            return finished_before(step.stage, self.configuration(step), made)
+        except SoftrlError:  # told when it is run
+            return None
+
+    def configuration(self, step: Step) -> dict[str, Any]:
+        """Return the whole configuration of a step."""
+        return self._compose([*self._shared, *step.words, f"seed={step.seed}", f"stage={step.stage}"])
 
 
 def run_paper(cfg: Mapping[str, Any], words: list[str], folder: Path, compose: Compose) -> list[Outcome]:
     """Return the runs behind the tables after writing ``paper.json`` and ``paper.md`` to ``folder``."""
     config = build(cfg["stage"], Config, "stage")
-    shared = [w for w in words if not w.lstrip("+~").startswith(("stage=", "stage.", "seed=", "task="))]
-    runs, body = Runs(shared, folder, compose), dict[str, str]()
-    for stage in BODY:
-        given = [cfg["inputs"].get(name, "latest") for name in outputs(stage)]
-        if all(source != "latest" for source in given):
-            log.info("%s: inputs name its artifacts; not run", stage)
-        elif not runs.go(stage, config.body_seed, body):
-            break
+    own = ("stage=", "stage.", "seed=", "task=", "out=")
+    runs = Runs([w for w in words if not w.lstrip("+~").startswith(own)], folder, compose)
+    body = body_steps(config, cfg["inputs"])
+    _announce(runs, config, body, cfg["profile"]["name"])
+    made, failed = Made(), set[str]()
+    follow(body, runs.go, made, failed)
     for seed in progress(config.seeds, "seeds"):
-        _one_seed(runs, config, seed, dict(body))
+        follow(seed_steps(config, seed), runs.go, dict(made), set(failed))
         _write(runs, cfg, config, folder)  # what is there is there, should the next seed be stopped
     return runs.finished
 
 
-def _one_seed(runs: Runs, config: Config, seed: int, made: dict[str, str]) -> None:
-    """Run everything that is learned or recorded with ``seed``; what stands on a failed run is left out."""
-    calibrated = runs.go("calibration", seed, made)
-    runs.go("dynamics", seed, made)
-    if not runs.go("surrogate", seed, made):
-        return
+def body_steps(config: Config, inputs: Mapping[str, str]) -> list[Step]:
+    """Return the steps that all seeds share, less those whose artifacts are named."""
+    steps, before = list[Step](), tuple[str, ...]()
+    for stage in BODY:
+        if all(inputs.get(name, "latest") != "latest" for name in outputs(stage)):
+            log.info("%s: inputs name its artifacts; not run", stage)
+            continue
+        steps.append(Step(stage, config.body_seed, before))
+        before = (stage,)
+    return steps
+
+
+def seed_steps(config: Config, seed: int) -> list[Step]:
+    """Return the steps of everything that is learned or recorded with ``seed``."""
+    steps = [Step(stage, seed, BODY) for stage in ("calibration", "dynamics", "surrogate")]
     for task in config.tasks:
-        own = dict(made)
-        learned = runs.go("rl", seed, own, f"task={task}", name=f"rl:{task}")
-        if learned and task == "track":
-            made |= own
-    if "policy" not in made or not calibrated:
-        return
-    if config.rollouts:
-        runs.go("sim2real", seed, made, "task=track")
-    if config.benches and seed == config.seeds[0]:
-        runs.go("bench", seed, made, f"bench=[{','.join(config.benches)}]")
+        steps.append(Step(f"rl:{task}", seed, ("surrogate",), (f"task={task}",)))
+        if config.rollouts:
+            name = "sim2real" if task == "track" else f"sim2real:{task}"
+            steps.append(Step(name, seed, ("calibration", f"rl:{task}"), (f"task={task}",)))
+    if config.benches and seed == config.seeds[0] and config.tasks:
+        last = f"task={config.tasks[-1]}"
+        needs = ("calibration", f"rl:{config.tasks[-1]}")
+        steps.append(Step("bench", seed, needs, (f"bench=[{','.join(config.benches)}]", last)))
+    return steps
+
+
+def follow(
+    steps: Sequence[Step], do: Callable[[Step, Made], str | None], made: Made, failed: set[str]
+) -> list[Step]:
+    """Do the steps in order and return those done; ``made`` and ``failed`` grow, what stands on a failed one is left out."""
+    done = []
+    for step in steps:
+        run_id = None if failed & set(step.needs) else do(step, made)
+        if run_id is None:
+            failed.add(step.name)
+        else:
+            made |= {kind: f"run:{run_id}" for kind in outputs(step.stage)}
+            done.append(step)
+    return done
+
+
+def _announce(runs: Runs, config: Config, body: list[Step], profile: str) -> None:
+    """Say what will be done, what of it is there, and how long it may take."""
+    made, failed = Made(), set[str]()
+    there = follow(body, runs.look, made, failed)
+    count = len(body)
+    for seed in config.seeds:
+        steps = seed_steps(config, seed)
+        count += len(steps)
+        there += follow(steps, runs.look, dict(made), set(failed))
+    size = "full size" if profile == FULL_SIZE else f"reduced sizes; the paper's take profile={FULL_SIZE} and many hours"
+    log.info("paper: %d runs for seeds %s, profile=%s (%s)", count, list(config.seeds), profile, size)
+    takes = "an unknown time" if config.minutes is None else f"roughly {config.minutes:g} min on two cores"
+    log.info("%d of them are there and are reused; from nothing all take %s", len(there), takes)
+    log.info("stop it when you like: the same command goes on with the first run that is not finished")
 
 
 def _write(runs: Runs, cfg: Mapping[str, Any], config: Config, folder: Path) -> None:
     rows = collect(runs.results, runs.why_not, runs.commands, cfg["profile"]["name"])
     text = json.dumps(rows, indent=1)
-    write_text(folder / "paper.json", text)
-    write_text(folder / "paper.md", table_of(rows))
+    for place in (folder, *([Path(cfg["out"]).expanduser()] if cfg["out"] else [])):
+        write_text(place / "paper.json", text)
+        write_text(place / "paper.md", table_of(rows))
     if config.keep:
         write_text(Path(config.keep), text)
     missing = sum(row["ours_mean"] is None for row in rows)

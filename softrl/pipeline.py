@@ -6,10 +6,10 @@ import logging
 import os
 import subprocess
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from softrl.artifacts.artifact import Artifact
 from softrl.assembly import Assembly, output_kinds
@@ -25,6 +25,7 @@ log = logging.getLogger(__name__)
 STAGES = ("mesh", "fem", "pod", "calibration", "dynamics", "surrogate", "rl", "sim2real", "diagnosis")
 # stages beside the loop
 EXTRA = ("simulate", "bench", "excite", "proof")
+RESULT = "result.json"
 
 
 @dataclass(frozen=True)
@@ -47,26 +48,24 @@ def run_stage(stage: str, cfg: Mapping[str, Any], folder: Path, made: Mapping[st
     folder : where ``result.json`` goes
     made : artifact name -> run id, outputs of earlier stages of the same invocation; they take the place of ``latest``
     """
-    if stage not in STAGES + EXTRA:
-        raise ConfigError(f"stage={stage} is unknown; expected all, {', '.join(STAGES + EXTRA)}")
-    store = Store(Location(cfg["tracking"]["uri"], cfg["tracking"]["folder"]))
-    store.close_abandoned()
-    module = importlib.import_module(f"softrl.{stage}.stage")
-    assembly = Assembly(store, cfg, dict(made or {}))
-    config = configuration.build(cfg["stage"], module.Config, "stage")
-    arguments = assembly.arguments(module.run)
-    mark = _fingerprint(stage, assembly)
-    if not cfg["force"] and (before := store.find({"stage": stage, "fingerprint": mark})):
-        run_id = before.info.run_id[:8]
-        log.info("%s: run %s did the same already and is reused (force=true runs it again)", stage, run_id)
-        return _reused(store, stage, before, folder)
+    task = _prepare(stage, cfg, made)
+    store, assembly = task.store, task.assembly
+    if made is None:
+        assembly.warn_of_unused(stage)
+    if task.before is not None:
+        run_id = task.before.info.run_id
+        log.info("%s: run %s did the same already and is reused (force=true runs it again)", stage, run_id[:8])
+        _copy(store, run_id, task.out)
+        return _reused(store, stage, task.before, folder)
     log.info("%s: started", stage)
     start = time.monotonic()
-    with store.start(stage, _tags(stage, mark, assembly), os.environ.get(PARENT_VARIABLE), folder) as run:
+    tags = _tags(stage, task.mark, assembly)
+    name = ", ".join([" ".join([stage, *assembly.task_tag().values()]), tags["profile"], f"seed {tags['seed']}"])
+    with store.start(name, tags, os.environ.get(PARENT_VARIABLE), folder) as run:
         run.params(_flat(cfg))
         run.link(assembly.inputs)
         try:
-            output = module.run(config, **arguments, tracker=run)
+            output = task.run(task.config, **task.arguments, tracker=run)
         except BaseException as error:
             _write_result(run, stage, "failed", start, assembly.inputs, [], error=str(error))
             raise
@@ -76,12 +75,65 @@ def run_stage(stage: str, cfg: Mapping[str, Any], folder: Path, made: Mapping[st
             _write_document(run, stage, artifact)
         result = _write_result(run, stage, "finished", start, assembly.inputs, list(artifacts))
     log.info("%s: finished in %.1f s, run %s", stage, result["seconds"], run.id[:8])
+    _copy(store, run.id, task.out)
     return Outcome(stage, run.id, False, result["seconds"], run.metrics, folder)
+
+
+def finished_before(stage: str, cfg: Mapping[str, Any], made: Mapping[str, str]) -> str | None:
+    """Return the id of the run that ``run_stage`` would reuse, or None."""
+    before = _prepare(stage, cfg, made).before
+    return None if before is None else str(before.info.run_id)
 
 
 def outputs(stage: str) -> list[str]:
     """Return the names of the artifacts that a stage makes."""
     return [kind.key() for kind in output_kinds(importlib.import_module(f"softrl.{stage}.stage").run)]
+
+
+class _Prepared(NamedTuple):
+    """All that a stage needs, and the finished run that did the same."""
+
+    store: Store
+    assembly: Assembly
+    run: Callable[..., Any]
+    config: Any
+    arguments: dict[str, Any]
+    mark: str
+    before: Any
+    out: Path | None
+
+
+def _prepare(stage: str, cfg: Mapping[str, Any], made: Mapping[str, str] | None) -> _Prepared:
+    if stage not in STAGES + EXTRA:
+        raise ConfigError(f"stage={stage} is unknown; expected all, {', '.join(STAGES + EXTRA)}")
+    store = Store(Location(cfg["tracking"]["uri"], cfg["tracking"]["folder"]))
+    store.close_abandoned()
+    module = importlib.import_module(f"softrl.{stage}.stage")
+    assembly = Assembly(store, cfg, dict(made or {}))
+    config = configuration.build(cfg["stage"], module.Config, "stage")
+    writes_itself = hasattr(config, "out")
+    out = None if writes_itself or not cfg["out"] else _own_folder(cfg["out"])
+    arguments = assembly.arguments(module.run)
+    mark = _fingerprint(stage, assembly)
+    lost = writes_itself and config.out is not None and not Path(config.out).exists()
+    again = cfg["force"] or lost
+    before = None if again else store.find({"stage": stage, "fingerprint": mark})
+    return _Prepared(store, assembly, module.run, config, arguments, mark, before, out)
+
+
+def _own_folder(out: str) -> Path:
+    """Return the folder ``out``, which must be new or hold what a stage copied there."""
+    folder = Path(out).expanduser()
+    if folder.is_file() or (folder.is_dir() and any(folder.iterdir()) and not (folder / RESULT).is_file()):
+        raise ConfigError(f"out={out} holds something else than a stage's results; choose another folder")
+    return folder
+
+
+def _copy(store: Store, run_id: str, folder: Path | None) -> None:
+    """Copy all that a run left to the user's folder."""
+    if folder is not None:
+        store.copy(run_id, folder)
+        log.info("copied artifacts, figures and reports to %s", folder)
 
 
 def _fingerprint(stage: str, assembly: Assembly) -> str:
@@ -97,11 +149,13 @@ def _tags(stage: str, mark: str, assembly: Assembly) -> dict[str, str]:
         "stage": stage,
         "fingerprint": mark,
         "robot": assembly.robot_mark,
+        "robot_name": assembly.robot.name,
         "profile": assembly.cfg["profile"]["name"],
         "git": _git_revision(),
         "inputs": json.dumps(assembly.inputs),
         "seed": str(assembly.cfg["seed"]),
-    }
+        "artifacts": " ".join(outputs(stage)),
+    } | assembly.task_tag()
 
 
 def _parts(output: Any) -> list[Artifact]:
@@ -109,8 +163,8 @@ def _parts(output: Any) -> list[Artifact]:
 
 
 def _reused(store: Store, stage: str, run: Any, folder: Path) -> Outcome:
-    text = (store.folder(run, "result.json")).read_text()
-    write_text(folder / "result.json", json.dumps(json.loads(text) | {"reused": True}, indent=1))
+    text = (store.folder(run, RESULT)).read_text()
+    write_text(folder / RESULT, json.dumps(json.loads(text) | {"reused": True}, indent=1))
     for name in (f"{stage}.json", "report.html"):
         if (document := store.folder(run, name)).is_file():
             write_text(folder / name, document.read_text())
@@ -137,7 +191,7 @@ def _write_result(
         "artifacts": {name: str(run.store.folder(run.run, name)) for name in names},
     }
     text = json.dumps(result | ({"error": error} if error else {}), indent=1)
-    run.text("result.json", text)
+    run.text(RESULT, text)
     return result
 
 

@@ -5,9 +5,12 @@ import json
 import re
 import shutil
 import typing
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -70,11 +73,12 @@ class Artifact:
         Raises
         ------
         ArtifactError
-            If the folder holds nothing, another kind, or another schema number.
+            If the folder holds nothing, another kind, another schema number, or less than the whole.
         """
         if not (folder / META).is_file():
             raise ArtifactError(f"{folder} holds no {cls.kind()}: {META} is missing; run stage={cls.stage}")
-        meta = json.loads((folder / META).read_text())
+        with _told_as_damage(folder, cls):
+            meta = json.loads((folder / META).read_text())
         if meta["kind"] != cls.kind():
             raise ArtifactError(f"{folder} holds a {meta['kind']}, but a {cls.kind()} is needed")
         if meta["schema"] != cls.schema:
@@ -82,8 +86,9 @@ class Artifact:
                 f"{folder} holds {cls.kind()} of schema {meta['schema']}, this version reads schema {cls.schema}; "
                 f"rerun stage={cls.stage}"
             )
-        made = cls.read(folder, meta)
-        made.validate()
+        with _told_as_damage(folder, cls):
+            made = cls.read(folder, meta)
+            made.validate()
         return made
 
     @classmethod
@@ -102,6 +107,17 @@ class Artifact:
             wants_tuple = typing.get_origin(hints.get(name)) is tuple
             values[name] = tuple(value) if wants_tuple and isinstance(value, list) else value
         return cls(**values)
+
+
+@contextmanager
+def _told_as_damage(folder: Path, kind: type[Artifact]) -> Iterator[None]:
+    """Turn what files that are not whole raise into the message of one line."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, OSError, BadZipFile) as error:
+        raise ArtifactError(
+            f"{folder} holds a damaged {kind.kind()} ({type(error).__name__}: {error}); rerun stage={kind.stage}"
+        ) from error
 
 
 def _is_array(value: Any) -> bool:

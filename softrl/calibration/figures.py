@@ -3,28 +3,38 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from softrl.calibration.material_fit import MaterialFit, nominal_stress
+from softrl.calibration.material_fit import MaterialFit, fit_lower_half, nominal_stress
 from softrl.calibration.tensile import TensileCurve
 
 # laws may coincide (Mooney-Rivlin at its bound is Neo-Hookean), so the later ones leave gaps
 STYLES = ("C0-", "C1--", "C2-")
 
 
-def draw_tensile(curve: TensileCurve, fits: list[MaterialFit]) -> Figure:
-    """Return measured and fitted stress, and what each law leaves."""
-    figure = Figure(figsize=(9.0, 4.0), layout="constrained")
-    stress, left = figure.subplots(1, 2)
-    stress.plot(curve.stretch, curve.stress / 1e3, "k.", ms=3, label="measured")
+def draw_tensile(curve: TensileCurve, fits: list[MaterialFit], heldout: np.ndarray) -> Figure:
+    """Return measured and fitted stress, what each law leaves, and the upper half as fits to the lower one see it."""
+    figure = Figure(figsize=(13.0, 4.0), layout="constrained")
+    stress, left, beyond = figure.subplots(1, 3)
+    stress.plot(
+        curve.stretch[~heldout], curve.stress[~heldout] / 1e3, ".", color="0.65", ms=4, label="measured, fitted"
+    )
+    stress.plot(curve.stretch[heldout], curve.stress[heldout] / 1e3, "k.", ms=4, label="measured, held out")
+    beyond.plot(curve.stretch, curve.stress / 1e3, ".", color="0.65", ms=4)
     for fit, style in zip(fits, STYLES, strict=True):
+        name = fit.law.replace("_", "-")
         fitted = nominal_stress(fit.law, fit.parameters, curve.stretch)
-        label = f"{fit.law.replace('_', '-')}: held out {fit.heldout_rms_pa / 1e3:.1f} kPa"
+        label = f"{name}: held out {fit.heldout_rms_pa / 1e3:.3g} kPa"
         stress.plot(curve.stretch, fitted / 1e3, style, label=label)
-        left.plot(curve.stretch, (fitted - curve.stress) / 1e3, style, label=fit.law.replace("_", "-"))
+        left.plot(curve.stretch, (fitted - curve.stress) / 1e3, style, label=name)
+        lower, middle = fit_lower_half(fit.law, curve)
+        label = f"{name}: above {fit.extrapolation_rms_pa / 1e3:.3g} kPa"
+        beyond.plot(curve.stretch, nominal_stress(fit.law, lower, curve.stretch) / 1e3, style, label=label)
     left.axhline(0.0, color="k", lw=0.5)
+    beyond.axvline(middle, color="k", lw=0.5)
     stress.set(xlabel="stretch [-]", ylabel="nominal stress [kPa]", title="uniaxial tension")
     left.set(xlabel="stretch [-]", ylabel="fitted - measured [kPa]", title="what each law leaves")
-    stress.legend(fontsize=8)
-    left.legend(fontsize=8)
+    beyond.set(xlabel="stretch [-]", title="fitted left of the line only", ylim=(0.0, 1.4e-3 * curve.stress.max()))
+    for ax in (stress, left, beyond):
+        ax.legend(fontsize=8)
     return figure
 
 

@@ -35,6 +35,7 @@ class Law(NamedTuple):
     second: Callable[[np.ndarray], list[np.ndarray]]
 
 
+MISSED_FACTOR = 1.5  # times the best law's held-out error: a law that errs by more misses something
 MODES = {
     "uniaxial": Mode(2.0, lambda s: 1.0 / s, lambda s: s**2 + 2.0 / s),
     "equibiaxial": Mode(5.0, lambda s: s**2, lambda s: 2.0 * s**2 + s**-4),
@@ -96,15 +97,28 @@ def fit_materials(curve: TensileCurve, blocks: int) -> list[MaterialFit]:
             f"stage.stretch_max leaves {len(stretch)} points of the tensile curve for stage.curve_blocks={blocks}; "
             f"expected at least {2 * blocks} points"
         )
-    heldout = (np.arange(len(stretch)) * blocks // len(stretch)) % 2 == 1
+    heldout = held_out(curve, blocks)
     return [_fit(law, stretch, stress, heldout) for law in LAWS]
+
+
+def held_out(curve: TensileCurve, blocks: int) -> np.ndarray:
+    """Return which points (samples,) of the curve no fit sees: every second of ``blocks`` equal blocks."""
+    return np.asarray((np.arange(len(curve.stretch)) * blocks // len(curve.stretch)) % 2 == 1)
+
+
+def fit_lower_half(law: str, curve: TensileCurve) -> tuple[dict[str, float], float]:
+    """Return the parameters (Pa) of ``law`` fitted below the middle stretch only, and that stretch."""
+    middle = 0.5 * float(curve.stretch[0] + curve.stretch[-1])
+    low = curve.stretch <= middle
+    return _least_squares(law, curve.stretch[low], curve.stress[low]), middle
 
 
 def _fit(law: str, stretch: np.ndarray, stress: np.ndarray, heldout: np.ndarray) -> MaterialFit:
     solve = _least_squares(law, stretch[~heldout], stress[~heldout])
     error = nominal_stress(law, solve, stretch) - stress
-    low = stretch <= 0.5 * (stretch[0] + stretch[-1])
-    beyond = nominal_stress(law, _least_squares(law, stretch[low], stress[low]), stretch[~low]) - stress[~low]
+    lower, middle = fit_lower_half(law, TensileCurve(stretch, stress))
+    above = stretch > middle
+    beyond = nominal_stress(law, lower, stretch[above]) - stress[above]
     slope = nominal_stress(law, solve, np.array([1.0 + 1e-6]))[0] / 1e-6
     return MaterialFit(
         law,
@@ -136,6 +150,28 @@ def _rms(values: np.ndarray) -> float:
 def best_fit(fits: list[MaterialFit]) -> MaterialFit:
     """Return the stable fit with the smallest held-out error (any fit if none is stable)."""
     return min(fits, key=lambda fit: (not fit.stable, fit.heldout_rms_pa))
+
+
+def in_words(curve: TensileCurve, fits: list[MaterialFit]) -> str:
+    """Return what a Neo-Hookean law misses on this curve, and what the best law makes of it, in one line."""
+    plain, best = next(fit for fit in fits if fit.law == "neo_hookean"), best_fit(fits)
+    if plain.heldout_rms_pa < MISSED_FACTOR * best.heldout_rms_pa:
+        return (
+            f"A Neo-Hookean law suffices up to stretch {curve.stretch[-1]:.2f}: held out it errs by "
+            f"{plain.heldout_rms_pa / 1e3:.3g} kPa, {best.law} by {best.heldout_rms_pa / 1e3:.3g} kPa."
+        )
+    top = slice(-max(len(curve.stretch) // 20, 1), None)
+    measured = float(curve.stress[top].mean())
+    given = float(nominal_stress(plain.law, plain.parameters, curve.stretch[top]).mean())
+    what = "strain stiffening" if given < measured else "softening with strain"
+    below, further = plain.extrapolation_rms_pa / 1e3, best.extrapolation_rms_pa / 1e3
+    return (
+        f"A Neo-Hookean law misses the {what} of this material: at stretch {curve.stretch[top].mean():.2f} it gives "
+        f"{given / 1e3:.3g} kPa where {measured / 1e3:.3g} kPa were measured. On the half of the curve held out it errs by "
+        f"{plain.heldout_rms_pa / 1e3:.3g} kPa, {best.law} by {best.heldout_rms_pa / 1e3:.3g} kPa; on the upper half, "
+        f"fitted to the lower one only, by {below:.3g} and {further:.3g} kPa"
+        + (": no law may be trusted beyond the stretch it was fitted to." if further > below else ".")
+    )
 
 
 def as_record(fits: list[MaterialFit]) -> dict[str, Any]:

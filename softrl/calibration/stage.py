@@ -10,7 +10,7 @@ from softrl.artifacts.calibration import Calibration
 from softrl.calibration.figures import draw_pressure_map, draw_tensile
 from softrl.calibration.holds import Holds, moving_rows, record_holds, settled_holds, split_holds
 from softrl.calibration.inversion import has_exact_inverse, pressure_by_reduced_model, pressure_by_simulator
-from softrl.calibration.material_fit import as_record, best_fit, fit_materials
+from softrl.calibration.material_fit import as_record, best_fit, fit_materials, held_out, in_words
 from softrl.calibration.mlp import Ensemble, EnsembleSettings, fit_ensemble
 from softrl.calibration.pressure_map import PressureMap
 from softrl.calibration.replay import replay_errors
@@ -24,7 +24,7 @@ from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
 MOVING_ROWS = 400  # that f_RS is judged on beside the settled holds
-REPOSITORY = Path(__file__).resolve().parents[2]
+ROOTS = Path(__file__).resolve().parents[1:3]  # assets/ lies in the installed package, or beside it
 
 
 @dataclass(frozen=True)
@@ -121,22 +121,18 @@ def run(
 
 def _fit_material(config: Config, tracker: Tracker) -> dict[str, object]:
     path = Path(str(config.material_curve))
-    if not path.is_absolute() and not path.exists():
-        path = REPOSITORY / path
+    if not path.exists():
+        path = next((root / path for root in ROOTS if (root / path).is_file()), path)
     curve = read_tensile(path, config.curve_bins, config.stretch_max)
     fits = fit_materials(curve, config.curve_blocks)
     for fit in fits:
         tracker.metric(f"heldout/{fit.law}_stress_kpa", fit.heldout_rms_pa / 1e3)
         tracker.metric(f"heldout/{fit.law}_extrapolated_stress_kpa", fit.extrapolation_rms_pa / 1e3)
     tracker.metric("train/initial_youngs_modulus_kpa", best_fit(fits).initial_youngs_modulus_pa / 1e3)
-    tracker.figure("tensile_fits", draw_tensile(curve, fits))
-    log.info(
-        "%s: %s fits best, %.1f kPa on held-out stretches",
-        path.name,
-        best_fit(fits).law,
-        best_fit(fits).heldout_rms_pa / 1e3,
-    )
-    return as_record(fits)
+    tracker.figure("tensile_fits", draw_tensile(curve, fits, held_out(curve, config.curve_blocks)))
+    sentence = in_words(curve, fits)
+    log.info("%s: %s", path.name, sentence)
+    return as_record(fits) | {"sentence": sentence}
 
 
 def _invert(config: Config, robot: Robot, simulator: Simulator, holds: Holds) -> tuple[Holds, np.ndarray]:

@@ -3,6 +3,7 @@
 import logging
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from typing import TypeVar
 
@@ -11,6 +12,7 @@ from tqdm import tqdm
 log = logging.getLogger(__name__)
 T = TypeVar("T")
 LINE_EVERY_S = 60.0
+MOST_ALIKE = 3  # warnings of one kind on the console
 
 
 def progress(items: Iterable[T], title: str, total: int | None = None) -> Iterator[T]:
@@ -31,8 +33,19 @@ def progress(items: Iterable[T], title: str, total: int | None = None) -> Iterat
 
 
 class TqdmHandler(logging.Handler):
-    """Writes log lines to the standard error without tearing a progress bar."""
+    """Writes log lines to the standard error without tearing a progress bar; of warnings that are alike the first few."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._alike: Counter[tuple[str, object]] = Counter()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write one line."""
-        tqdm.write(self.format(record), file=sys.stderr)
+        """Write one line, unless it warns of what was told before."""
+        line = self.format(record)
+        if record.levelno == logging.WARNING:
+            kind = record.name, record.msg
+            self._alike[kind] += 1
+            if self._alike[kind] > MOST_ALIKE:
+                return
+            line += " (further warnings of this kind: softrl.log)" if self._alike[kind] == MOST_ALIKE else ""
+        tqdm.write(line, file=sys.stderr)

@@ -15,6 +15,7 @@ from urllib.request import url2pathname
 from filelock import FileLock
 
 from softrl.core.errors import ArtifactError
+from softrl.core.fingerprint import of_values
 
 os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
 os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 EXPERIMENT = "softrl"
 PARENT = "mlflow.parentRunId"
+POINT = "softrl.point."
 BATCH = 500
 WHOLE_ID = 32  # characters
 MOST_RUNS = 10_000  # searched for the beginning of an id
@@ -55,8 +57,8 @@ class Store:
         folder.mkdir(parents=True, exist_ok=True)
         # several processes that meet a fresh database would all try to migrate it
         with FileLock(folder / "mlflow.db.lock"):
-            quiet = logging.getLogger("alembic")
-            quiet.setLevel(logging.WARNING)
+            for name in ("alembic", "mlflow.store.db.utils"):
+                logging.getLogger(name).setLevel(logging.WARNING)
             self.client = MlflowClient(f"sqlite:///{folder / 'mlflow.db'}")
             self.experiment = self._experiment((folder / "mlartifacts").as_uri())
 
@@ -116,10 +118,20 @@ class Store:
             self.client.download_artifacts(run.info.run_id, name, str(cached.parent))
         return cached
 
-    def children(self, parent: str) -> list[Run]:
-        """Return the finished runs under a parent, newest first."""
-        condition = f"attributes.status = 'FINISHED' and tags.`{PARENT}` = '{parent}'"
-        return list(self.client.search_runs([self.experiment], condition, order_by=["attributes.start_time DESC"]))
+    def copy(self, run_id: str, folder: Path) -> None:
+        """Copy all files of a run to ``folder``."""
+        folder.mkdir(parents=True, exist_ok=True)
+        self.client.download_artifacts(run_id, "", str(folder))
+
+    def add_point(self, parent: str, run_id: str, words: str) -> None:
+        """Note at a sweep's parent that ``run_id``, made now or reused, is the point of the overrides ``words``."""
+        self.client.set_tag(parent, POINT + of_values(words), f"{run_id} {words}")
+
+    def points(self, parent: str) -> list[tuple[str, Run]]:
+        """Return (overrides, run) of a sweep's finished points."""
+        tags = self.client.get_run(parent).data.tags
+        found = [value.split(" ", 1) for name, value in tags.items() if name.startswith(POINT)]
+        return [(words, self.client.get_run(run_id)) for run_id, words in sorted(found, key=lambda point: point[1])]
 
     def close_abandoned(self) -> int:
         """Mark runs of killed processes on this machine as failed; return how many there were."""
@@ -141,6 +153,7 @@ class Store:
         """Open a run; its texts are written to ``folder`` too."""
         owner = {"host": socket.gethostname(), "pid": str(os.getpid())}
         all_tags = {f"softrl.{key}": value for key, value in (tags | owner).items()}
+        all_tags["mlflow.source.name"] = f"softrl stage={tags['stage']}"
         if parent:
             all_tags[PARENT] = parent
         run = self.client.create_run(self.experiment, run_name=name, tags=all_tags)
@@ -194,11 +207,12 @@ class OpenRun:
         self.text("config.json", json.dumps(values, indent=1, default=str))
 
     def link(self, inputs: dict[str, str]) -> None:
-        """Show on the run's page which runs its inputs came from."""
+        """Show on the run's page where its figures are and which runs its inputs came from."""
         page = f"#/experiments/{self.store.experiment}/runs"
         lines = [f"- {name}: [{run_id}]({page}/{run_id})" for name, run_id in inputs.items()]
-        if lines:
-            self.store.client.set_tag(self.id, "mlflow.note.content", "\n".join(["Inputs", "", *lines]))
+        figures = f"[Figures, reports and artifacts]({page}/{self.id}/artifacts)"
+        note = "\n".join([figures, "", *(["Inputs", "", *lines] if lines else [])])
+        self.store.client.set_tag(self.id, "mlflow.note.content", note)
 
     def artifact(self, name: str, artifact: Any) -> None:
         """Store an artifact under ``name``; it appears whole or not at all."""

@@ -55,27 +55,37 @@ def close_parents(error: BaseException | None) -> None:
     """Close parent runs that are still open; hydra skips ``on_multirun_end`` after a failure."""
     while _open:
         run = _open.pop()
-        _copy_best_child(run)
-        _draw(run)
+        points = run.store.points(run.id)
+        _conclude(run, points)
+        _draw(run, [point for _, point in points])
         run.__exit__(type(error) if error else None, error, None)
     os.environ.pop(PARENT_VARIABLE, None)
 
 
-def _copy_best_child(parent: Any) -> None:
-    """Put the last finished child's metrics on the parent: its page is empty otherwise."""
-    children = parent.store.children(parent.id)
-    log.info("sweep of %d points; parent run %s", len(children), parent.id)
-    if children:
-        for name, value in children[0].data.metrics.items():
-            parent.metric(name, value)
+def _stage(parent: Any) -> str:
+    return str(parent.run.data.tags["softrl.stage"]).removeprefix("sweep:")
 
 
-def _draw(parent: Any) -> None:
+def _conclude(parent: Any, points: list[tuple[str, Any]]) -> None:
+    """Print the table of the points and keep it; the last one's metrics go on the parent, whose page is empty otherwise."""
+    if not points:
+        log.info("no point of the sweep finished; parent run %s", parent.id[:8])
+        return
+    report = importlib.import_module("softrl.report.table")  # above this room, as the rooms of stages are
+    rows = [(words, run.info.run_id, run.data.metrics) for words, run in points]
+    text = report.sweep_table(_stage(parent), rows)
+    log.info("%d points of the sweep finished; parent run %s\n%s", len(points), parent.id[:8], text)
+    parent.text("sweep.txt", text)
+    for name, value in points[-1][1].data.metrics.items():
+        parent.metric(name, value)
+
+
+def _draw(parent: Any, runs: list[Any]) -> None:
     """Put the figures that the stage's room draws of a sweep on the parent; most rooms draw none."""
-    stage = parent.run.data.tags["softrl.stage"].removeprefix("sweep:")
+    stage = _stage(parent)
     module = f"softrl.{stage}.sweep"
     if importlib.util.find_spec(f"softrl.{stage}") is None or importlib.util.find_spec(module) is None:
         return
-    points = [Point(run.data.params, run.data.metrics) for run in parent.store.children(parent.id)]
+    points = [Point(run.data.params, run.data.metrics) for run in runs]
     for name, figure in importlib.import_module(module).draw(points).items():
         parent.figure(name, figure)

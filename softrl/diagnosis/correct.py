@@ -62,11 +62,11 @@ def errors(found: dict[str, Traces], noise: float) -> dict[str, float]:
     return {"noise_floor": noise} | {name: trace.rms for name, trace in found.items()}
 
 
-def share_closed(heldout: dict[str, float]) -> float:
-    """Return the share of the squared nominal error above the noise floor that the correction removes."""
+def share_closed(heldout: dict[str, float]) -> float | None:
+    """Return the share of the squared nominal error above the noise floor that the correction removes; None without one."""
     floor = heldout["noise_floor"] ** 2
     whole, left = (max(heldout[name] ** 2 - floor, 0.0) for name in ("nominal", "corrected"))
-    return 1.0 - left / whole if whole > 0.0 else 0.0
+    return 1.0 - left / whole if whole > floor else None
 
 
 def runs_by_name(runs: Sequence[Recording]) -> list[str]:

@@ -3,22 +3,26 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import comb
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from softrl.core.errors import RecordingError
-from softrl.diagnosis.problem import place
-from softrl.diagnosis.quality import unusable
-from softrl.recordings.check import DataCheck, check
+from softrl.diagnosis.gaps import mend_all, rows
+from softrl.diagnosis.problem import MIN_FOLDS, Registration, place
+from softrl.diagnosis.quality import torn, unusable
+from softrl.diagnosis.spikes import without_spikes
+from softrl.recordings.check import DataCheck, check, driven
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.split import split
 from softrl.robots.robot import Robot
 
 MIN_RUN_S = 3.0  # a shorter run says nothing about dynamics
+LEAST_S = 15.0  # fits rather see fewer runs than shorter pieces
 MIN_SIGNAL = 3.0  # travel over noise below which nothing can be told
 FEW_SESSIONS = 2  # with this many sessions or fewer, runs are held out within each instead
 TURNED_FRAME_RAD = 1.0  # the whole motion turned by more than this against the base frame is no misalignment
+MISPLACED_SHARE = 0.5  # of the squared error under a common placement
 OTHER_FRAME_RAD = 0.3  # sessions whose best placements turn apart by more were recorded in different frames
 
 
@@ -39,6 +43,7 @@ class Data:
     turn_noise : the same of the orientation, rad
     pressure_noise : the same of the measured pressure, Pa
     travel, pressure_travel : rms about the mean of what the training runs measured, m and Pa
+    mended : what was done about wrong samples and pauses, a sentence each
     """
 
     check: DataCheck
@@ -52,6 +57,7 @@ class Data:
     pressure_noise: float
     travel: float
     pressure_travel: float
+    mended: tuple[str, ...] = ()
 
     @property
     def splits(self) -> dict[str, tuple[Recording, ...]]:
@@ -72,39 +78,58 @@ class Refusal(NamedTuple):
 
 
 def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: int) -> Data | Refusal:
-    """Return the recordings sorted by use, or the reason why they cannot tell anything."""
+    """Return the recordings sorted by use, or the reason why they cannot tell anything.
+
+    Runs in which the robot was interfered with (``disturbed`` in the notes: names of runs or sessions) are not used.
+    """
     found = check(recordings, robot)
     channel = "bend_angle" if robot.output == "bend_angle" else "position"
-    usable = [r for r in recordings.recordings if np.ptp(r.time) >= MIN_RUN_S and getattr(r, channel) is not None]
+    usable, spiked = without_spikes(_seen_undisturbed(recordings, channel))
     marked = set(recordings.notes.get("out_of_distribution", ()))
     outside = tuple(r for r in usable if marked & {r.name, r.session})
-    usable = [r for r in usable if not marked & {r.name, r.session}]
-    reason = _refuse(usable, found, robot, channel) or unusable(usable, found, robot)
+    usable = tuple(r for r in usable if not marked & {r.name, r.session})
+    parts, mended = mend_all([*usable, *outside], found)
+    intact = tuple(run for run in usable if parts[run.name])
+    whole = [part for run in intact for part in parts[run.name]]
+    reason = _refuse(usable, found, robot, channel) or torn(usable, intact, whole, found, robot)
+    reason = reason or unusable(whole, robot)
     if reason:
         return Refusal(found, reason)
-    kept = replace(recordings, recordings=tuple(usable))
-    training, heldout = hold_out(kept, heldout_share, seed)
+    sides = hold_out(replace(recordings, recordings=intact), heldout_share, seed)
+    training, heldout = (tuple(part for run in side.recordings for part in parts[run.name]) for side in sides)
     noise, pressure_noise = _noise(found, usable, robot, channel)
-    travel = rms_about_mean([_seen(r, robot) for r in training.recordings])
+    travel = rms_about_mean([_seen(r, robot) for r in training])
     if travel < MIN_SIGNAL * noise:
         return Refusal(
             found,
             f"the motion ({1e3 * travel:.3g} mm rms) hardly exceeds its noise ({1e3 * noise:.3g} mm); drive harder",
         )
-    pressure = all(r.pressure_meas is not None for r in usable)
     return Data(
-        found,
-        training.recordings,
-        heldout.recordings,
-        outside,
-        pressure,
+        replace(found, excited=driven(whole, robot)),
+        training,
+        heldout,
+        tuple(part for run in outside for part in parts[run.name]),
+        all(r.pressure_meas is not None for r in whole),
         _orientation_trusted(usable, found, robot),
         noise,
         2.0 * np.sqrt(3.0) * found.noise_floor.get("quaternion", 0.0),  # a turn is twice the quaternion's vector
         pressure_noise,
         travel,
-        rms_about_mean([r.pressure_meas for r in training.recordings if r.pressure_meas is not None]),
+        rms_about_mean([r.pressure_meas for r in training if r.pressure_meas is not None]),
+        (*spiked, *mended),
     )
+
+
+def _seen_undisturbed(recordings: RecordingSet, channel: str) -> list[Recording]:
+    """Return the runs that are long enough, show ``channel``, and in which nobody interfered with the robot."""
+    disturbed = set(recordings.notes.get("disturbed", ()))
+    return [
+        run
+        for run in recordings.recordings
+        if np.ptp(run.time) >= MIN_RUN_S
+        and getattr(run, channel) is not None
+        and not disturbed & {run.name, run.session}
+    ]
 
 
 def hold_out(recordings: RecordingSet, share: float, seed: int) -> tuple[RecordingSet, RecordingSet]:
@@ -124,31 +149,62 @@ def hold_out(recordings: RecordingSet, share: float, seed: int) -> tuple[Recordi
 
 
 def within(runs: Sequence[Recording], seconds: float) -> tuple[Recording, ...]:
-    """Return runs cut at one common length such that together they last at most ``seconds``; all start as recorded."""
-    lengths = np.array([np.ptp(r.time) for r in runs])
+    """Return runs that together last at most ``seconds``, cut at one common length; all start as recorded.
+
+    Where that would leave less than ``LEAST_S`` of each, the runs that were driven most are taken, one of every session
+    before a second of any: slow effects do not show in many short pieces.
+    """
+    count = max(int(seconds / LEAST_S), MIN_FOLDS)
+    if _common_length(runs, seconds) < LEAST_S and len(runs) > count:
+        drive = [float(np.sum(np.std(run.pressure_cmd[run.time < run.time[0] + LEAST_S], axis=0))) for run in runs]
+        turn: dict[str, int] = {}
+        order = []
+        for k in sorted(range(len(runs)), key=lambda k: -drive[k]):
+            turn[runs[k].session] = turn.get(runs[k].session, 0) + 1
+            order.append((turn[runs[k].session], -drive[k], k))
+        chosen = sorted(k for _, _, k in sorted(order)[:count])
+        runs = [runs[k] for k in chosen]
+    length = _common_length(runs, seconds)
+    return tuple(cut(run, run.time[0] + length) for run in runs)
+
+
+def _common_length(runs: Sequence[Recording], seconds: float) -> float:
+    """Return the length, s, at which runs are cut so that together they last at most ``seconds``."""
+    lengths = np.array([np.ptp(run.time) for run in runs])
     if lengths.sum() <= seconds:
-        return tuple(runs)
+        return float(lengths.max())
     limits = np.linspace(0.0, lengths.max(), 200)
-    limit = limits[np.flatnonzero(np.minimum(lengths, limits[:, None]).sum(axis=1) <= seconds)[-1]]
-    return tuple(cut(run, run.time[0] + limit) for run in runs)
+    return float(limits[np.flatnonzero(np.minimum(lengths, limits[:, None]).sum(axis=1) <= seconds)[-1]])
 
 
 def cut(run: Recording, end: float) -> Recording:
     """Return the run up to ``end`` s."""
-    count = int(np.searchsorted(run.time, end, side="right"))
-    changed: dict[str, Any] = {name: values[:count] for name, values in run.channels() if name not in run.markers}
-    return replace(run, **changed, markers={name: values[:count] for name, values in run.markers.items()})
+    return rows(run, slice(int(np.searchsorted(run.time, end, side="right"))))
 
 
 def other_frames(simulated: Sequence[Recording], runs: Sequence[Recording]) -> float:
-    """Return the largest angle, rad, between the best placements of the simulation in any two sessions' frames."""
+    """Return the largest angle, rad, between the best placements of the simulation in any two sessions' frames.
+
+    A session's own placement counts only if it removes most of the error that a common one leaves there: motion along
+    one line fits at any turn about that line.
+    """
+    sessions = dict.fromkeys(run.session for run in runs)
+    points, seen = [
+        [np.concatenate([np.asarray(side[k].position) for k in range(len(runs)) if runs[k].session == session])
+         for session in sessions]
+        for side in (simulated, runs)
+    ]  # fmt: skip
+    common = place(np.concatenate(points), np.concatenate(seen))
     turns = []
-    for session in dict.fromkeys(r.session for r in runs):
-        mine = [k for k, r in enumerate(runs) if r.session == session]
-        points = np.concatenate([np.asarray(simulated[k].position) for k in mine])
-        turns.append(place(points, np.concatenate([np.asarray(runs[k].position) for k in mine])).turn)
+    for p, q in zip(points, seen, strict=True):
+        own = place(p, q)
+        turns.append(own.turn if _misplaced(own, p, q) < MISPLACED_SHARE * _misplaced(common, p, q) else common.turn)
     cosines = [0.5 * (np.trace(a.T @ b) - 1.0) for i, a in enumerate(turns) for b in turns[:i]]
     return float(np.arccos(np.clip(min(cosines, default=1.0), -1.0, 1.0)))
+
+
+def _misplaced(placed: Registration, points: np.ndarray, seen: np.ndarray) -> float:
+    return float(np.mean(np.sum((seen - points @ placed.turn.T - placed.shift) ** 2, axis=1)))
 
 
 def turned_frame(simulated: Sequence[Recording], runs: Sequence[Recording]) -> float:

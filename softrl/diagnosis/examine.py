@@ -9,24 +9,34 @@ import numpy as np
 from scipy import stats
 
 from softrl.core.errors import SolverError
-from softrl.diagnosis.flexible import correction
+from softrl.diagnosis.flexible import correction, pressures
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes
-from softrl.diagnosis.hypothesise import Path, Search, Trial, drop, fit_trials, forward, join
+from softrl.diagnosis.hypothesise import Path, Search, Trial, drop, fit_trials, forward, join, raced
 from softrl.diagnosis.judge import Gap, Judge, Thresholds
 from softrl.diagnosis.locate import corrected, locate
 from softrl.diagnosis.problem import Problem, Residual
-from softrl.diagnosis.statistics import MIN_BLOCKS, blocks_of, correlation_time, sandwich, spectral_line, whiteness
+from softrl.diagnosis.statistics import (
+    MIN_BLOCKS,
+    blocks_of,
+    correlation_time,
+    jackknife,
+    sandwich,
+    spectral_line,
+    unlike_noise,
+    whiteness,
+)
 from softrl.recordings.recording import Recording
 
 log = logging.getLogger(__name__)
 WHITENESS_LAGS = 20
 AT_BOUND = 1e-3  # share of a range at whose ends a parameter is said to be at a bound
+NOISE_LEVEL = 0.01  # chance of what is left under noise of its own spectrum
+NOISE_DRAWS = 500
 LINE_LEVEL = 1e-8  # chance of a line in the spectrum of noise
 UNDRIVEN_SHARE = 0.5  # of the squared error: effects that remove less explain nothing
 UNKNOWN_TIMES = 1.2  # what is missing must stand out more than what is named: nobody can check it
 FOLLOWING_FACTOR = 3.0  # times what counts: structure below this may be a detail of the body
 FOLLOWING_LEVEL = 1e-3
-LARGE_SHARE = 0.05  # of the travel: noise with a memory is not as large
 
 
 @dataclass(frozen=True)
@@ -186,31 +196,35 @@ def _unexplained(judge: Judge, final: Trial, offer: Offer, explained: float, lef
     """Return why the effects do not explain what is measured, one clause each; empty if they do.
 
     Noise with a memory is no reason: what is left has to follow the pressures, to be a line in the spectrum, or to be
-    a large share of the motion.
+    unlike noise of its own spectrum.
     """
     heldout, reasons = _heldout(judge, final), []
+    drives = [pressures(judge.problem, k) for k in range(len(judge.problem.runs))]
     if explained >= judge.thresholds.explained_share or left <= judge.material:
         return []
     if offer.pays and judge.stands_out(final.squares, offer.squares, UNKNOWN_TIMES):
         reasons.append("what is left follows the pressures and their past")
     elif left > FOLLOWING_FACTOR * judge.material and (region := _followed(judge, heldout)):
         reasons.append(f"what is left follows the pressures and their past ({region})")
-    elif left > judge.floor and spectral_line(heldout.runs) < LINE_LEVEL:
+    elif left > judge.floor and spectral_line(heldout.runs, drives) < LINE_LEVEL:
         reasons.append("what is left swings at one frequency")
-    elif left > LARGE_SHARE * judge.travel and not _white(heldout):
-        reasons.append("what is left is a large share of the motion")
+    elif left > FOLLOWING_FACTOR * judge.material and _uneven(judge, heldout, drives):
+        reasons.append("what is left is no noise: it jumps, or grows where the pressures move")
     return reasons
 
 
 def intervals(problem: Problem, trial: Trial, thresholds: Thresholds) -> list[Interval]:
-    """Return every free parameter with its interval, robust to errors that stay alike within blocks."""
+    """Return every free parameter with its interval, robust to errors that stay alike within blocks and within runs."""
     space = problem.space(trial.hypothesis)
     rows = len(trial.fit.residual) // len(problem.run_of_bin)
     blocks = _independent(problem, trial.fit.residual.reshape(-1, rows), len(space.axes), thresholds)
     per_row = np.repeat(blocks, rows)
     spread = np.sqrt(np.diag(sandwich(trial.fit.jacobian, trial.fit.residual, per_row)))
     freedom = max(int(blocks.max()) + 1 - len(spread), 1)
-    reach = float(stats.t.ppf(thresholds.confidence, freedom)) * spread + _step_error(problem, trial)
+    apart = jackknife(trial.fit.jacobian, trial.fit.residual, np.repeat(problem.folds, rows))
+    between = float(stats.t.ppf(thresholds.confidence, int(problem.folds.max()))) * apart
+    reach = np.maximum(float(stats.t.ppf(thresholds.confidence, freedom)) * spread, between)
+    reach = reach + _step_error(problem, trial)
     found, bounds = [], space.bounds
     for k, axis in enumerate(space.axes):
         u = float(trial.fit.point[k])
@@ -304,7 +318,7 @@ def _rivals(
         for other, point in path.tried.get(choice, [])
         if other.name not in taken
     ]
-    trials = fit_trials(part.problem, judge.problem, tasks[: search.rivals], search)
+    trials = raced(part.problem, judge.problem, tasks[: search.rivals], search, float(final.inside.mean()))
     found, both = [], judge.on((*part.problem.runs, *part.heldout))
     for trial in trials:
         gap = judge.gap(trial.squares, final.squares)
@@ -327,6 +341,10 @@ def _heldout(judge: Judge, trial: Trial) -> Residual:
     return judge.problem.residual(trial.hypothesis, trial.fit.point, trial.placed)
 
 
-def _white(residual: Residual) -> bool:
+def _uneven(judge: Judge, residual: Residual, drives: list[np.ndarray]) -> bool:
+    """Return whether ``residual`` is neither white nor noise of any other colour."""
     p_values = [whiteness(column, WHITENESS_LAGS)[1] for run in residual.runs for column in run.T]
-    return min(p_values) * len(p_values) > 0.01
+    if min(p_values) * len(p_values) > NOISE_LEVEL:
+        return False
+    rng = np.random.default_rng(judge.seed)
+    return unlike_noise(residual.runs, drives, NOISE_DRAWS, rng) < NOISE_LEVEL

@@ -62,9 +62,10 @@ def draw_run(heldout: Problem, judged: dict[str, Traces]) -> Figure:
 def draw_map(heldout: Problem, judged: dict[str, Traces]) -> Figure:
     """Draw the held-out error before and after, over time and pressure, and over two pressures (or pressure and rate)."""
     command = np.concatenate([1e-3 * run.pressure_cmd for run in heldout.runs])
-    order = np.argsort(-np.ptp(command, axis=0))
+    moved: np.ndarray = np.max([np.ptp(1e-3 * run.pressure_cmd, axis=0) for run in heldout.runs], axis=0)
+    order = np.argsort(-moved)  # within runs: a chamber that is held at another level on another day is not driven
     first = order[0]
-    if len(order) > 1 and np.ptp(command[:, order[1]]) > 0.0:
+    if len(order) > 1 and moved[order[1]] > 0.0:
         second, other = command[:, order[1]], f"command of chamber {order[1] + 1}, kPa"
     else:
         second = np.concatenate([np.gradient(1e-3 * run.pressure_cmd[:, first], run.time) for run in heldout.runs])
@@ -160,12 +161,13 @@ def draw_errors(diagnosis: Diagnosis) -> Figure:
     """Draw training and held-out errors of all competitors."""
     figure = Figure(figsize=(8, 3.2), layout="constrained")
     ax = figure.subplots()
-    width = 0.8 / max(len(diagnosis.errors_mm), 1)
-    for k, (split, errors) in enumerate(diagnosis.errors_mm.items()):
+    shown = diagnosis.errors_deg or diagnosis.errors_mm
+    width = 0.8 / max(len(shown), 1)
+    for k, (split, errors) in enumerate(shown.items()):
         bars = ax.bar(np.arange(len(errors)) + (k + 0.5) * width - 0.4, list(errors.values()), width, label=split)
         ax.bar_label(bars, fmt="%.2g", fontsize=7)
     ax.set_xticks(np.arange(len(errors)), [name.replace("_", " ") for name in errors])
-    ax.set_ylabel("rms error, mm")
+    ax.set_ylabel(f"rms error, {'deg' if diagnosis.errors_deg else 'mm'}")
     ax.legend()
     return figure
 

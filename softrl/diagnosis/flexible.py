@@ -54,8 +54,8 @@ def brief_features(problem: Problem) -> Features:
     """Return driving pressures and their lagged values at one time constant: memory for short recordings."""
     found = []
     for k in range(len(problem.runs)):
-        p = pressures(problem, k)
-        found.append(np.hstack([p, _lagged(p, problem.numerics.bin_s, BRIEF_S)]))
+        bins, p = _in_time(problem, k)
+        found.append(np.hstack([p, _lagged(p, problem.numerics.bin_s, BRIEF_S)])[bins])
     return Features(found)
 
 
@@ -68,10 +68,10 @@ def memory_features(problem: Problem) -> Features:
     """Return driving pressures, their lagged values, their largest values so far, and the time since the start."""
     found = []
     for k in range(len(problem.runs)):
-        p = pressures(problem, k)
+        bins, p = _in_time(problem, k)
         clock = problem.numerics.bin_s * np.arange(len(p))[:, None]
         lagged = [_lagged(p, problem.numerics.bin_s, tau) for tau in MEMORY_S]
-        found.append(np.hstack([p, *lagged, np.maximum.accumulate(p, axis=0), clock]))
+        found.append(np.hstack([p, *lagged, np.maximum.accumulate(p, axis=0), clock])[bins])
     return Features(found)
 
 
@@ -80,6 +80,18 @@ def pressures(problem: Problem, number: int) -> np.ndarray:
     run = problem.runs[number]
     acting = run.pressure_meas if problem.drive == "measured" and run.pressure_meas is not None else run.pressure_cmd
     return problem.binned(number, acting) / problem.robot.pressure_max_pa
+
+
+def _in_time(problem: Problem, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the places (bins,) of a run's bins among those of its whole time, and the pressures of all of those.
+
+    Where a pause left bins without samples the pressures are taken to change evenly.
+    """
+    run = problem.runs[number]
+    place = np.unique(((run.time - run.time[0]) / problem.numerics.bin_s).astype(int))
+    every = np.arange(place[-1] + 1)
+    known = pressures(problem, number)
+    return place, np.stack([np.interp(every, place, column) for column in known.T], axis=1)
 
 
 def _lagged(values: np.ndarray, period: float, tau: float) -> np.ndarray:

@@ -196,6 +196,9 @@ def starts(choice: Choice) -> list[np.ndarray]:
             moved = typical.copy()
             moved[k] += shift
             found.append(moved)
+    for shape in effect_class(choice.name).shapes():
+        named = zip(axes, typical, strict=True)
+        found.append(np.array([axis.scaled(shape[axis.name]) if axis.name in shape else u for axis, u in named]))
     low, high = zip(*(sorted((a.scaled(a.low), a.scaled(a.high))) for a in axes), strict=True)
     return [np.clip(point, low, high) for point in found]
 

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import joblib
@@ -18,9 +18,13 @@ from softrl.diagnosis.statistics import left_out
 
 log = logging.getLogger(__name__)
 MIN_AMPLITUDE = 0.25  # a search begins at least at this share of an effect's typical size
-FIRST_ITERATIONS = 4  # of every start; only the best of them goes on
+FIRST_ITERATIONS = 8  # of every start, with longer steps
+BEATEN = 9.0  # times the best squared error, after ``FIRST_ITERATIONS``: such a fit is not followed further
 SAME_NAME = 2  # forms of one effect (all chambers, one chamber) that are fitted in full
 ROUGH_STARTS = 2  # of every effect that are followed
+LOOK_SHARE = 0.2  # of the best effect's gain, along straight lines, which another needs to be fitted at all
+LEAD_SHARE = 0.3  # of the best rough fit's gain, which another needs to be fitted in full
+SECOND_LOOK = 0.5  # of an effect's best begin's gain, which another begin of it needs to be followed
 ROUGH_DIFFERENCE = 0.02  # scaled step of differences
 FAR = 0.5  # a parameter retuned by more than this factor, in logarithms, is no longer near nominal
 SILENT = 1e-6  # of the largest column: a parameter with less influence on the residual has none
@@ -212,12 +216,31 @@ def fit_leads(fitting: Problem, current: Trial, leads: Sequence[Lead], search: S
     tasks: list[tuple[Hypothesis, list[np.ndarray]]] = []
     seen: dict[str, int] = {}
     for lead in leads:
-        if len(tasks) == search.keep or lead.gain <= 0.0:
+        if len(tasks) == search.keep or lead.gain <= max(LEAD_SHARE * leads[0].gain, 0.0):
             break
         seen[lead.choice.name] = seen.get(lead.choice.name, 0) + 1
         if seen[lead.choice.name] <= SAME_NAME:
             tasks.append((current.hypothesis.with_effect(lead.choice), starting_points(current, lead, search.starts)))
-    return fit_trials(fitting, None, tasks, search)
+    return raced(fitting, None, tasks, search)
+
+
+def raced(
+    fitting: Problem,
+    unseen: Problem | None,
+    tasks: Sequence[tuple[Hypothesis, list[np.ndarray]]],
+    search: Search,
+    best: float = np.inf,
+) -> list[Trial]:
+    """Return the fitted hypotheses, in order; those that are beaten after a few iterations are not fitted to the end.
+
+    ``best`` is the mean squared error, on runs left out, of a trial that they have to compete with.
+    """
+    first = replace(search, iterations=FIRST_ITERATIONS)
+    heat = {trial.hypothesis: trial for trial in fit_trials(fitting.rough, unseen, tasks, first)}
+    best = min([best, *(float(trial.inside.mean()) for trial in heat.values())])
+    going = [(h, [t.fit.point]) for h, t in heat.items() if t.inside.mean() <= BEATEN * best]
+    finished = {trial.hypothesis: trial for trial in fit_trials(fitting, unseen, going, search)}
+    return list((heat | finished).values())
 
 
 def fit_trials(
@@ -238,19 +261,15 @@ def _fit_trial(
     fitting: Problem, unseen: Problem | None, hypothesis: Hypothesis, points: list[np.ndarray], iterations: int
 ) -> Trial | None:
     low, high = fitting.space(hypothesis).bounds
-    rough = []
+    found = []
     for start in points or [np.zeros(len(low))]:
-        first = iterations if len(points) < 2 else FIRST_ITERATIONS
         try:
-            rough.append(least_squares(lambda u: fitting.residual(hypothesis, u).flat, start, low, high, first))
+            found.append(least_squares(lambda u: fitting.residual(hypothesis, u).flat, start, low, high, iterations))
         except SolverError as error:
             log.debug("%s does not run from its start: %s", hypothesis.label(), error)
-    if not rough:
+    if not found:
         return None
-    fit = min(rough, key=lambda found: found.cost)
-    if len(points) > 1 and iterations > FIRST_ITERATIONS:
-        rest = iterations - FIRST_ITERATIONS
-        fit = least_squares(lambda u: fitting.residual(hypothesis, u).flat, fit.point, low, high, rest)
+    fit = min(found, key=lambda one: one.cost)
     try:
         placed = fitting.residual(hypothesis, fit.point).registrations
         squares = inside = _squares_left_out(fitting, fit, low, high)
@@ -273,18 +292,38 @@ def _squares_left_out(fitting: Problem, fit: Fit, low: np.ndarray, high: np.ndar
 def rank(fitting: Problem, current: Trial, choices: Sequence[Choice], search: Search) -> list[Lead]:
     """Return all ``choices`` fitted roughly beside ``current``, the one that predicts runs left out best first.
 
-    Every effect is fitted nonlinearly, first for all chambers, then in each chamber alone from the shapes found so.
+    A look along straight lines comes first; what could explain little beside the best is not followed further. All others
+    are fitted nonlinearly, first for all chambers, then in each chamber alone from the shapes found so.
     """
     fitting = fitting.rough
     bases = _bases(fitting, current, search.rough_steps)
     for_all = [choice for choice in choices if choice.chamber < 0]
-    jobs: list[tuple[Any, ...]] = [(fitting, bases, c, starts(c), search.rough_steps) for c in for_all]
-    leads: list[Lead] = parallel(_rough_fit, jobs, search.workers)
+    leads, reach = _leads(fitting, bases, [(c, starts(c)) for c in for_all], 0.0, search)
     shapes = {lead.choice.name: lead.point[: len(effect_axes(lead.choice))] for lead in leads}
     alone = [choice for choice in choices if choice.chamber >= 0]
-    jobs = [(fitting, bases, c, [_plain(c, shapes.get(c.name)), starts(c)[0]], search.rough_steps) for c in alone]
-    leads += parallel(_rough_fit, jobs, search.workers)
+    tasks = [(c, [_plain(c, shapes.get(c.name)), starts(c)[0]]) for c in alone]
+    leads += _leads(fitting, bases, tasks, reach, search)[0]
     return sorted(leads, key=lambda lead: -lead.gain)
+
+
+def _leads(
+    fitting: Problem, bases: list["_Base"], tasks: list[tuple[Choice, list[np.ndarray]]], reach: float, search: Search
+) -> tuple[list[Lead], float]:
+    """Return the leads of ``tasks`` (choice, starting points), and the best look; ``reach`` is the best of others."""
+    looks = parallel(_look, [(fitting, bases, choice, points) for choice, points in tasks], search.workers)
+    reach = max([reach, *(look[0].share for look in looks if look)])
+    followed = [bool(look) and look[0].share >= LOOK_SHARE * reach for look in looks]
+    jobs = [
+        (fitting, bases, choice, look, search.rough_steps)
+        for (choice, _), look, kept in zip(tasks, looks, followed, strict=True)
+        if kept
+    ]
+    fitted = iter(parallel(_rough_fit, jobs, search.workers))
+    leads = [
+        next(fitted) if kept else _left_behind(bases, choice, points, look)
+        for (choice, points), look, kept in zip(tasks, looks, followed, strict=True)
+    ]
+    return leads, reach
 
 
 class _Base(NamedTuple):
@@ -292,6 +331,11 @@ class _Base(NamedTuple):
 
     trial: Trial
     basis: np.ndarray
+
+    @property
+    def left(self) -> np.ndarray:
+        """The residual (rows,) that the free parameters cannot remove, to first order."""
+        return np.asarray(self.trial.fit.residual - self.basis @ (self.basis.T @ self.trial.fit.residual))
 
 
 def _bases(fitting: Problem, current: Trial, steps: int) -> list[_Base]:
@@ -345,8 +389,33 @@ def _plain(choice: Choice, shape: np.ndarray | None) -> np.ndarray:
     return shape
 
 
-def _rough_fit(fitting: Problem, bases: list[_Base], choice: Choice, points: list[np.ndarray], steps: int) -> Lead:
-    """Return one effect, fitted in few steps from its best starts: its own derivatives anew, others kept."""
+class _Begin(NamedTuple):
+    """Where a rough fit may begin: number of the base, scaled parameters, share of the squared error it seems to save."""
+
+    base: int
+    point: np.ndarray
+    share: float
+
+
+def _look(fitting: Problem, bases: list[_Base], choice: Choice, points: list[np.ndarray]) -> list[_Begin]:
+    """Return the best begins of one effect from every base, the best of all first."""
+    cost = float(np.sum(bases[0].left ** 2))
+    found = [
+        _Begin(k, begin, 1.0 - rest / max(cost, 1e-300))
+        for k, base in enumerate(bases)
+        for rest, begin in _begins(fitting, base, choice, points)[:ROUGH_STARTS]
+    ]
+    return sorted(found, key=lambda begin: -begin.share)
+
+
+def _left_behind(bases: list[_Base], choice: Choice, points: list[np.ndarray], look: list[_Begin]) -> Lead:
+    """Return an effect that is not followed, with what it seems to save."""
+    begin = look[0] if look else _Begin(0, points[0], -np.inf)
+    return Lead(choice, np.r_[begin.point, bases[begin.base].trial.fit.point], begin.share)
+
+
+def _rough_fit(fitting: Problem, bases: list[_Base], choice: Choice, look: list[_Begin], steps: int) -> Lead:
+    """Return one effect, fitted in few steps from where it was seen: its own derivatives anew, others kept."""
     current = bases[0].trial
     hypothesis = current.hypothesis.with_effect(choice)
     low, high = fitting.space(hypothesis).bounds
@@ -358,31 +427,31 @@ def _rough_fit(fitting: Problem, bases: list[_Base], choice: Choice, points: lis
     first = len(current.fit.point) - len(current.hypothesis.tuned)
     own = np.arange(first, first + len(effect_axes(choice)))
     found = []
-    for trial, basis in bases:
+    for base, begin, share in look:
+        if share < SECOND_LOOK * look[0].share:
+            continue
+        trial = bases[base].trial
         known = np.insert(trial.fit.jacobian, [first] * len(own), 0.0, axis=1)
-        for begin in _begins(fitting, trial, basis, choice, points)[:ROUGH_STARTS]:
-            try:
-                fit = refine(residual, join(trial, begin), known, own, low, high, steps)
-            except SolverError:
-                continue
-            left = float(_squares_left_out(fitting, fit, low, high).mean())
-            found.append((left, np.r_[fit.point[own], np.delete(fit.point, own)]))
+        try:
+            fit = refine(residual, join(trial, begin), known, own, low, high, steps)
+        except SolverError:
+            continue
+        left = float(_squares_left_out(fitting, fit, low, high).mean())
+        found.append((left, np.r_[fit.point[own], np.delete(fit.point, own)]))
     if not found:
-        return Lead(choice, np.r_[points[0], current.fit.point], -np.inf)
+        return Lead(choice, np.r_[look[0].point, current.fit.point], -np.inf)
     left, point = min(found, key=lambda pair: pair[0])
     return Lead(choice, point, 1.0 - left / max(before, 1e-300))
 
 
-def _begins(
-    fitting: Problem, current: Trial, basis: np.ndarray, choice: Choice, points: list[np.ndarray]
-) -> list[np.ndarray]:
-    """Return starting points of one effect, best first, by how much of the residual their directions explain linearly.
+def _begins(fitting: Problem, base: _Base, choice: Choice, points: list[np.ndarray]) -> list[tuple[float, np.ndarray]]:
+    """Return (cost that would be left, starting point) of one effect, best first, as far as straight lines tell.
 
     The effect is simulated at a few sizes beside ``current``; the differences, less what the free parameters can do,
     are fitted to the residual within the effect's bounds.
     """
+    current, basis, residual = base.trial, base.basis, base.left
     hypothesis, zero = current.hypothesis.with_effect(choice), neutral(choice)
-    residual = current.fit.residual - basis @ (basis.T @ current.fit.residual)
     cost = float(residual @ residual)
     log_axis = np.array([axis.log for axis in effect_axes(choice)])
 
@@ -394,18 +463,22 @@ def _begins(
         moved = moved - basis @ (basis.T @ moved)
         return moved if moved @ moved > 1e-12 * cost else None
 
+    def left(moved: np.ndarray) -> float:
+        return float(np.sum((residual + moved) ** 2))
+
     found: list[tuple[float, np.ndarray]] = []
     for point in points:
         along = direction(point)
         if along is not None:
             share = float(np.clip(-(along @ residual) / (along @ along), 0.0, 2.0))
-            gain = cost - float(np.sum((residual + share * along) ** 2))
             begin = np.where(log_axis, point, zero + max(share, MIN_AMPLITUDE) * (point - zero))
-            found.append((gain, begin))
+            shorter = direction(begin)
+            if shorter is None or left(along) < left(shorter):  # a wall out of reach does nothing
+                begin, shorter = point, along
+            found.append((min(left(share * along), left(shorter)), begin))
     if not log_axis[0]:
-        found += _jointly(direction, points[0], zero, log_axis, residual, cost, choice)
-    found.sort(key=lambda pair: -pair[0])
-    return [begin for _, begin in found]
+        found += _jointly(direction, points[0], zero, log_axis, residual, choice)
+    return sorted(found, key=lambda pair: pair[0])
 
 
 def _jointly(
@@ -414,10 +487,12 @@ def _jointly(
     zero: np.ndarray,
     log_axis: np.ndarray,
     residual: np.ndarray,
-    cost: float,
     choice: Choice,
 ) -> list[tuple[float, np.ndarray]]:
-    """Return the bounded linear combination of the effect's own parameters, each moved alone: signs come out free."""
+    """Return what is left by the bounded linear combination of the effect's own parameters, each moved alone, and where.
+
+    Signs come out free.
+    """
     columns, places = [], []
     for k in range(len(zero)):
         point = zero.copy()
@@ -435,7 +510,7 @@ def _jointly(
     begin = np.where(log_axis, typical, zero)
     for (k, by), share in zip(places, solved.x, strict=True):
         begin[k] = zero[k] + share * by
-    return [(cost - 2.0 * float(solved.cost), begin)]
+    return [(2.0 * float(solved.cost), begin)]
 
 
 def starting_points(current: Trial, lead: Lead, count: int) -> list[np.ndarray]:

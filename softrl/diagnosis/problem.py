@@ -1,7 +1,7 @@
 """Recordings, a body and what is compared: the residual of any hypothesis, binned in time."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -111,6 +111,8 @@ class Problem:
     drive : "command" or "measured", see ``effects.replay``
     register : place the simulator in each session's frame by the best rigid motion
     orientation : compare orientations too, not positions only
+    before : by run the pressures (chambers,) Pa under which the body stood before the first sample, where they are known
+        better than by the first pressures themselves, see ``prelude``
     """
 
     robot: Robot
@@ -121,6 +123,7 @@ class Problem:
     drive: str
     register: bool
     orientation: bool
+    before: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     def on(self, runs: Sequence[Recording]) -> "Problem":
         """Return the same problem on other runs."""
@@ -182,7 +185,7 @@ class Problem:
         first = run.pressure_cmd[0] if run.pressure_meas is None else run.pressure_meas[0]
         rest = AT_REST_SHARE * self.robot.pressure_max_pa
         settle = 0.0 if np.abs(first).max() <= rest else self.numerics.settle_s
-        made = replay(plant, run, self.numerics.dt_s, self.drive, settle)
+        made = replay(plant, run, self.numerics.dt_s, self.drive, settle, self.before.get(run.name))
         seen = made.pressure_meas if self.target == "pressure" else made.position
         if seen is None or not np.isfinite(seen).all():
             raise SolverError(f"run {run.name}: the simulation did not stay finite; try a smaller dt_s")

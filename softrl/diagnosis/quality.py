@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from softrl.recordings.check import CLIPPED_SHARE, DataCheck
+from softrl.diagnosis.gaps import MIN_PART_S
+from softrl.recordings.check import CLIPPED_SHARE, DataCheck, driven
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
 MIN_TOTAL_S = 12.0  # recordings of less than this together say nothing about dynamics
-MAX_GAP_SHARE = 0.3  # of the time: more than this without samples
 MAX_CLIPPED_SHARE = 0.25  # of the samples of a channel that sit at one extreme while the command moves
 PRESSURE_FACTOR = 20.0  # times the robot's largest pressure, or that part of it: another unit
 MIN_PRESSURE_SHARE = 1.0 / 200.0
@@ -19,12 +19,40 @@ MAX_TURN_RAD = 4.0 * np.pi
 MIXED_FACTOR = 3.0  # by which two sessions may differ in their response to the same pressures
 
 
-def unusable(runs: Sequence[Recording], check: DataCheck, robot: Robot) -> str | None:
+def unusable(runs: Sequence[Recording], robot: Robot) -> str | None:
     """Return why ``runs`` cannot tell anything, or None."""
     total = sum(float(np.ptp(run.time)) for run in runs)
     if total < MIN_TOTAL_S:
         return f"the recordings last {total:.1f} s together, expected {MIN_TOTAL_S:g} s or more; record longer"
-    return _torn(runs, check) or _clipped(runs) or _wrong_pressure(runs, robot) or _wrong_motion(runs, robot)
+    return _clipped(runs) or _wrong_pressure(runs, robot) or _wrong_motion(runs, robot)
+
+
+def torn(
+    runs: Sequence[Recording],
+    intact: Sequence[Recording],
+    parts: Sequence[Recording],
+    check: DataCheck,
+    robot: Robot,
+) -> str | None:
+    """Return why what lies between pauses in the samples of ``runs`` cannot tell anything, or None.
+
+    Parameters
+    ----------
+    runs : as recorded
+    intact, parts : those of ``runs`` of which anything is left, and all that is left of them
+    check : findings on ``runs``
+    robot : whose runs they are
+    """
+    names = {run.name for run in runs}
+    missing = sum(length for run in check.runs if run.name in names for _, length in run.gaps)
+    total, kept = (sum(float(np.ptp(run.time)) for run in some) for some in (runs, parts))
+    if kept == total or (kept >= MIN_TOTAL_S and len(intact) > 1 and driven(parts, robot)):
+        return None
+    return (
+        f"samples are missing during {missing:.1f} s of {total:.1f} s ({missing / total:.0%}), and only {kept:.1f} s "
+        f"in {len(parts)} parts of {MIN_PART_S:g} s or more out of {len(intact)} runs lie between"
+        f"{'' if not parts or driven(parts, robot) else ', in which no chamber is driven'}; record without gaps"
+    )
 
 
 def mixed(runs: Sequence[Recording], simulated: Sequence[Recording], robot: Robot) -> str | None:
@@ -33,7 +61,7 @@ def mixed(runs: Sequence[Recording], simulated: Sequence[Recording], robot: Robo
     for session in dict.fromkeys(run.session for run in runs):
         mine = [k for k, run in enumerate(runs) if run.session == session]
         size = [_size(np.concatenate([_motion(side[k], robot) for k in mine])) for side in (runs, simulated)]
-        if size[1] > 0.0:
+        if min(size) > MIN_TRAVEL * robot.length_m:  # a session at rest has no size
             scales[session] = size[0] / size[1]
     if len(scales) < 2:
         return None
@@ -44,15 +72,6 @@ def mixed(runs: Sequence[Recording], simulated: Sequence[Recording], robot: Robo
         f"session {most} moves {scales[most]:.3g} times as far as the simulator and session {least} "
         f"{scales[least]:.3g} times, which no one robot does: mixed robots, or mixed units"
     )
-
-
-def _torn(runs: Sequence[Recording], check: DataCheck) -> str | None:
-    names = {run.name for run in runs}
-    missing = sum(length for run in check.runs if run.name in names for _, length in run.gaps)
-    total = sum(float(np.ptp(run.time)) for run in runs)
-    if missing <= MAX_GAP_SHARE * total:
-        return None
-    return f"samples are missing during {missing:.1f} s of {total:.1f} s ({missing / total:.0%}); record without gaps"
 
 
 def _clipped(runs: Sequence[Recording]) -> str | None:

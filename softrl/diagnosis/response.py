@@ -10,6 +10,8 @@ from softrl.recordings.recording import Recording
 STEP_SHARE = 0.2  # a command that jumps by this share of its range in the run is a step
 HOLD_S = 3.0  # it must then be held at least this long
 DONE = 1.0 - np.exp(-1.0)
+LARGER = 1.5  # times the size of small steps: less says nothing about how time depends on size
+GROWS = 1.3  # times as long: more is no lag
 
 
 @dataclass(frozen=True)
@@ -21,6 +23,8 @@ class StepResponse:
     pressure_fill_s, pressure_vent_s : of the measured pressure; None without steps or without measured pressure
     motion_fill_s, motion_vent_s : of the tip, or of the bend angle
     steps : number of steps found
+    pressure_fill_growth, pressure_vent_growth : that time of the largest third of the steps over that of the smallest;
+        None unless the former are at least ``LARGER`` times as large. One for a lag, whatever its order.
     """
 
     pressure_fill_s: float | None
@@ -28,6 +32,8 @@ class StepResponse:
     motion_fill_s: float | None
     motion_vent_s: float | None
     steps: int
+    pressure_fill_growth: float | None = None
+    pressure_vent_growth: float | None = None
 
     def sentence(self) -> str | None:
         """Return the finding in words, or None if no step was found."""
@@ -38,12 +44,24 @@ class StepResponse:
                 f"{time:.2f} s after {kind}" for kind, time in (("filling", fill), ("venting", vent)) if time is not None)
             for what, (fill, vent) in pairs.items() if fill is not None or vent is not None
         ]  # fmt: skip
-        return f"Read from {self.steps} steps without a model: {'; '.join(told)}." if told else None
+        return f"Read from {self.steps} steps without a model: {'; '.join(told)}.{self._by_size()}" if told else None
+
+    def _by_size(self) -> str:
+        """Return what the time of large steps against that of small ones says, or nothing."""
+        ways = {"filling": self.pressure_fill_growth, "venting": self.pressure_vent_growth}
+        told = [
+            f"{way} takes {growth:.2g} times as long for the largest steps as for the smallest, "
+            + ("as with a limited flow; a lag would take equally long" if growth > GROWS else "much as with a lag")
+            for way, growth in ways.items()
+            if growth is not None
+        ]
+        return f" {'; '.join(told).capitalize()}." if told else ""
 
 
 def step_responses(runs: Sequence[Recording]) -> StepResponse:
     """Return the median response times over all steps of all chambers in ``runs``."""
     times: dict[tuple[str, bool], list[float]] = {}
+    sized: dict[bool, list[tuple[float, float]]] = {True: [], False: []}
     steps = 0
     for run in runs:
         for chamber, window, fills in _steps(run):
@@ -52,14 +70,32 @@ def step_responses(runs: Sequence[Recording]) -> StepResponse:
                 time = rise_time(run.time[window], values[window])
                 if time is not None:
                     times.setdefault((what, fills), []).append(time)
+                    if what == "pressure":
+                        sized[fills].append((abs(float(values[window][-1, 0] - values[window][0, 0])), time))
 
     def middle(what: str, fills: bool) -> float | None:
         found = times.get((what, fills))
         return float(np.median(found)) if found else None
 
     return StepResponse(
-        middle("pressure", True), middle("pressure", False), middle("motion", True), middle("motion", False), steps
+        middle("pressure", True),
+        middle("pressure", False),
+        middle("motion", True),
+        middle("motion", False),
+        steps,
+        _growth(sized[True]),
+        _growth(sized[False]),
     )
+
+
+def _growth(sized: list[tuple[float, float]]) -> float | None:
+    """Return the median time of the largest third of steps (size, time s) over that of the smallest third."""
+    third = len(sized) // 3
+    if third < 2:
+        return None
+    ordered = np.array(sorted(sized))
+    small, large = np.median(ordered[:third], axis=0), np.median(ordered[-third:], axis=0)
+    return float(large[1] / small[1]) if large[0] >= LARGER * small[0] else None
 
 
 def rise_time(time: np.ndarray, values: np.ndarray) -> float | None:

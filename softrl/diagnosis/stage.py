@@ -22,6 +22,7 @@ from softrl.diagnosis.data import (
     prepare,
     require_robot,
     turned_frame,
+    within,
 )
 from softrl.diagnosis.examine import Finding, Part, examine
 from softrl.diagnosis.explain import (
@@ -38,12 +39,14 @@ from softrl.diagnosis.hidden import behind, in_words, read_map
 from softrl.diagnosis.hypothesis import Hypothesis, candidates
 from softrl.diagnosis.hypothesise import Search, fit_trials
 from softrl.diagnosis.join import joined
-from softrl.diagnosis.judge import Thresholds
+from softrl.diagnosis.judge import Judge, Thresholds
 from softrl.diagnosis.locate import corrected, locate
+from softrl.diagnosis.prelude import preludes
 from softrl.diagnosis.problem import ORIENTATION_LEVER, Numerics, Problem
 from softrl.diagnosis.quality import mixed
 from softrl.diagnosis.report import page
 from softrl.diagnosis.response import step_responses
+from softrl.diagnosis.step import suited
 from softrl.effects.effect import SITES
 from softrl.effects.library import names
 from softrl.pcc.simulator import PccSimulator
@@ -51,6 +54,7 @@ from softrl.recordings.recording import RecordingSet
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
+VALVE_STEPS = 4  # of a valve to one of the body: it costs little, and pressures are measured well
 
 
 @dataclass(frozen=True)
@@ -117,8 +121,10 @@ def run(
     found = prepare(recordings, robot, config.heldout_share, config.seed)
     if isinstance(found, Refusal):
         return _cannot_tell(found, robot, simulator, tracker)
-    lumped = isinstance(simulator, PccSimulator)
-    data = found.shortened(config.search.fit_lumped_s if lumped else config.search.fit_s)
+    longer = _with_step(config, robot, simulator, found)
+    seconds = config.search.fit_lumped_s if isinstance(simulator, PccSimulator) else config.search.fit_s
+    data = found.shortened(seconds * longer.numerics.dt_s / config.numerics.dt_s)
+    config = longer
     whole = _whole(config, robot, simulator, data)
     apart = mixed(data.training, whole.replayed(Hypothesis((), ()), np.zeros(0)), robot)
     if apart:
@@ -137,10 +143,25 @@ def run(
     return diagnosis
 
 
+def _with_step(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Config:
+    """Return the configuration with the longest steps that the robot's motion allows."""
+    drive = "measured" if data.pressure and config.measured_pressure else "command"
+    part = within(data.training, config.search.fit_s)
+    body = Problem(robot, simulator, part, config.numerics, "motion", drive, False, False)
+    material = Judge(
+        body, _floor_in_bin(data.noise, data, config), data.travel, config.thresholds, config.seed
+    ).material
+    numerics = suited(body, material)
+    if numerics != config.numerics:
+        log.info("the motion is slow: steps of %g s, and of %g s to rank", numerics.dt_s, numerics.rough_dt_s)
+    return replace(config, numerics=numerics)
+
+
 def _whole(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Problem:
     """Return the problem from command to motion, with registration if sessions use different frames."""
     turns = config.orientation and data.orientation
     bare = Problem(robot, simulator, data.training, config.numerics, "motion", "command", False, turns)
+    bare = replace(bare, before=preludes(data.training, [r for runs in data.splits.values() for r in runs], robot))
     if robot.output == "bend_angle":
         return bare
     nominal = bare.replayed(Hypothesis((), ()), np.zeros(0))
@@ -164,19 +185,23 @@ def _examine(config: Config, whole: Problem, data: Data, full: Data) -> list[Fin
     if not (data.pressure and config.measured_pressure):
         return [_examine_motion(config, whole, data, "command to motion", SITES)]
     valve = _examine_valve(config, whole, full)
-    behind = replace(whole, drive="measured", runs=_without_bias(whole.runs, valve, whole))
-    shifted = {run.name: run for run in behind.runs}
     body = replace(
         data,
-        training=tuple(shifted[r.name] for r in data.training),
+        training=_without_bias(whole.runs, valve, whole),
         heldout=_without_bias(data.heldout, valve, whole),
     )
+    before = preludes(body.training, (*body.training, *body.heldout), whole.robot)
+    behind = replace(whole, drive="measured", runs=body.training, before=before)
     sites = tuple(site for site in SITES if site != "valve")
     return [valve, _examine_motion(config, behind, body, "measured pressure to motion", sites)]
 
 
 def _examine_valve(config: Config, whole: Problem, data: Data) -> Finding:
-    problem = replace(whole, target="pressure", register=False, orientation=False, runs=data.training)
+    steps = whole.numerics
+    finer = replace(steps, dt_s=steps.dt_s / VALVE_STEPS, rough_dt_s=steps.rough_dt_s / VALVE_STEPS)
+    problem = replace(
+        whole, target="pressure", register=False, orientation=False, runs=data.training, numerics=finer
+    )
     choices = candidates(config.effects, ("valve",), whole.robot, data.check.excited)
     floor = _floor_in_bin(data.pressure_noise, data, config)
     part = Part("command to measured pressure", problem, data.heldout, floor, data.pressure_travel,
@@ -328,7 +353,7 @@ def _conclude(
 
 def _warnings(data: Data, whole: Problem) -> list[str]:
     """Return what is odd about the recordings, one line each."""
-    lines = list(data.check.warnings)
+    lines = [*data.check.warnings, *data.mended]
     if whole.register:
         lines.append(
             "the recorded frame differs from the robot's base frame, or between sessions: every session is placed by "
@@ -352,7 +377,8 @@ def _report(
     for split, values in diagnosis.errors_deg.items():
         for name, error in values.items():
             tracker.metric(f"{split}/{name}_error_deg", error)
-    tracker.metric("heldout/gap_closed_share", share_closed(diagnosis.errors_mm["heldout"]))
+    if (share := share_closed(diagnosis.errors_mm["heldout"])) is not None:
+        tracker.metric("heldout/gap_closed_share", share)
     tracker.metric("effects_named_count", len(diagnosis.effects))
     for sentence in diagnosis.sentences:
         log.info("%s", sentence)

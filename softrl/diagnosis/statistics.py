@@ -8,6 +8,7 @@ from scipy import stats
 UNSEEN = 1e-6  # eigenvalue of the normalised normal matrix below which a direction counts as unseen
 AT_END = 1e-6  # scaled distance from a bound below which a parameter sits on it
 MIN_FREQUENCIES = 32  # fewer do not show whether a spectrum is smooth
+DRIVEN_LEVEL = 1e-3  # chance of a peak in a drive's spectrum that marks a frequency as driven
 EULER = 0.5772  # mean of minus the logarithm of an exponential variable
 MAX_ORDER = 8  # of an autoregression
 MIN_BLOCKS = 6  # fewer independent blocks say nothing about a spread
@@ -172,6 +173,27 @@ def left_out(
     return found
 
 
+def jackknife(jacobian: np.ndarray, residual: np.ndarray, folds: np.ndarray) -> np.ndarray:
+    """Return the standard error (p,) of least-squares parameters from fits to all folds but one, to first order.
+
+    It holds what differs from run to run, a body that is not quite the robot's included, which no block within a run
+    shows. Parameters without influence get an infinite one.
+    """
+    seen = np.linalg.norm(jacobian, axis=0) > 0.0
+    spread = np.full(jacobian.shape[1], np.inf)
+    size = np.linalg.norm(jacobian[:, seen], axis=0)
+    scaled = jacobian[:, seen] / size
+    held = np.diag(float(np.mean(residual**2)) / size**2)
+    normal, count = scaled.T @ scaled + held, int(folds.max()) + 1
+    moved = []
+    for k in range(count):
+        mine = scaled[folds == k]
+        moved.append(np.linalg.solve(normal - mine.T @ mine, mine.T @ residual[folds == k]))
+    change = np.array(moved)
+    spread[seen] = np.sqrt((count - 1) / count * np.sum((change - change.mean(axis=0)) ** 2, axis=0)) / size
+    return spread
+
+
 def _bounded_step(normal: np.ndarray, slope: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Return the step (p,) of least squares; parameters that would leave their bounds stop there, one set at a time."""
     step, held = np.zeros(len(slope)), np.zeros(len(slope), dtype=bool)
@@ -187,8 +209,10 @@ def _bounded_step(normal: np.ndarray, slope: np.ndarray, low: np.ndarray, high: 
     return step
 
 
-def spectral_line(runs: Sequence[np.ndarray]) -> float:
+def spectral_line(runs: Sequence[np.ndarray], drives: Sequence[np.ndarray]) -> float:
     """Return the chance that noise with a smooth spectrum shows a peak as high as the highest in ``runs`` (steps, n).
+
+    Frequencies at which the ``drives`` (steps, m) of the same runs swing themselves are left out.
 
     Notes
     -----
@@ -197,18 +221,62 @@ def spectral_line(runs: Sequence[np.ndarray]) -> float:
     frequencies and runs looked at (textbook form, no equation number checked).
     """
     chances, count = [1.0], 0
-    for run in runs:
-        centred = run - run.mean(axis=0)
-        main = centred @ np.linalg.svd(centred.T @ centred)[0][:, 0]
-        power = np.maximum(np.abs(np.fft.rfft(main * np.hanning(len(main)))[2:-1]) ** 2, 1e-300)
-        if len(power) < MIN_FREQUENCIES:
+    for run, drive in zip(runs, drives, strict=True):
+        if len(run) // 2 - 2 < MIN_FREQUENCIES:
             continue
-        place = np.log(np.arange(2, len(power) + 2))
-        smooth = np.polynomial.Polynomial.fit(place, np.log(power), 3, w=np.sqrt(1.0 / np.arange(2, len(power) + 2)))
-        ratio = np.log(power) - smooth(place) - EULER
-        chances.append(float(np.exp(-np.exp(min(float(ratio.max()), 6.0)))))
-        count += len(power)
+        centred = run - run.mean(axis=0)
+        height = _above_smooth(centred @ np.linalg.svd(centred.T @ centred)[0][:, 0])
+        driven = np.zeros(len(height), dtype=bool)
+        for pressure in drive.T:
+            if np.ptp(pressure) > 0.0:
+                driven |= _above_smooth(pressure - pressure.mean()) > np.log(-np.log(DRIVEN_LEVEL))
+        height = height[~(driven | np.roll(driven, 1) | np.roll(driven, -1))]
+        if len(height):
+            chances.append(float(np.exp(-np.exp(min(float(height.max()), 6.0)))))
+            count += len(height)
     return min(1.0, min(chances) * max(count, 1))
+
+
+def _above_smooth(series: np.ndarray) -> np.ndarray:
+    """Return the logarithm (frequencies,) of the periodogram of ``series`` (steps,) over a smooth one."""
+    power = np.maximum(np.abs(np.fft.rfft(series * np.hanning(len(series)))[2:-1]) ** 2, 1e-300)
+    place = np.log(np.arange(2, len(power) + 2))
+    smooth = np.polynomial.Polynomial.fit(place, np.log(power), 3, w=np.sqrt(1.0 / np.arange(2, len(power) + 2)))
+    return np.asarray(np.log(power) - smooth(place) - EULER)
+
+
+def unlike_noise(
+    runs: Sequence[np.ndarray], drives: Sequence[np.ndarray], draws: int, rng: np.random.Generator
+) -> float:
+    """Return the chance that noise of the same spectra is as uneven as ``runs`` (steps, n) under ``drives`` (steps, m).
+
+    Uneven in two ways: its innovations have heavy tails, as after jumps, or are larger where the drives move.
+
+    Notes
+    -----
+    Surrogate data with random phases (Theiler et al., Physica D 58, 1992; no equation number checked). Innovations are
+    those of an autoregression fitted to the runs.
+    """
+    memories = [autoregression([run[:, k] for run in runs]) for k in range(runs[0].shape[1])]
+    active = [np.abs(np.diff(drive, axis=0, prepend=drive[:1])).sum(axis=1) for drive in drives]
+
+    def uneven(series: Sequence[np.ndarray]) -> np.ndarray:
+        tails, power, moves = [], [], []
+        for run, move in zip(series, active, strict=True):
+            new = [whitened(column, memory) for column, memory in zip(run.T, memories, strict=True)]
+            rows = min(len(column) for column in new)
+            squares = np.stack([(c[-rows:] - c.mean()) ** 2 / max(float(c.var()), 1e-300) for c in new], axis=1)
+            tails.append(np.mean(squares**2))
+            power.append(np.sqrt(squares.sum(axis=1)))
+            moves.append(move[-rows:])
+        x, y = np.concatenate(moves), np.concatenate(power)
+        slope = np.corrcoef(x, y)[0, 1] if np.ptp(x) > 0.0 and np.ptp(y) > 0.0 else 0.0
+        return np.array([np.mean(tails), slope])
+
+    found = uneven(runs)
+    drawn = np.array([uneven([phase_randomised(run, rng) for run in runs]) for _ in range(draws)])
+    ranks = (1.0 + np.sum(drawn >= found, axis=0)) / (draws + 1.0)
+    return float(min(1.0, len(ranks) * ranks.min()))
 
 
 def follows(target: Sequence[np.ndarray], regressor: Sequence[np.ndarray], length: int) -> tuple[float, float]:

@@ -102,6 +102,7 @@ def simulate_batch(
     command: np.ndarray,
     tip_force: np.ndarray | None = None,
     workers: int = 1,
+    before: np.ndarray | None = None,
 ) -> list[Motion]:
     """Return what ``plant.simulate(time, command, tip_force)`` returns for every plant, to the last bit.
 
@@ -114,6 +115,7 @@ def simulate_batch(
     tip_force : (steps, 3) N or None
     workers : threads; they share the work only while the simulator's kernel runs without the interpreter's lock, as
         that of the lumped body does
+    before : (rows, chambers) Pa that act in the chambers during the first rows, whatever the valve supplies then
 
     Notes
     -----
@@ -122,16 +124,18 @@ def simulate_batch(
     """
     dt_s = float(time[1] - time[0])
     supply: dict[tuple[Effect, ...], np.ndarray] = {}
+    acting: dict[tuple[Effect, ...], np.ndarray] = {}
     for plant in plants:
         valve, both = plant.chain.at("valve"), plant.chain.at("valve", "chamber")
         if valve not in supply:
             supply[valve] = plant.chain.filter(["valve"], command, dt_s)
-        if both not in supply:
-            supply[both] = plant.chain.filter(["chamber"], supply[valve], dt_s)
+        if both not in acting:
+            let_in = supply[valve] if before is None else np.vstack([before, supply[valve][len(before) :]])
+            acting[both] = plant.chain.filter(["chamber"], let_in, dt_s)
 
     def simulated(plant: Plant) -> Motion:
         supplied = supply[plant.chain.at("valve")]
-        return plant._behind_valve(time, supplied, supply[plant.chain.at("valve", "chamber")], tip_force)
+        return plant._behind_valve(time, supplied, acting[plant.chain.at("valve", "chamber")], tip_force)
 
     if workers < 2 or len(plants) < 2:
         return [simulated(plant) for plant in plants]

@@ -46,6 +46,12 @@ class Contact(Effect):
     stiffness_n_per_m: float = parameter("N/m", 10.0, 1e5, 500.0, typical=500.0, log=True)
     elevation_rad: float = 0.0
 
+    @classmethod
+    def shapes(cls) -> list[dict[str, float]]:
+        """Return walls all round, near and far: one that the tip does not reach has no slope to follow."""
+        turns = np.linspace(-math.pi, math.pi, 6, endpoint=False)
+        return [{"azimuth_rad": float(turn), "distance": far} for turn in turns for far in (0.02, 0.1, 0.25)]
+
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (normal (3,), distance m, stiffness N/m)."""
         flat = math.cos(self.elevation_rad)

@@ -112,6 +112,11 @@ class Effect:
         """Return this effect with the parameters at which it does nothing; ``fixed`` sets the other fields."""
         return cls(**{f.name: f.metadata["neutral"] for f in cls.parameter_fields()}, **fixed)
 
+    @classmethod
+    def shapes(cls) -> list[dict[str, float]]:
+        """Return values beside the typical ones from which a fit may begin, where those lead to one shape out of many."""
+        return []
+
     def pack(self, robot: Robot) -> np.ndarray:
         """Return the parameter vector that the kernel reads; by default the fitted fields, then ``chamber``."""
         if not -1 <= getattr(self, "chamber", -1) < robot.chambers:

@@ -15,9 +15,17 @@ from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
 MAX_STEPS = 5_000_000
+PAUSE_PERIODS = 5.0  # a pause of more than this many median periods is no ordinary time between samples
 
 
-def replay(plant: Plant, recording: Recording, dt_s: float, drive: str = "command", settle_s: float = 0.0) -> Recording:
+def replay(
+    plant: Plant,
+    recording: Recording,
+    dt_s: float,
+    drive: str = "command",
+    settle_s: float = 0.0,
+    before: Sequence[float] | None = None,
+) -> Recording:
     """Return what the plant's sensors report under a recording's commands, at the recording's times.
 
     Parameters
@@ -30,6 +38,7 @@ def replay(plant: Plant, recording: Recording, dt_s: float, drive: str = "comman
         valve, which tests the body apart from the valve
     settle_s : time before the first sample during which the plant is held under the first row (of the
         measured pressure if there is one), for a recording that does not begin at rest
+    before : (chambers,) Pa that act on the body during that time instead, where its past was another
 
     Returns
     -------
@@ -40,9 +49,9 @@ def replay(plant: Plant, recording: Recording, dt_s: float, drive: str = "comman
 
     Notes
     -----
-    Between grid points positions are interpolated linearly, quaternions likewise and normalised.
+    Between grid points positions are interpolated linearly, quaternions likewise and normalised; pressures are held.
     """
-    return replay_batch([plant], recording, dt_s, drive, settle_s)[0]
+    return replay_batch([plant], recording, dt_s, drive, settle_s, before=before)[0]
 
 
 def replay_batch(
@@ -52,17 +61,19 @@ def replay_batch(
     drive: str = "command",
     settle_s: float = 0.0,
     workers: int = 1,
+    before: Sequence[float] | None = None,
 ) -> list[Recording]:
     """Return what ``replay`` returns for each of ``plants``, whose robot is the same; see ``simulate_batch``."""
     time, pressure, force = _drive_on_grid(recording, dt_s, drive, settle_s)
+    past = None if before is None else np.tile(np.asarray(before, dtype=float), (round(settle_s / dt_s), 1))
     if drive == "command":
-        motions = simulate_batch(plants, time, pressure, force, workers)
+        motions = simulate_batch(plants, time, pressure, force, workers, past)
     else:
         behind = [_behind_valve(plant) for plant in plants]
         motions = []
         for gauges, group in groupby(range(len(plants)), lambda k: plants[k].chain.gauges):
             seen = _seen_by(gauges, plants[0].chain.robot, pressure)
-            motions += simulate_batch([behind[k] for k in group], time, seen, force, workers)
+            motions += simulate_batch([behind[k] for k in group], time, seen, force, workers, past)
     return [_reported(recording, plants[0].chain.robot, time, motion) for motion in motions]
 
 
@@ -71,11 +82,29 @@ def _drive_on_grid(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Return the uniform grid (steps,) s, the pressures (steps, chambers) Pa and forces (steps, 3) N on it."""
     time, first = _grid(recording, dt_s, settle_s)
-    pressure = _mean_held(recording.time, _driving(recording, drive), time, dt_s)
+    stamps, rows = recording.time, _driving(recording, drive)
+    if drive == "measured":
+        stamps, rows = _without_pauses(stamps, rows)
+    pressure = _mean_held(stamps, rows, time, dt_s)
     if first and recording.pressure_meas is not None:
         pressure[:first] = recording.pressure_meas[0]
     force = None if recording.tip_force is None else _mean_held(recording.time, recording.tip_force, time, dt_s)
     return time, pressure, force
+
+
+def _without_pauses(stamps: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return samples (samples,), (samples, n) with further ones within pauses, where the pressure changes evenly.
+
+    A command is held, but a measured pressure that was held until the end of a pause would be early by half of it.
+    """
+    step = np.diff(stamps)
+    period = float(np.median(step))
+    wide = np.flatnonzero(step > PAUSE_PERIODS * period)
+    if not len(wide):
+        return stamps, rows
+    added = np.concatenate([np.arange(stamps[k] + period, stamps[k + 1] - 0.5 * period, period) for k in wide])
+    filled = np.sort(np.concatenate([stamps, added]))
+    return filled, np.stack([np.interp(filled, stamps, column) for column in rows.T], axis=1)
 
 
 def _mean_held(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray, dt_s: float) -> np.ndarray:
@@ -100,7 +129,7 @@ def _reported(recording: Recording, robot: Robot, time: np.ndarray, motion: Moti
     reports_angle = robot.output == "bend_angle" or recording.bend_angle is not None
     return replace(
         recording,
-        pressure_meas=_sampled(recording.time, time, motion.pressure),
+        pressure_meas=_held(recording.time, time, motion.pressure),
         position=_sampled(recording.time, time, motion.position),
         quaternion=quaternion,
         bend_angle=bend_angle(robot, quaternion) if reports_angle else None,
@@ -158,6 +187,16 @@ def _sampled(wanted: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.nda
     """Return the columns of ``values`` (steps, n), interpolated linearly from ``time`` to ``wanted``."""
     place = (wanted - time[0]) / (time[1] - time[0])
     return _interpolated(place, np.ascontiguousarray(values))
+
+
+def _held(wanted: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the rows of ``values`` (steps, n) at the last of ``time`` that is not after each ``wanted``.
+
+    A pressure that follows its command at once jumps with it; between two grid points around a stamp it would seem to
+    know the command that comes next.
+    """
+    place = np.floor((wanted - time[0]) / (time[1] - time[0]) + 1e-9).astype(int)
+    return np.asarray(values[np.clip(place, 0, len(values) - 1)])
 
 
 @nb.njit(cache=True, nogil=True)

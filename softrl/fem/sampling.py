@@ -46,6 +46,29 @@ def paths(loads: np.ndarray, scale: np.ndarray, count: int) -> list[np.ndarray]:
     return [_nearest_path(rows, scaled) for rows in groups if len(rows)]
 
 
+def with_waypoints(
+    loads: np.ndarray, chains: list[np.ndarray], scale: np.ndarray, longest: float
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Return loads and chains with the ends of all load steps on the way as further samples, after those given.
+
+    A continuation stops there anyway, so that they cost a tangent each. A change of load longer than ``longest`` (in
+    units of ``scale``) is divided evenly; every chain begins at zero load, which is no sample.
+    """
+    further: list[np.ndarray] = []
+    longer = []
+    for chain in chains:
+        here, path = np.zeros(loads.shape[1]), []
+        for row in chain:
+            steps = max(1, int(np.ceil(np.linalg.norm((loads[row] - here) / scale) / longest)))
+            for share in np.arange(1, steps) / steps:
+                path.append(len(loads) + len(further))
+                further.append(here + share * (loads[row] - here))
+            path.append(int(row))
+            here = loads[row]
+        longer.append(np.array(path))
+    return np.vstack([loads, *further]), longer
+
+
 def _nearest_path(rows: np.ndarray, scaled: np.ndarray) -> np.ndarray:
     remaining, here, path = list(rows), np.zeros(scaled.shape[1]), []
     while remaining:

@@ -3,7 +3,7 @@
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +22,7 @@ from softrl.fem.lag import lag_at
 from softrl.fem.material import Material, material_of
 from softrl.fem.model import FemModel
 from softrl.fem.newton import NewtonSettings
-from softrl.fem.sampling import load_scale, paths, sobol_loads, step_program
+from softrl.fem.sampling import load_scale, paths, sobol_loads, step_program, with_waypoints
 from softrl.fem.trajectory import Trajectory, roll_out
 from softrl.robots.robot import Robot
 
@@ -40,7 +40,8 @@ class Config:
     mean_dilatation: bool  # changes of volume are weighed by their mean over an element; see FemModel
     equilibria: int  # Sobol samples of the loads
     faces_share: float  # share of them with one pressure at its limit
-    load_step: float  # longest load step, in units of (half the pressure range, largest tip force)
+    tip_force_scale: float  # largest sampled tip force over the robot's: inertia and weight pull at a body like more
+    load_step: float  # longest load step, in units of (half the pressure range, largest sampled tip force)
     paths: int  # warm-started chains of samples; more are better balanced, each begins at rest
     trajectories: int
     duration_s: float  # of each trajectory
@@ -62,7 +63,7 @@ class Config:
         for key, low in least.items():
             if getattr(self, key) < low:
                 raise ConfigError(f"stage.{key}={getattr(self, key)} must be at least {low}")
-        for key in ("load_step", "duration_s", "hold_s", "dt_s"):
+        for key in ("tip_force_scale", "load_step", "duration_s", "hold_s", "dt_s"):
             if not getattr(self, key) > 0:
                 raise ConfigError(f"stage.{key}={getattr(self, key):g} must be positive")
         for key in ("faces_share", "max_failed_share"):
@@ -95,8 +96,9 @@ def run(
     trajectories are kept under the working directory until the stage ends, so that a killed run goes on.
     """
     body = Body(config, robot, mesh, material_of(config.law, config.moduli_pa, config.poisson))
-    loads = sobol_loads(robot, config.equilibria, config.faces_share, config.seed)
-    chains = paths(loads, load_scale(robot), config.paths)
+    pulled = _pulled(body)
+    loads, scale = sobol_loads(pulled, config.equilibria, config.faces_share, config.seed), load_scale(pulled)
+    loads, chains = with_waypoints(loads, paths(loads, scale, config.paths), scale, config.load_step)
     clock = np.arange(1, round(config.duration_s / config.dt_s) + 1) * config.dt_s
     programs = [
         step_program(robot, clock, config.hold_s, rng)
@@ -108,7 +110,7 @@ def run(
     tracker.metric("parts_resumed", reused)
     log.info("%d equilibria and %d trajectories in %.0f s", len(samples), len(trajectories), time.monotonic() - began)
     _record_failures(loads, misses, tracker)
-    _refuse_failures(misses, config)
+    _refuse_failures(misses, len(loads), config)
     snapshots = _collect(body, loads, samples, clock, trajectories)
     _report(snapshots, samples, config.trajectories, tracker)
     tracker.figure("deformed_shapes", draw_shapes(mesh, snapshots))
@@ -129,6 +131,11 @@ def build_model(body: Body) -> FemModel:
         config.rayleigh_stiffness_s, newton, element_order=config.element_order,
         mean_dilatation=config.mean_dilatation,
     )
+
+
+def _pulled(body: Body) -> Robot:
+    """Return the robot with the largest tip force that is sampled."""
+    return replace(body.robot, tip_force_max_n=body.config.tip_force_scale * body.robot.tip_force_max_n)
 
 
 class Row(NamedTuple):
@@ -218,7 +225,7 @@ def _trace(body: Body, loads: np.ndarray, chain: np.ndarray) -> Chain:
     """Return the equilibria of the rows in ``chain``, and which of them are missed."""
     model = build_model(body)
     traced = Chain([], [])
-    for number, end in zip(chain, follow(model, loads[chain], load_scale(body.robot), body.config.load_step), strict=True):
+    for number, end in zip(chain, follow(model, loads[chain], load_scale(_pulled(body)), body.config.load_step), strict=True):
         if isinstance(end, Missed):
             traced.missed.append((int(number), end))
         else:
@@ -266,14 +273,14 @@ def _record_failures(loads: np.ndarray, misses: list[Lost], tracker: Tracker) ->
         tracker.text("failed_loads.csv", "\n".join([",".join(names), *rows]) + "\n")
 
 
-def _refuse_failures(misses: list[Lost], config: Config) -> None:
+def _refuse_failures(misses: list[Lost], samples: int, config: Config) -> None:
     failed, jumps = len(misses), sum(miss.jumped for _, miss in misses)
-    if failed > config.max_failed_share * config.equilibria or failed == config.equilibria:
+    if failed > config.max_failed_share * samples or failed == samples:
         remedy = "use a smaller stage.load_step, or check mesh and material"
         if 2 * jumps > failed:  # a shorter step changes nothing
             remedy = "narrow the robot's pressures or tip_force_max_n, or use a stiffer material or thicker walls"
         raise SolverError(
-            f"{failed} of {config.equilibria} loads found no equilibrium, {jumps} of them but behind a jump, more than "
+            f"{failed} of {samples} loads found no equilibrium, {jumps} of them but behind a jump, more than "
             f"stage.max_failed_share={config.max_failed_share:g}; the first, sample {misses[0][0]}: "
             f"{misses[0][1].reason}; {remedy}"
         )

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from softrl.pod.polynomial import basis
+from softrl.pod.polynomial import basis, multinomials
 from softrl.pod.symmetry import Equilibria
 
 log = logging.getLogger(__name__)
@@ -108,12 +108,16 @@ def _add(normal: Normal, rows: np.ndarray, right: np.ndarray) -> None:
 def solve(normal: Normal, order: int, degree: int, ridge: float) -> np.ndarray:
     """Return the coefficients (monomials,) J of W of ``degree`` from equations accumulated to that degree or higher.
 
-    ``ridge`` is relative to the squared length of each column.
+    ``ridge`` is relative to the mean diagonal of the equations about the quadratic part. A coefficient is held towards
+    zero by the inverse of its multinomial number, which has no preferred direction: powers of a coordinate in which the
+    samples are thin stay small, where a ridge relative to each column lets them run wild beyond the samples.
     """
-    size = basis(order, degree).monomials - order - 1
-    matrix, right = normal.matrix[:size, :size], normal.right[:size]
-    scale = np.sqrt(np.diag(matrix))
-    scale = np.where(scale > 0.0, scale, 1.0)
-    scaled = matrix / scale / scale[:, None] + ridge * np.eye(size)
+    table = basis(order, degree)
+    kept = slice(order + 1, None)
+    size = table.monomials - order - 1
+    spread = np.sqrt(multinomials(order, degree)[kept])
+    scaled = normal.matrix[:size, :size] * spread * spread[:, None]
+    quadratic = order * (order + 1) // 2
+    scaled[np.diag_indices(size)] += ridge * float(np.trace(scaled[:quadratic, :quadratic])) / quadratic
     factor = cho_factor(scaled, lower=True, overwrite_a=True, check_finite=False)
-    return np.r_[np.zeros(order + 1), cho_solve(factor, right / scale, check_finite=False) / scale]
+    return np.r_[np.zeros(order + 1), cho_solve(factor, normal.right[:size] * spread, check_finite=False) * spread]

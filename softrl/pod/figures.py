@@ -26,15 +26,16 @@ def draw_spectrum(singular_values: np.ndarray, modes: int, train_m: np.ndarray, 
 
 
 def draw_choice(choices: list[Choice]) -> Figure:
-    """Return the cross-validated tip error over the degree of the energy, by symmetry, at the best ridge."""
+    """Return the cross-validated tip error over the degree of the energy, by weight of images, at the best ridge."""
     figure = Figure(figsize=(5.0, 3.6), layout="constrained")
     axes = figure.subplots()
-    for kind in sorted({choice.symmetry for choice in choices}):
-        degrees = sorted({choice.degree for choice in choices})
-        best = [min(c.tip_error_m for c in choices if c.symmetry == kind and c.degree == degree) for degree in degrees]
-        axes.semilogy(degrees, 1e3 * np.array(best), "o-", ms=4, label=f"symmetries: {kind}")
+    degrees = sorted({choice.degree for choice in choices})
+    for weight in sorted({choice.image_weight for choice in choices}):
+        same = [choice for choice in choices if choice.image_weight == weight]
+        best = [min(c.tip_error_m for c in same if c.degree == degree) for degree in degrees]
+        axes.semilogy(degrees, 1e3 * np.array(best), "o-", ms=4, label=f"images weigh {weight:g}")
     axes.set(xlabel="degree of W", ylabel="tip rms [mm]", title="energy: cross-validation")
-    axes.set_xticks(sorted({choice.degree for choice in choices}))
+    axes.set_xticks(degrees)
     axes.legend(fontsize=8)
     return figure
 

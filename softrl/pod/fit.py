@@ -1,4 +1,8 @@
-"""From equilibria to a reduced model: degree, ridge and symmetry are chosen by cross-validation."""
+"""From equilibria to a reduced model: degree, ridge and weight of symmetry are chosen by cross-validation.
+
+Images of the samples under the robot's symmetries are further samples, of less weight: a mesh is never quite symmetric,
+which full weight overlooks, but where there are few samples their images say how the body goes on.
+"""
 
 import logging
 from dataclasses import dataclass, replace
@@ -11,12 +15,13 @@ from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ConfigError
 from softrl.pod.basis import PodBasis
 from softrl.pod.energy import Normal, Weights, accumulate, frame_of, scale_of, solve
-from softrl.pod.maps import best_degree, fit_map, root_targets
+from softrl.pod.maps import best_degree, elastic_factors, fit_map, symmetric_roots
 from softrl.pod.rom import elastic_hessian_at_rest, static_points, tables_of
-from softrl.pod.symmetry import KINDS, Equilibria, reflected, symmetries
+from softrl.pod.symmetry import Equilibria, Symmetry, reflected, symmetries
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
+LOST = 0.1  # of the rms motion: an equilibrium farther off counts as lost, however far it is
 LAG_FLOOR = 0.005  # of the viscosity lags everywhere: keeps the root smooth at rest, where nothing else does
 
 
@@ -29,6 +34,7 @@ class FitSettings:
     energy_degree_max, map_degree_max, root_degree_max : highest degree tried for the energy, for centre of mass and
         rotation, and for the roots of mass and stiffness
     ridges : ridges tried for the energy, relative
+    image_weights : weights tried for the samples' images under the robot's symmetries; a sample has 1
     weights : of values and Hessians against gradients
     folds : parts of the cross-validation
     """
@@ -37,6 +43,7 @@ class FitSettings:
     map_degree_max: int
     root_degree_max: int
     ridges: tuple[float, ...]
+    image_weights: tuple[float, ...]
     weights: Weights
     folds: int
 
@@ -44,7 +51,7 @@ class FitSettings:
 class Choice(NamedTuple):
     """A candidate energy, with the rms error m of the tip at equilibria that its fit did not see."""
 
-    symmetry: str
+    image_weight: float
     degree: int
     ridge: float
     tip_error_m: float
@@ -66,10 +73,10 @@ def fit_model(
     fold = rng.permutation(np.arange(len(samples.load)) % settings.folds)
     frame = frame_of(samples)
     draft = _draft(robot, snapshots, samples, pod, frame)
-    normals = _fold_normals(settings, robot, samples, frame, fold)
-    choices = _tried(settings, draft, samples, fold, normals)
+    own, images = _fold_normals(settings, robot, samples, frame, fold)
+    choices = _tried(settings, draft, samples, fold, (own, images))
     best = choices[0]
-    energy = solve(_sum(normals[best.symmetry]), draft.order, best.degree, best.ridge)
+    energy = solve(_weighed(own, images, best.image_weight), draft.order, best.degree, best.ridge)
     if not _stands(replace(draft, energy=energy)):
         log.warning(
             "no energy fitted to %d equilibria is stable at rest; the reduced model is linear, from the compliance of "
@@ -78,18 +85,18 @@ def fit_model(
         )
         energy = _linear_energy(samples, frame)
         errors = _squared_tip_errors(replace(draft, energy=energy), samples)
-        best = Choice("none", 2, 0.0, float(np.sqrt(errors.mean())))
+        best = Choice(0.0, 2, 0.0, float(np.sqrt(errors.mean())))
         choices.insert(0, best)
     log.info(
-        "energy of degree %d, ridge %g, symmetries %s: tip %.3f mm in cross-validation over %d equilibria",
+        "energy of degree %d, ridge %g, images of weight %g: tip %.3f mm in cross-validation over %d equilibria",
         best.degree,
         best.ridge,
-        best.symmetry,
+        best.image_weight,
         1e3 * best.tip_error_m,
         len(samples.load),
     )
     maps = _fit_maps(settings, robot, samples, frame, fold)
-    return replace(draft, energy=energy, symmetry=best.symmetry, **maps), choices
+    return replace(draft, energy=energy, symmetry="all" if best.image_weight else "none", **maps), choices
 
 
 def linear_model(model: ReducedModel) -> ReducedModel:
@@ -108,14 +115,13 @@ def linear_model(model: ReducedModel) -> ReducedModel:
     )
 
 
-def _kinds(robot: Robot) -> list[str]:
-    """Return the kinds of symmetry that differ for this robot; symmetries are about z."""
-    if robot.axis not in ("+z", "-z"):
-        return ["none"]
-    counts: dict[int, str] = {}
-    for kind in KINDS:
-        counts.setdefault(len(symmetries(robot.chamber_direction, kind)), kind)
-    return list(counts.values())
+def _images(robot: Robot) -> list[Symmetry]:
+    """Return the robot's symmetries besides the identity; they are about z."""
+    return symmetries(robot.chamber_direction)[1:] if robot.axis in ("+z", "-z") else []
+
+
+def _image_weights(settings: FitSettings, robot: Robot) -> tuple[float, ...]:
+    return settings.image_weights if _images(robot) else (0.0,)
 
 
 def _draft(robot: Robot, snapshots: Snapshots, samples: Equilibria, pod: PodBasis, frame: np.ndarray) -> ReducedModel:
@@ -151,63 +157,60 @@ def _draft(robot: Robot, snapshots: Snapshots, samples: Equilibria, pod: PodBasi
 
 def _fold_normals(
     settings: FitSettings, robot: Robot, samples: Equilibria, frame: np.ndarray, fold: np.ndarray
-) -> dict[str, list[Normal]]:
-    """Return by kind of symmetry the equations of each fold: those of all folds but one are the sum less that one.
-
-    Each kind's symmetries begin with the kind's before, so only the further ones are added.
-    """
-    scale = scale_of(samples)
-    normals: dict[str, list[Normal]] = {}
-    before: list[Normal] = []
-    done = 0
-    for kind in _kinds(robot):
-        further = symmetries(robot.chamber_direction, kind)[done:]
-        done += len(further)
-        added = [
-            accumulate(
-                reflected(samples.rows(fold == part), further),
-                frame,
-                scale,
-                settings.energy_degree_max,
-                settings.weights,
-            )
-            for part in range(settings.folds)
-        ]
-        before = [_sum([a, b]) for a, b in zip(before, added, strict=True)] if before else added
-        normals[kind] = before
-    return normals
+) -> tuple[list[Normal], list[Normal]]:
+    """Return the equations of each fold's samples, and of their images; all folds but one are the sum less that one."""
+    scale, degree, images = scale_of(samples), settings.energy_degree_max, _images(robot)
+    parts = [samples.rows(fold == part) for part in range(settings.folds)]
+    own = [accumulate(part, frame, scale, degree, settings.weights) for part in parts]
+    if not images:
+        return own, [Normal(0.0 * n.matrix, 0.0 * n.right) for n in own]
+    return own, [accumulate(reflected(part, images), frame, scale, degree, settings.weights) for part in parts]
 
 
-def _sum(normals: list[Normal]) -> Normal:
-    return Normal(sum(n.matrix for n in normals), sum(n.right for n in normals))  # type: ignore[arg-type]
+def _weighed(own: list[Normal], images: list[Normal], weight: float) -> Normal:
+    """Return the equations of the samples and of their images together."""
+    return Normal(
+        sum(n.matrix for n in own) + weight * sum(n.matrix for n in images),
+        sum(n.right for n in own) + weight * sum(n.right for n in images),
+    )
 
 
 def _tried(
-    settings: FitSettings, draft: ReducedModel, samples: Equilibria, fold: np.ndarray, normals: dict[str, list[Normal]]
+    settings: FitSettings,
+    draft: ReducedModel,
+    samples: Equilibria,
+    fold: np.ndarray,
+    normals: tuple[list[Normal], list[Normal]],
 ) -> list[Choice]:
     """Return the candidates by rising error of the tip in cross-validation.
 
-    First all symmetries and degrees at the middle ridge, then the other ridges at the best symmetry, near its degree.
+    First all weights of images and degrees at the middle ridge, then the other ridges at the best weight, near its
+    degree.
     """
+    own, images = normals
+    weights = settings.image_weights if any(n.right.any() for n in images) else (0.0,)
+    farthest = LOST**2 * float((samples.coordinate[:, -3:] ** 2).sum(axis=1).mean())
     seen = {}
-    for kind, parts in normals.items():
-        total = _sum(parts)
-        seen[kind] = [Normal(total.matrix - part.matrix, total.right - part.right) for part in parts]
+    for weight in weights:
+        total = _weighed(own, images, weight)
+        parts = [_weighed([a], [b], weight) for a, b in zip(own, images, strict=True)]
+        seen[weight] = [Normal(total.matrix - part.matrix, total.right - part.right) for part in parts]
 
-    def tried(kind: str, degree: int, ridge: float) -> Choice:
+    def tried(weight: float, degree: int, ridge: float) -> Choice:
         squares = 0.0
-        for part, normal in enumerate(seen[kind]):
+        for part, normal in enumerate(seen[weight]):
             energy = solve(normal, draft.order, degree, ridge)
-            squares += _squared_tip_errors(replace(draft, energy=energy), samples.rows(fold == part)).sum()
-        return Choice(kind, degree, ridge, float(np.sqrt(squares / len(fold))))
+            errors = _squared_tip_errors(replace(draft, energy=energy), samples.rows(fold == part))
+            squares += np.minimum(errors, farthest).sum()
+        return Choice(weight, degree, ridge, float(np.sqrt(squares / len(fold))))
 
     ridges = sorted(settings.ridges)
     middle = ridges.pop(len(ridges) // 2)
     degrees = range(2, settings.energy_degree_max + 1)
-    choices = [tried(kind, degree, middle) for kind in seen for degree in degrees]
+    choices = [tried(weight, degree, middle) for weight in seen for degree in degrees]
     best = min(choices, key=lambda choice: choice.tip_error_m)
     near = [degree for degree in degrees if abs(degree - best.degree) <= 1]
-    choices += [tried(best.symmetry, degree, ridge) for degree in near for ridge in ridges]
+    choices += [tried(best.image_weight, degree, ridge) for degree in near for ridge in ridges]
     return sorted(choices, key=lambda choice: choice.tip_error_m)
 
 
@@ -247,44 +250,49 @@ class Targets(NamedTuple):
 def _fit_maps(
     settings: FitSettings, robot: Robot, samples: Equilibria, frame: np.ndarray, fold: np.ndarray
 ) -> dict[str, Any]:
-    """Return the coefficients of all maps besides the energy; each takes the symmetries that predict it best.
-
-    A mesh is never quite symmetric, which a precise map cannot overlook but one of few samples can.
-    """
-    ratio = _lag_ratio(samples)
+    """Return the coefficients of all maps besides the energy; each weighs the samples' images as predicts it best."""
+    ratio, images = _lag_ratio(samples), _images(robot)
     maps: dict[str, Any] = {"lag_ratio": ratio}
     least: dict[str, float] = {}
-    for kind in _kinds(robot):
-        operations = symmetries(robot.chamber_direction, kind)
-        images = reflected(samples, operations)
-        folds = np.tile(fold, len(operations))
-        points = np.linalg.solve(frame, images.coordinate.T).T
-        seen = slice(0, len(fold))  # the samples themselves, which come first
-        for name, goal in _targets(settings, images, frame, ratio).items():
-            scaled = goal.values / goal.weight
-            found = best_degree(points, scaled, folds, seen, goal.degree_max, goal.through_origin)
+    identity = symmetries(robot.chamber_direction)[:1]
+    everything = reflected(samples, [*identity, *images])
+    goals = _targets(settings, everything, frame, ratio)
+    points, folds = np.linalg.solve(frame, everything.coordinate.T).T, np.tile(fold, 1 + len(images))
+    own = slice(0, len(fold))
+    for image_weight in _image_weights(settings, robot):
+        rows = slice(0, len(folds) if image_weight else len(fold))
+        weight = np.where(np.arange(len(folds)) < len(fold), 1.0, image_weight)[rows]
+        for name, goal in goals.items():
+            values = goal.values[rows]
+            found = best_degree(
+                points[rows], values / goal.weight, weight, folds[rows], own, goal.degree_max, goal.through_origin
+            )
             if found.error < least.get(name, np.inf):
                 least[name] = found.error
-                maps[name] = fit_map(points, goal.values, found.degree, goal.through_origin)
-                log.debug("%s of degree %d with symmetries %s", name, found.degree, kind)
+                maps[name] = fit_map(points[rows], values, weight, found.degree, goal.through_origin)
+                log.debug("%s of degree %d with images of weight %g", name, found.degree, image_weight)
     return maps
 
 
 def _targets(settings: FitSettings, images: Equilibria, frame: np.ndarray, ratio: float) -> dict[str, Targets]:
-    """Return by name what the maps are fitted to."""
-    lagging = images.lag_stiffness / ratio + LAG_FLOOR * images.stiffness
-    instant = images.stiffness - lagging
-    yardstick = frame.T @ (np.linalg.inv(images.compliance) + images.stiffness).mean(axis=0) @ frame
-    weight = np.tile(np.sqrt(np.diag(yardstick)), len(frame))
-    goals = {}
-    for name, matrices, whole in (
-        ("mass_root", images.mass, images.mass),
-        ("stiffness_root", instant, images.stiffness),
-        ("lag_root", lagging, images.stiffness),
-    ):
-        factor = np.linalg.cholesky(frame.T @ whole.mean(axis=0) @ frame)
-        roots = root_targets(frame.T @ matrices @ frame, factor)
-        goals[name] = Targets(roots, weight, settings.root_degree_max, False)
+    """Return by name what the maps are fitted to.
+
+    Viscosity is seen beside the elastic Hessian, which it equals at rest and whose stiff directions it shares wherever
+    they turn: in these terms low degrees predict it three times better.
+    """
+    elastic = frame.T @ np.linalg.inv(images.compliance) @ frame
+    viscous = frame.T @ images.stiffness @ frame
+    lagging = frame.T @ images.lag_stiffness @ frame / ratio + LAG_FLOOR * viscous
+    mass = frame.T @ images.mass @ frame
+    factor = np.linalg.cholesky(mass.mean(axis=0))
+    inverse = np.linalg.inv(factor)
+    weight = np.tile(np.sqrt(np.diag((elastic + viscous).mean(axis=0))), len(frame))
+    roots = symmetric_roots(inverse @ mass @ inverse.T) @ factor.T
+    goals = {"mass_root": Targets(roots.reshape(len(mass), -1), weight, settings.root_degree_max, False)}
+    apart = np.linalg.inv(elastic_factors(elastic))
+    for name, matrices in (("stiffness_root", viscous - lagging), ("lag_root", lagging)):
+        roots = symmetric_roots(apart @ matrices @ apart.transpose(0, 2, 1)).reshape(len(mass), -1)
+        goals[name] = Targets(roots, np.ones(roots.shape[1]), settings.root_degree_max, False)
     for name, values in (
         ("centre_of_mass", images.centre_of_mass),
         ("rotation", images.rotation),

@@ -8,7 +8,16 @@ import numpy as np
 
 from softrl.pod.linear import newton_direction
 from softrl.pod.ports import add_effects, commit_effects, fill_ports, make_ports
-from softrl.pod.potential import fill_monomials, fill_potential, fill_square, polynomial, to_ball
+from softrl.pod.potential import (
+    fill_behind,
+    fill_elastic_factor,
+    fill_monomials,
+    fill_potential,
+    fill_root,
+    fill_square,
+    polynomial,
+    to_ball,
+)
 
 TOLERANCE = 1e-9  # change of y: below a nanometre at the tip
 MAX_ITERATIONS = 60
@@ -65,30 +74,91 @@ def tip_pose(
 
 
 @nb.njit(cache=True)
-def _fill_operators(
+def _fill_mass(
+    y: np.ndarray, tables: Any, values: np.ndarray, point: np.ndarray, root: np.ndarray, mass: np.ndarray
+) -> float:
+    """Fill mass and its root (r, r) at ``y``; return ``|y|``."""
+    radius = to_ball(y, point)
+    few = values[: tables.mass_root.shape[1]]
+    fill_monomials(point, tables.parent, tables.variable, few)
+    fill_root(tables.mass_root, few, root)
+    fill_square(root, mass)
+    return radius
+
+
+@nb.njit(cache=True)
+def _fill_viscosity(
     y: np.ndarray,
     tables: Any,
     values: np.ndarray,
     point: np.ndarray,
     root: np.ndarray,
-    mass: np.ndarray,
+    factor: np.ndarray,
+    product: np.ndarray,
     stiff: np.ndarray,
     loose: np.ndarray,
-) -> float:
-    """Fill mass, viscosity and its lagging share (r, r) at ``y``; return ``|y|``."""
-    radius = to_ball(y, point)
-    viscous = tables.scales[2] > 0.0
-    count = tables.mass_root.shape[1]
-    if viscous:
-        count = max(count, tables.stiffness_root.shape[1], tables.lag_root.shape[1])
-    few = values[:count]
+) -> None:
+    """Fill viscosity and its lagging share (r, r) at ``y``."""
+    to_ball(y, point)
+    few = values[: max(tables.elastic.shape[1], tables.stiffness_root.shape[1], tables.lag_root.shape[1])]
     fill_monomials(point, tables.parent, tables.variable, few)
-    fill_square(tables.mass_root, few, root, mass)
-    if viscous:
-        fill_square(tables.stiffness_root, few, root, stiff)
-        if tables.lag_root.shape[1] > 0:
-            fill_square(tables.lag_root, few, root, loose)
-    return radius
+    fill_elastic_factor(tables, few, factor)
+    fill_root(tables.stiffness_root, few, root)
+    fill_behind(root, factor, product)
+    fill_square(product, stiff)
+    if tables.lag_root.shape[1] > 0:
+        fill_root(tables.lag_root, few, root)
+        fill_behind(root, factor, product)
+        fill_square(product, loose)
+
+
+@nb.njit(cache=True)
+def _fill_turning(
+    radius: float,
+    velocity: np.ndarray,
+    tables: Any,
+    values: np.ndarray,
+    point: np.ndarray,
+    root: np.ndarray,
+    scratch: np.ndarray,
+    force: np.ndarray,
+) -> None:
+    """Fill ``force`` (r,) with that of inertia at constant ``velocity``: grad(v'M v) / 2 - M' v, M = R'R.
+
+    ``values`` are the monomials and ``root`` is R at ``point``, the image of a state at ``radius`` in the unit ball.
+    """
+    r = len(velocity)
+    force[:] = 0.0
+    if tables.mass_slope.shape[1] == 0:
+        return
+    few = values[: tables.mass_slope.shape[1]]
+    outward = 0.0
+    if radius > 1.0:
+        for i in range(r):
+            outward += point[i] * velocity[i]
+    moved, changed = scratch[0], scratch[1]
+    for a in range(r):
+        moved[a] = changed[a] = 0.0
+        for i in range(r):
+            moved[a] += root[a, i] * velocity[i]
+    for j in range(r):
+        along = velocity[j] if radius <= 1.0 else (velocity[j] - point[j] * outward) / radius
+        for a in range(r):
+            turned = 0.0
+            for i in range(r):
+                slope = polynomial(tables.mass_slope[(j * r + a) * r + i], few)
+                turned += slope * velocity[i]
+                force[i] -= along * slope * moved[a]
+            changed[a] += along * turned
+            scratch[2, j] = turned * moved[a] + (scratch[2, j] if a > 0 else 0.0)
+    inward = 0.0
+    if radius > 1.0:
+        for j in range(r):
+            inward += point[j] * scratch[2, j]
+    for j in range(r):
+        force[j] += scratch[2, j] if radius <= 1.0 else (scratch[2, j] - point[j] * inward) / radius
+        for a in range(r):
+            force[j] -= root[a, j] * changed[a]
 
 
 @nb.njit(cache=True)
@@ -99,6 +169,48 @@ def _square(matrix: np.ndarray, vector: np.ndarray) -> float:
         for j in range(len(vector)):
             total += vector[i] * matrix[i, j] * vector[j]
     return total
+
+
+@nb.njit(cache=True)
+def _set_out(
+    y: np.ndarray,
+    velocity: np.ndarray,
+    lag: np.ndarray,
+    dt: float,
+    kinetic: float,
+    stored: float,
+    tables: Any,
+    work: Any,
+    held: Any,
+) -> float:
+    """Fill what is held during the step from ``y``, and scale velocity and lag to their energies; return ``|y|``.
+
+    Parameters
+    ----------
+    kinetic : twice the kinetic energy that the velocity is scaled to; negative to leave it
+    stored : the lag is scaled down where it would hold more, in the measure of ``loose``
+    work : monomials, point (r,), three matrices (r, r), a vector (r,)
+    held : mass, viscosity, its lagging share (r, r), force of turning (r,)
+    """
+    values, point, root, scratch, factor, halfway = work
+    mass, stiff, loose, turning = held
+    r = len(y)
+    radius = _fill_mass(y, tables, values, point, root, mass)
+    if kinetic >= 0.0:
+        now = _square(mass, velocity)
+        share = math.sqrt(kinetic / now) if now > 0.0 else 1.0
+        for i in range(r):
+            velocity[i] *= share
+    _fill_turning(radius, velocity, tables, values, point, root, scratch, turning)
+    if tables.scales[2] > 0.0:
+        for i in range(r):
+            halfway[i] = y[i] + 0.5 * dt * velocity[i]
+        _fill_viscosity(halfway, tables, values, point, root, factor, scratch, stiff, loose)
+        after = _square(loose, lag)
+        if after > stored:
+            for i in range(r):
+                lag[i] *= math.sqrt(stored / after)
+    return radius
 
 
 @nb.njit(cache=True)
@@ -117,10 +229,11 @@ def run_kernel(
 ) -> tuple[int, float]:
     """Advance ``y``, ``velocity`` and ``lag`` (r,) in place by implicit Euler over every row of ``load`` (steps, r) Pa and N.
 
-    Mass and damping are those at the start of a step. After it the velocity is scaled so that the kinetic energy is
-    unchanged by the change of mass: energy is created nowhere. A share of the viscosity lags: it acts on ``lag``, the
-    rate as the body's inside follows it, ``tau d lag/dt = rate - lag``, and ``lag`` is scaled down where it would gain
-    energy.
+    Mass is that at the start of a step, and so is the force of inertia by which a turning body leaves the straight way;
+    viscosity is that half a step ahead, as in the full model. After a step the velocity is scaled so that neither that
+    force nor the change of mass alters the kinetic energy: energy is created nowhere. A share of the viscosity lags: it
+    acts on ``lag``, the rate as the body's inside follows it, ``tau d lag/dt = rate - lag``, and ``lag`` is scaled down
+    where it would gain energy.
 
     Parameters
     ----------
@@ -139,6 +252,7 @@ def run_kernel(
     inertia, right, start = np.empty((r, r)), np.empty(r), np.empty(r)
     gradient, hessian, jacobian, scratch = np.empty(r), np.empty((r, r)), np.empty((r, r)), np.empty((r, r))
     direction, trial, pressure = np.empty(r), np.empty(r), np.empty(n)
+    turning = np.empty(r)
     ports, bare = make_ports(n), np.empty(r)
     with_effects = len(hooks[0]) + len(hooks[3]) > 0
     mass_scale, mass_damping, stiffness_damping = tables.scales[0], tables.scales[1], tables.scales[2]
@@ -149,13 +263,15 @@ def run_kernel(
         fill_potential(y, tables, values, point, gradient, hessian)
         fill_ports(y, rest, gradient, hessian, dt, load[0, :n], tables, ports, True)
         ports.strains[0], ports.tips[0] = ports.strains[1], ports.tips[1]
-    farthest = max(farthest, _fill_operators(y, tables, values, point, root, mass, stiff, loose))
+    work = (values, point, root, scratch, jacobian, direction)
+    held = (mass, stiff, loose, turning)
+    farthest = _set_out(y, velocity, lag, dt, -1.0, np.inf, tables, work, held)
     for step in range(len(load)):
         for i in range(n):
             pressure[i] = load[step, i]
         for i in range(r):
             start[i] = y[i]
-            right[i] = 0.0
+            right[i] = mass_scale * turning[i]
             for k in range(r):
                 right[i] += tables.frame[k, i] * load[step, k]
         for i in range(r):
@@ -213,13 +329,9 @@ def run_kernel(
             velocity[i] = (y[i] - start[i]) / dt
             lag[i] = hold * lag[i] + (1.0 - hold) * velocity[i] if with_lag else 0.0
         kinetic, stored = _square(mass, velocity), _square(loose, lag)
-        farthest = max(farthest, _fill_operators(y, tables, values, point, root, mass, stiff, loose))
-        now, held = _square(mass, velocity), _square(loose, lag)
-        factor = math.sqrt(kinetic / now) if now > 0.0 else 1.0
-        loss = math.sqrt(stored / held) if held > stored else 1.0
         for i in range(r):
-            velocity[i] *= factor
-            lag[i] *= loss
+            kinetic -= 2.0 * dt * turning[i] * velocity[i]
+        farthest = max(farthest, _set_out(y, velocity, lag, dt, max(kinetic, 0.0), stored, tables, work, held))
         if len(path) > 0:
             path[step] = y
         if len(position) > 0:

@@ -4,22 +4,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrl.pod.polynomial import basis, count, degree_of
+from softrl.pod.polynomial import basis, count, degree_of, multinomials
 
 RIDGE = 1e-9
 
 
-def fit_map(points: np.ndarray, targets: np.ndarray, degree: int, through_origin: bool) -> np.ndarray:
+def fit_map(
+    points: np.ndarray, targets: np.ndarray, weight: np.ndarray, degree: int, through_origin: bool
+) -> np.ndarray:
     """Return coefficients (columns, monomials) of polynomials from ``points`` (S, r) to ``targets`` (S, columns).
 
-    ``through_origin`` leaves out the constant term: the map of rest is zero.
+    ``weight`` (S,) is that of each sample's squares. ``through_origin`` leaves out the constant term: the map of rest is zero.
     """
-    rows = basis(points.shape[1], degree).values(points)
+    spread = np.sqrt(multinomials(points.shape[1], degree))
     skip = 1 if through_origin else 0
-    scale = np.linalg.norm(rows, axis=0) + 1e-300
-    scaled = (rows / scale)[:, skip:]
-    normal = scaled.T @ scaled + RIDGE * np.eye(scaled.shape[1])
-    found = np.linalg.solve(normal, scaled.T @ targets) / scale[skip:, None]
+    scaled = (basis(points.shape[1], degree).values(points) * spread)[:, skip:]
+    weighed = scaled * weight[:, None]
+    normal = weighed.T @ scaled + RIDGE * weight.sum() * np.eye(scaled.shape[1])
+    found = np.linalg.solve(normal, weighed.T @ targets) * spread[skip:, None]
     return np.pad(found.T, ((0, 0), (skip, 0)))
 
 
@@ -37,12 +39,13 @@ class Degree(NamedTuple):
 
 
 def best_degree(
-    points: np.ndarray, targets: np.ndarray, fold: np.ndarray, judged: slice, degree_max: int, through_origin: bool
+    points: np.ndarray, targets: np.ndarray, weight: np.ndarray, fold: np.ndarray, judged: slice, degree_max: int,
+    through_origin: bool,
 ) -> Degree:
     """Return the degree up to ``degree_max`` whose error over folds that the fit did not see is smallest.
 
-    ``fold`` (S,) numbers the part of each sample; the error is that of the rows ``judged``.
-    A degree with more monomials than samples is not tried.
+    ``weight`` (S,) is that of each sample in the fits, ``fold`` (S,) numbers its part; the error is that of the rows
+    ``judged``. A degree with more monomials than samples is not tried.
     """
     errors: dict[int, float] = {}
     for degree in range(1 if through_origin else 0, degree_max + 1):
@@ -51,18 +54,20 @@ def best_degree(
         left = np.empty_like(targets)
         for part in np.unique(fold):
             seen = fold != part
-            left[~seen] = evaluate(fit_map(points[seen], targets[seen], degree, through_origin), points[~seen])
+            left[~seen] = evaluate(
+                fit_map(points[seen], targets[seen], weight[seen], degree, through_origin), points[~seen]
+            )
         errors[degree] = float(((left - targets)[judged] ** 2).mean())
     best = min(errors, key=lambda degree: errors[degree])
     return Degree(best, errors[best])
 
 
-def root_targets(matrices: np.ndarray, factor: np.ndarray) -> np.ndarray:
-    """Return (S, r r): S L' of every positive matrix, with L the Cholesky ``factor`` (r, r) of their mean.
+def symmetric_roots(matrices: np.ndarray) -> np.ndarray:
+    """Return the symmetric roots (S, r, r) of symmetric ``matrices``, negative parts left out; smooth near identity."""
+    values, vectors = np.linalg.eigh(matrices)
+    return np.einsum("sik,sk,sjk->sij", vectors, np.sqrt(values.clip(min=0.0)), vectors)
 
-    S is the symmetric root of L^-1 M L^-T, so that ``(S L')' (S L') = M``; S is near the identity and smooth.
-    """
-    inverse = np.linalg.inv(factor)
-    values, vectors = np.linalg.eigh(inverse @ matrices @ inverse.T)
-    roots = np.einsum("sik,sk,sjk->sij", vectors, np.sqrt(values.clip(min=0.0)), vectors)
-    return (roots @ factor.T).reshape(len(matrices), -1)
+
+def elastic_factors(hessian: np.ndarray) -> np.ndarray:
+    """Return upper triangular U (S, r, r) with U U' the ``hessian``, as ``pod.potential.fill_elastic_factor`` does."""
+    return np.linalg.cholesky(hessian[..., ::-1, ::-1])[..., ::-1, ::-1]

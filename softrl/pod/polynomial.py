@@ -112,3 +112,16 @@ def basis(variables: int, degree: int) -> Basis:
         raised.reshape(variables, -1),
         factor.reshape(variables, -1),
     )
+
+
+@lru_cache(maxsize=64)
+def multinomials(variables: int, degree: int) -> np.ndarray:
+    """Return the multinomial number (monomials,) of each monomial: how often it occurs in a power of the sum of all."""
+    table = basis(variables, degree)
+    numbers, powers = np.ones(table.monomials), np.zeros((table.monomials, variables))
+    for k in range(1, table.monomials):
+        parent, variable = table.parent[k], table.variable[k]
+        powers[k] = powers[parent]
+        powers[k, variable] += 1.0
+        numbers[k] = numbers[parent] * table.degrees[k] / powers[k, variable]
+    return numbers

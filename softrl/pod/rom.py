@@ -13,13 +13,14 @@ from softrl.effects.effect import PORT_KERNEL
 from softrl.pod.inverse import solve_pressures
 from softrl.pod.kernel import run_kernel, tip_pose
 from softrl.pod.polynomial import basis, degree_of
-from softrl.pod.potential import Tables
+from softrl.pod.potential import Tables, fill_behind, fill_elastic_factor
 
 log = logging.getLogger(__name__)
 
 QUASI_STATIC_S = 1e6  # one implicit step of this length is an equilibrium
 LOAD_STEPS = 4  # an equilibrium is approached in this many equal steps of the load
 WALL = 3.0  # of the largest curvature at rest: what rises outside the samples
+MAPS = ("mass_root", "stiffness_root", "lag_root", "rotation", "lag_rotation")
 PORT = nb.types.FunctionType(PORT_KERNEL)
 
 
@@ -43,10 +44,14 @@ def tables_of(
     r, n = model.order, model.chambers
     mass = mass_scale * model.mass
     weight = gradient_of(model.centre_of_mass, r)  # (r, 3, k)
-    potential = youngs_modulus_scale * model.energy
     drop = mass * gravity @ model.centre_of_mass
+    degree = max(degree_of(r, len(model.energy)), degree_of(r, len(drop)), 2)
+    potential = np.zeros(basis(r, degree).monomials)
+    potential[: len(model.energy)] = youngs_modulus_scale * model.energy
     potential[: len(drop)] -= drop
-    full = basis(r, max(degree_of(r, len(model.energy)), 2))
+    gradient, hessian = basis(r, degree).derivative(potential), basis(r, degree).hessian(potential)
+    maps = (gradient, weight, *(getattr(model, name) for name in MAPS))
+    full = basis(r, max(degree_of(r, table.shape[-1]) for table in maps if table.shape[-1]))
     inverse = np.linalg.inv(model.frame)
     quadratic = youngs_modulus_scale * elastic_hessian_at_rest(model)
     compliance = np.linalg.inv(inverse.T @ quadratic @ inverse)
@@ -59,12 +64,14 @@ def tables_of(
                 full.parent,
                 full.variable,
                 full.degrees.astype(float),
-                full.derivative(potential),
-                full.hessian(potential),
+                gradient,
+                hessian,
                 quadratic,
                 model.mass_root,
                 model.stiffness_root,
                 model.lag_root,
+                gradient_of(model.mass_root, r).reshape(r**3, -1),
+                elastic_hessian(model),
                 mass * weight.transpose(1, 0, 2),
                 model.rotation,
                 model.lag_rotation,
@@ -92,12 +99,18 @@ def gradient_of(coefficients: np.ndarray, order: int) -> np.ndarray:
     return basis(order, degree_of(order, coefficients.shape[-1])).derivative(coefficients)
 
 
+def elastic_hessian(model: ReducedModel) -> np.ndarray:
+    """Return the Hessian of the elastic energy by y as polynomials (pairs, k) J."""
+    r = model.order
+    table = basis(r, max(degree_of(r, len(model.energy)), 2))
+    return table.hessian(np.pad(model.energy, (0, table.monomials - len(model.energy))))
+
+
 def elastic_hessian_at_rest(model: ReducedModel) -> np.ndarray:
     """Return the Hessian (r, r) of the elastic energy by y at rest, J."""
     r = model.order
-    hessian = basis(r, 2).hessian(model.energy[: basis(r, 2).monomials])[:, 0]
     full = np.zeros((r, r))
-    full[np.triu_indices(r)] = hessian
+    full[np.triu_indices(r)] = elastic_hessian(model)[:, 0]
     return full + np.triu(full, 1).T
 
 
@@ -272,10 +285,12 @@ def mechanical_energy(
     velocity: np.ndarray,
     gravity_m_s2: np.ndarray | None = None,
     lag: np.ndarray | None = None,
+    dt_s: float = 0.0,
 ) -> np.ndarray:
     """Return kinetic, elastic and weight's energy (S,) J at z and its rate (S, n + 3), within the samples' ball.
 
-    ``lag`` (S, n + 3) is the lagged rate, in which further elastic energy is stored; none if None.
+    ``lag`` (S, n + 3) is the lagged rate, in which further elastic energy is stored; none if None. Between steps of
+    ``dt_s`` that store is the one half a step ahead.
     """
     r = model.order
     inverse = np.linalg.inv(model.frame)
@@ -288,6 +303,19 @@ def mechanical_energy(
     energy = 0.5 * (moving**2).sum(axis=1) + values @ model.energy - model.mass * height @ gravity
     if lag is None or not model.lag_root.size:
         return energy
-    loose = (values[:, : model.lag_root.shape[1]] @ model.lag_root.T).reshape(-1, r, r)
+    loose = _lag_roots(model, y + 0.5 * dt_s * rate)
     pulled = np.einsum("sij,sj->si", loose, lag @ inverse.T)
     return energy + 0.5 * model.lag_ratio * model.rayleigh_stiffness_s**2 * (pulled**2).sum(axis=1)
+
+
+def _lag_roots(model: ReducedModel, points: np.ndarray) -> np.ndarray:
+    """Return R U' (S, r, r) of the viscosity that lags at ``points`` (S, r)."""
+    tables, r = tables_of(model), model.order
+    table = basis(r, degree_of(r, len(tables.parent)))
+    factor, product = np.empty((r, r)), np.empty((r, r))
+    found = []
+    for row in table.values(points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1.0)):
+        fill_elastic_factor(tables, row, factor)
+        fill_behind((model.lag_root @ row[: model.lag_root.shape[1]]).reshape(r, r), factor, product)
+        found.append(product.copy())
+    return np.array(found)

@@ -31,8 +31,9 @@ class Config:
     energy_degree_max : highest degree tried for the condensed energy
     map_degree_max : likewise for centre of mass and rotation;  root_degree_max : for the roots of mass and stiffness
     ridges : tried for the energy, relative
+    image_weights : tried for the samples' images under the robot's symmetries, beside the samples' own weight of 1
     value_weight, hessian_weight : of the energy's values and Hessians in its fit, gradients weigh 1
-    folds : of the cross-validation that chooses degree, ridge and symmetry
+    folds : of the cross-validation that chooses degree, ridge and weight of images
     heldout_share : share of the equilibria that no fit and no choice sees
     convergence_shares : of the seen equilibria, to which the model is fitted once more for the convergence figure
     """
@@ -43,6 +44,7 @@ class Config:
     map_degree_max: int
     root_degree_max: int
     ridges: tuple[float, ...]
+    image_weights: tuple[float, ...]
     value_weight: float
     hessian_weight: float
     folds: int
@@ -63,6 +65,8 @@ class Config:
             raise ConfigError(f"stage.convergence_shares={self.convergence_shares}; expected shares in (0, 1]")
         if not self.ridges or min(self.ridges) <= 0.0:
             raise ConfigError(f"stage.ridges={self.ridges}; expected one or more positive numbers")
+        if not self.image_weights or not all(0.0 <= weight <= 1.0 for weight in self.image_weights):
+            raise ConfigError(f"stage.image_weights={self.image_weights}; expected numbers from 0 to 1")
 
 
 def run(config: Config, robot: Robot, snapshots: Snapshots, *, tracker: Tracker) -> ReducedModel:
@@ -78,11 +82,13 @@ def run(config: Config, robot: Robot, snapshots: Snapshots, *, tracker: Tracker)
         config.map_degree_max,
         config.root_degree_max,
         config.ridges,
+        config.image_weights,
         Weights(config.value_weight, config.hessian_weight),
         config.folds,
     )
     model, choices = fit_model(settings, robot, snapshots, samples.rows(seen), pod, rng)
     tracker.metric("energy_degree", choices[0].degree)
+    tracker.metric("image_weight", choices[0].image_weight)
     tracker.metric("validation/static_tip_rms_mm", 1e3 * choices[0].tip_error_m)
     tracker.figure("energy_choice", draw_choice(choices))
     linear = linear_model(model)
@@ -93,7 +99,7 @@ def run(config: Config, robot: Robot, snapshots: Snapshots, *, tracker: Tracker)
         moving = report_motions(model, linear, snapshots, tracker)
         tracker.figure("motion", draw_motion(snapshots.trajectory_time, moving, 0))
     parts = samples.rows(seen), samples.rows(heldout)
-    report_coordinates(model, snapshots, parts, tracker)
+    report_coordinates(model, snapshots, parts[1], tracker)
     points = by_equilibria(config.convergence_shares, settings, choices[0], robot, snapshots, parts, pod)
     report_equilibria(points, tracker)
     tracker.figure("convergence", draw_convergence(choices, points))

@@ -6,7 +6,6 @@ import numpy as np
 
 from softrl.artifacts.snapshots import Snapshots
 
-KINDS = ("none", "rotations", "all")
 SAME_RAD = 1e-6
 
 
@@ -67,12 +66,8 @@ def rotation_vector(quaternion: np.ndarray) -> np.ndarray:
     return quaternion[:, 1:] * factor[:, None]
 
 
-def symmetries(direction: np.ndarray, kind: str) -> list[Symmetry]:
-    """Return the symmetries of chambers at ``direction`` (n, 2), the identity first.
-
-    Parameters
-    ----------
-    kind : "none" (identity alone), "rotations", or "all" (mirrors too)
+def symmetries(direction: np.ndarray) -> list[Symmetry]:
+    """Return the symmetries of chambers at ``direction`` (n, 2), turns and mirrors, the identity first.
 
     Notes
     -----
@@ -80,15 +75,14 @@ def symmetries(direction: np.ndarray, kind: str) -> list[Symmetry]:
     they send the whole layout onto itself. One chamber has its own mirror; three at equal angles have six symmetries.
     """
     found = []
-    signs = {"none": (), "rotations": (1.0,), "all": (1.0, -1.0)}[kind]
-    for sign in signs:
+    for sign in (1.0, -1.0):
         for target in direction:
             c, s = _quotient(target, direction[0], sign)
             plane = np.array([[c, -sign * s], [s, sign * c]])
             permutation = _permutation(direction, plane)
             if permutation is not None:
                 found.append(_symmetry(permutation, plane))
-    return found or [_symmetry(np.eye(len(direction)), np.eye(2))]
+    return found
 
 
 def reflected(samples: Equilibria, operations: list[Symmetry]) -> Equilibria:

@@ -5,6 +5,7 @@ import torch
 from torch import Tensor
 
 from softrl.artifacts.reduced_model import ReducedModel
+from softrl.pod.potential import PIVOT
 from softrl.pod.rom import tables_of
 
 NEWTON = 30
@@ -33,6 +34,8 @@ class TorchRom(torch.nn.Module):
     mass_root: Tensor
     stiffness_root: Tensor
     lag_root: Tensor
+    mass_slope: Tensor
+    elastic: Tensor
     degrees: Tensor
     quadratic: Tensor
 
@@ -48,16 +51,19 @@ class TorchRom(torch.nn.Module):
         super().__init__()
         tables = tables_of(model, gravity_m_s2, youngs_modulus_scale, damping_scale, mass_scale)
         self.order = r = model.order
-        for name in ("frame", "inverse", "gradient", "mass_root", "stiffness_root", "lag_root", "degrees", "quadratic"):
+        for name in (
+            "frame", "inverse", "gradient", "mass_root", "stiffness_root", "lag_root", "mass_slope", "degrees", "quadratic"
+        ):  # fmt: skip
             self.register_buffer(name, torch.tensor(getattr(tables, name), dtype=dtype))
         pairs = np.zeros((r, r), dtype=int)
         pairs[np.triu_indices(r)] = np.arange(r * (r + 1) // 2)
         pairs = pairs + np.triu(pairs, 1).T
-        self.register_buffer("hessian", torch.tensor(tables.hessian[pairs.ravel()], dtype=dtype))
+        for name in ("hessian", "elastic"):
+            self.register_buffer(name, torch.tensor(getattr(tables, name)[pairs.ravel()], dtype=dtype))
         scales = [float(scale) for scale in tables.scales]
         self.mass_scale, self.mass_damping, self.stiffness_damping, self.wall, self.lag_time = scales[:5]
-        self._roots = max(root.shape[1] for root in (tables.mass_root, tables.stiffness_root, tables.lag_root))
-        most = max(tables.gradient.shape[1], self._roots)
+        roots = (tables.mass_root, tables.stiffness_root, tables.lag_root)
+        most = max(tables.gradient.shape[1], tables.elastic.shape[1], *(root.shape[1] for root in roots))
         self._levels: list[tuple[Tensor, Tensor]] = []
         for degree in range(1, int(tables.degrees[most - 1]) + 1):
             level = np.flatnonzero(tables.degrees == degree)
@@ -67,15 +73,16 @@ class TorchRom(torch.nn.Module):
     def residual(
         self, z: Tensor, velocity: Tensor, acceleration: Tensor, load: Tensor, lag: Tensor | None = None
     ) -> Tensor:
-        """Return M a + D v + dW/dz - weight - load, (B, n + 3) Pa and N; zero along a motion.
+        """Return M a + M' v - grad(v'M v) / 2 + D v + dW/dz - weight - load, (B, n + 3) Pa and N; zero along a motion.
 
         Without ``lag``, the lagged rate (B, n + 3), the body's inside is taken to keep up, as in a slow motion.
         """
         y, rate, change = z @ self.inverse.T, velocity @ self.inverse.T, acceleration @ self.inverse.T
-        mass, damping, loose = self._operators(y)
+        mass, turning = self._inertia(y, rate)
+        stiff, loose = self._viscosity(y)
         late = rate if lag is None else lag @ self.inverse.T
-        viscous = _times(damping, rate) + self.stiffness_damping * _times(loose, late)
-        inside = _times(self.mass_scale * mass, change) + viscous + self._slope(y)
+        viscous = self.stiffness_damping * (_times(stiff, rate) + _times(loose, late)) + _times(self.mass_damping * mass, rate)
+        inside = _times(self.mass_scale * mass, change) - self.mass_scale * turning + viscous + self._slope(y)
         return inside @ self.inverse - load
 
     def step(
@@ -86,10 +93,11 @@ class TorchRom(torch.nn.Module):
         The iteration runs outside the graph; a last Newton step from its end carries the exact first derivatives.
         """
         start, rate, late = z @ self.inverse.T, velocity @ self.inverse.T, lag @ self.inverse.T
-        mass, damping, loose = self._operators(start)
+        mass, turning = self._inertia(start, rate)
+        stiff, loose = self._viscosity(start + 0.5 * dt_s * rate)
         hold = self.lag_time / (self.lag_time + dt_s)
-        force = load @ self.frame - self.stiffness_damping * hold * _times(loose, late)
-        damping = damping + self.stiffness_damping * (1.0 - hold) * loose
+        force = load @ self.frame + self.mass_scale * turning - self.stiffness_damping * hold * _times(loose, late)
+        damping = self.mass_damping * mass + self.stiffness_damping * (stiff + (1.0 - hold) * loose)
         free = self.mass_scale * mass / dt_s**2
         inertia = free + damping / dt_s
         right = _times(free, start + dt_s * rate) + _times(damping, start) / dt_s + force
@@ -100,15 +108,13 @@ class TorchRom(torch.nn.Module):
         y = y - torch.linalg.solve(jacobian, left.unsqueeze(-1)).squeeze(-1)
         moved = (y - start) / dt_s
         late = hold * late + (1.0 - hold) * moved
-        later, _, tighter = self._operators(y)
-        before, after = (moved * _times(mass, moved)).sum(1), (moved * _times(later, moved)).sum(1)
-        still = after <= 0.0
-        ratio = torch.where(still, torch.ones_like(after), before / torch.where(still, torch.ones_like(after), after))
-        stored, held = (late * _times(loose, late)).sum(1), (late * _times(tighter, late)).sum(1)
-        more = held > stored
-        loss = torch.where(more, stored, torch.ones_like(held)) / torch.where(more, held, torch.ones_like(held))
-        late = late * torch.where(more, loss, torch.ones_like(loss)).clamp(min=1e-30).sqrt().unsqueeze(1)
-        return y @ self.frame.T, (moved * ratio.sqrt().unsqueeze(1)) @ self.frame.T, late @ self.frame.T
+        later, _ = self._inertia(y, moved)
+        spared = _dot(moved, _times(mass, moved)) - 2.0 * dt_s * _dot(turning, moved)
+        moved = moved * _root_ratio(spared.clamp(min=0.0), _dot(moved, _times(later, moved)))
+        _, tighter = self._viscosity(y + 0.5 * dt_s * moved)
+        stored, held = _dot(late, _times(loose, late)), _dot(late, _times(tighter, late))
+        late = late * _root_ratio(torch.minimum(stored, held), held)
+        return y @ self.frame.T, moved @ self.frame.T, late @ self.frame.T
 
     def _solve(self, y: Tensor, inertia: Tensor, right: Tensor) -> Tensor:
         """Return the solution of the implicit step, by Newton with halved steps where the slope along them turns."""
@@ -179,15 +185,46 @@ class TorchRom(torch.nn.Module):
         bending = bending + 6.0 * self.wall * beyond
         return inner + cross + cross.transpose(1, 2) + (bending - along) * outer + along * identity
 
-    def _operators(self, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return mass at scale 1, damping without what lags, and the viscosity that lags (B, r, r) in y."""
+    def _inertia(self, y: Tensor, rate: Tensor) -> tuple[Tensor, Tensor]:
+        """Return mass (B, r, r) in y, and the force (B, r) of inertia at constant ``rate``, both at scale 1."""
+        u, radius = self._ball(y)
+        values, r = self._monomials(u, self.mass_root.shape[1]), self.order
+        root = (values @ self.mass_root.T).reshape(-1, r, r)
+        slope = (values[:, : self.mass_slope.shape[1]] @ self.mass_slope.T).reshape(-1, r, r, r)  # by, row, column
+
+        def tangent(x: Tensor) -> Tensor:
+            return torch.where(radius > 1.0, x - u * _dot(u, x).unsqueeze(1), x) / radius
+
+        moved, turned = _times(root, rate), torch.einsum("bjai,bi->bja", slope, rate)
+        along = tangent(rate)
+        changed = torch.einsum("bja,bj->ba", turned, along)
+        force = tangent(_times(turned, moved))
+        force = force - torch.einsum("bjai,bj,ba->bi", slope, along, moved) - _times(root.transpose(1, 2), changed)
+        return root.transpose(1, 2) @ root, force
+
+    def _viscosity(self, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Return viscosity without what lags, and what lags (B, r, r) in y."""
         u, _ = self._ball(y)
-        values = self._monomials(u, self._roots)
-        mass, stiffness, loose = (
-            _square((values[:, : root.shape[1]] @ root.T).reshape(-1, self.order, self.order))
-            for root in (self.mass_root, self.stiffness_root, self.lag_root)
+        roots = self.stiffness_root, self.lag_root
+        values = self._monomials(u, max(self.elastic.shape[1], *(root.shape[1] for root in roots)))
+        behind = self._elastic_factor(values).transpose(1, 2)
+        stiff, loose = (
+            _square((values[:, : root.shape[1]] @ root.T).reshape(-1, self.order, self.order) @ behind) for root in roots
         )
-        return mass, self.mass_damping * mass + self.stiffness_damping * stiffness, loose
+        return stiff, loose
+
+    def _elastic_factor(self, values: Tensor) -> Tensor:
+        """Return U (B, r, r) of ``pod.potential.fill_elastic_factor``."""
+        r = self.order
+        hessian = (values[:, : self.elastic.shape[1]] @ self.elastic.T).reshape(-1, r, r)
+        columns: dict[int, Tensor] = {}
+        for j in range(r - 1, -1, -1):
+            column = hessian[:, : j + 1, j]
+            for k in range(j + 1, r):
+                column = column - columns[k][:, : j + 1] * columns[k][:, j : j + 1]
+            pivot = column[:, j : j + 1].clamp(min=PIVOT * float(self.elastic[j * r + j, 0])).sqrt()
+            columns[j] = torch.cat([column[:, :j] / pivot, pivot, torch.zeros_like(hessian[:, j + 1 :, j])], dim=1)
+        return torch.stack([columns[j] for j in range(r)], dim=2)
 
 
 def _ray(degree: Tensor, radius: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -198,6 +235,17 @@ def _ray(degree: Tensor, radius: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 def _times(matrix: Tensor, vector: Tensor) -> Tensor:
     return (matrix @ vector.unsqueeze(-1)).squeeze(-1)
+
+
+def _dot(left: Tensor, right: Tensor) -> Tensor:
+    return (left * right).sum(1)
+
+
+def _root_ratio(goal: Tensor, now: Tensor) -> Tensor:
+    """Return the factors (B, 1) whose squares bring ``now`` to ``goal``; 1 where there is nothing to scale."""
+    still = now <= 0.0
+    ratio = torch.where(still, torch.ones_like(now), goal) / torch.where(still, torch.ones_like(now), now)
+    return ratio.clamp(min=1e-30).sqrt().unsqueeze(1)
 
 
 def _square(root: Tensor) -> Tensor:

@@ -1,10 +1,11 @@
 """How good the data are before anything is concluded: sampling, clipping, excitation, noise floor."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from softrl.recordings.frame import axis_vector
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.robots.robot import Robot
 
@@ -12,6 +13,7 @@ GAP_PERIODS = 5.0  # a pause of more than this many median periods is a gap
 HOLD_S = 1.0  # a command unchanged for twice this long ends in a window of this length at rest
 EXCITED_SHARE = 0.02  # a chamber that moves less than this share of the pressure range is not excited
 CLIPPED_SHARE = 0.02  # this share of samples at one extreme value is clipping, unless the command holds there
+REST_SHARE = 0.3  # a tip at rest this share of a length away from its place is told in another frame
 JUMP_RAD = 0.5  # an orientation that turns farther than this between samples has jumped
 
 
@@ -83,8 +85,7 @@ def check_run(recording: Recording, robot: Robot) -> RunCheck:
     period = float(np.median(step))
     pauses = np.flatnonzero(step > GAP_PERIODS * period)
     gaps = tuple((float(recording.time[k]), float(step[k])) for k in pauses)
-    span = robot.pressure_max_pa - robot.pressure_min_pa
-    excited = tuple(np.flatnonzero(np.ptp(recording.pressure_cmd, axis=0) > EXCITED_SHARE * span).tolist())
+    excited = driven([recording], robot)
     windows = list(_hold_windows(recording))
     noise = {channel: _noise(values, windows) for channel, values in _sensed(recording)}
     held = {channel: _held_share(recording, values) for channel, values in _sensed(recording)}
@@ -94,6 +95,7 @@ def check_run(recording: Recording, robot: Robot) -> RunCheck:
         *_held_warnings(held),
         *_clipping_warnings(recording),
         *_jump_warnings(recording),
+        *_frame_warnings(recording, robot),
     )
     return RunCheck(
         recording.name,
@@ -108,6 +110,13 @@ def check_run(recording: Recording, robot: Robot) -> RunCheck:
         held,
         warnings,
     )
+
+
+def driven(runs: Sequence[Recording], robot: Robot) -> tuple[int, ...]:
+    """Return the chambers whose command moves by more than ``EXCITED_SHARE`` of the robot's range in any run."""
+    span = robot.pressure_max_pa - robot.pressure_min_pa
+    moved: np.ndarray = np.max([np.ptp(run.pressure_cmd, axis=0) for run in runs], axis=0)
+    return tuple(np.flatnonzero(moved > EXCITED_SHARE * span).tolist())
 
 
 def _sensed(recording: Recording) -> Iterator[tuple[str, np.ndarray]]:
@@ -208,3 +217,21 @@ def _jump_warnings(recording: Recording) -> Iterator[str]:
             f"the orientation jumps {len(jumps)} times, first at t = {recording.time[jumps[0] + 1]:.2f} s: "
             "a marker body was mistaken for its mirror; do not trust the quaternion"
         )
+
+
+def _frame_warnings(recording: Recording, robot: Robot) -> Iterator[str]:
+    """Yield a warning if the tip at rest is not one length along the robot's axis from the origin."""
+    span = robot.pressure_max_pa - robot.pressure_min_pa
+    still = np.all(np.abs(recording.pressure_cmd) < EXCITED_SHARE * span, axis=1)
+    if recording.position is None or not still.any():
+        return
+    rest, expected = np.median(recording.position[still], axis=0), robot.length_m * axis_vector(robot.axis)
+    if np.linalg.norm(rest - expected) > REST_SHARE * robot.length_m:
+        yield (
+            f"under no pressure the tip is at {_in_mm(rest)} mm; expected about {_in_mm(expected)} mm, one length along "
+            f"{robot.axis} from the base: move the origin to the base, or correct robot.length_m or the session's axis"
+        )
+
+
+def _in_mm(point: np.ndarray) -> str:
+    return "(" + ", ".join(f"{1e3 * value + 0.0:.0f}" for value in point) + ")"

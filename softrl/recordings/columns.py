@@ -1,5 +1,6 @@
 """The columns a recording file may have, and which array each of them belongs to."""
 
+import difflib
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +16,7 @@ EXPECTED = (
 
 # pattern -> (channel key, index within the channel, SI unit or "" for none)
 _PATTERNS: tuple[tuple[str, str, str], ...] = (
-    (r"time_(?P<unit>s|ms)", "time", "s"),
+    (r"time_(?P<unit>[a-z]+)", "time", "s"),
     (r"p(?P<number>\d+)_cmd_(?P<unit>[a-z]+)", "pressure_cmd", "Pa"),
     (r"p(?P<number>\d+)_meas_(?P<unit>[a-z]+)", "pressure_meas", "Pa"),
     (r"tip_(?P<xyz>[xyz])_(?P<unit>[a-z]+)", "position", "m"),
@@ -52,7 +53,7 @@ def match_columns(header: list[str], robot: Robot | None, path: Path) -> Columns
     """
     found = Columns()
     for number, name in enumerate(header):
-        channel, component, factor = _match(name, robot, path)
+        channel, component, factor = _match(name, number, robot, path)
         if channel.startswith("marker") and channel not in found.markers:
             found.markers.append(channel)
         place = found.channels.setdefault(channel, {})
@@ -63,7 +64,7 @@ def match_columns(header: list[str], robot: Robot | None, path: Path) -> Columns
     return found
 
 
-def _match(name: str, robot: Robot | None, path: Path) -> tuple[str, int, float]:
+def _match(name: str, number: int, robot: Robot | None, path: Path) -> tuple[str, int, float]:
     for pattern, channel, unit in _PATTERNS:
         hit = re.fullmatch(pattern, name)
         if hit is None:
@@ -78,7 +79,20 @@ def _match(name: str, robot: Robot | None, path: Path) -> tuple[str, int, float]
     hint = ""
     if re.fullmatch(r"[a-z_]+\d*_cmd", name) and robot is not None:
         hint = f"; robot.command={robot.command} of {robot.name}: set it to '{name[:-4]}' if this is its command"
-    raise RecordingError(f"{path}, line 1: unknown column '{name}'; expected {EXPECTED}{hint}")
+    usual = _names(robot)
+    near = [n for n in usual if n.startswith(f"{name.lower()}_")] or difflib.get_close_matches(name.lower(), usual, n=1)
+    if not hint and near:
+        hint = f"; did you mean '{near[0]}'?"
+    raise RecordingError(f"{path}, line 1, column {number + 1}: unknown column '{name}'; expected {EXPECTED}{hint}")
+
+
+def _names(robot: Robot | None) -> list[str]:
+    """Return the usual names of columns, to guess which one was meant."""
+    chambers = range(1, 1 + (robot.chambers if robot is not None else 3))
+    return [
+        "time_s", *(f"p{i}_{kind}_kpa" for i in chambers for kind in ("cmd", "meas")), *(f"tip_{i}_mm" for i in "xyz"),
+        *(f"tip_q{i}" for i in "wxyz"), "bend_angle_deg", *(f"force_{i}_n" for i in "xyz"), "temp_c",
+    ]  # fmt: skip
 
 
 def _component(parts: dict[str, str]) -> int:

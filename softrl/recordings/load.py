@@ -57,7 +57,7 @@ def _dataset(folder: Path) -> tuple[dict[str, Any], list[Session]]:
         raise RecordingError(f"{folder} is no folder; expected a dataset folder with {DATASET} and one CSV a run")
     if not path.is_file():
         raise RecordingError(f"{path} is missing; expected a file with at least the line 'robot: <name>'")
-    text = path.read_text()
+    text = _text(path)
     try:
         # plain strings for names: YAML would turn a run called 2020_0908 into the number 20200908
         names, typed = yaml.load(text, Loader=yaml.BaseLoader), yaml.safe_load(text)
@@ -116,11 +116,21 @@ def _read_run(path: Path, name: str, session: Session, robot: Robot | None) -> R
     return Recording(name=name, session=session.name, markers=markers, **arrays)
 
 
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise RecordingError(
+            f"{path}: byte {error.start} is no UTF-8; expected a text file: save it as CSV or YAML in UTF-8"
+        ) from error
+
+
 def _table(path: Path) -> tuple[list[str], np.ndarray]:
-    lines = path.read_text(encoding="utf-8-sig").splitlines()
+    lines = _text(path).splitlines()
     if not lines or not lines[0].strip():
         raise RecordingError(f"{path} is empty; expected a header line and one line a sample")
-    header = [cell.strip() for cell in lines[0].split(",")]
+    header = [cell.strip().strip('"') for cell in lines[0].split(",")]
+    _require_commas(path, lines)
     samples = sum(bool(line.strip()) for line in lines[1:])
     if samples < 2:
         raise RecordingError(f"{path} holds {samples} samples; expected at least 2")
@@ -131,13 +141,28 @@ def _table(path: Path) -> tuple[list[str], np.ndarray]:
         raise RecordingError(_bad_cell(path, header, lines)) from error
 
 
+def _require_commas(path: Path, lines: list[str]) -> None:
+    for sign, name in ((";", "semicolons"), ("\t", "tabs")):
+        if sign in lines[0]:
+            decimals = ", and points in decimals" if any("," in line for line in lines[1:]) else ""
+            raise RecordingError(
+                f"{path}, line 1: columns are separated by {name} ('{lines[0][:40]}'); expected commas{decimals}: "
+                "save it as comma-separated values"
+            )
+
+
 def _require_equal_width(path: Path, header: list[str], lines: list[str]) -> None:
     for number, line in enumerate(lines[1:], start=2):
         width = line.count(",") + 1
-        if width != len(header) and line.strip():
-            raise RecordingError(
-                f"{path}, line {number}: {width} values for {len(header)} columns; add or remove values"
-            )
+        if width == len(header) or not line.strip():
+            continue
+        cure = "add or remove values"
+        if width > len(header) and "." not in line:
+            cure = "are decimals written with a comma? write them with a point"
+        raise RecordingError(
+            f"{path}, line {number}: {width} values for {len(header)} columns ('{line[:40]}'); expected "
+            f"{len(header)}: {cure}"
+        )
 
 
 def _bad_cell(path: Path, header: list[str], lines: list[str]) -> str:
@@ -148,7 +173,7 @@ def _bad_cell(path: Path, header: list[str], lines: list[str]) -> str:
                 float(cell)
             except ValueError:
                 where = f"{path}, line {number}, column '{column}'"
-                return f"{where}: '{cell.strip()}' is no number; correct or drop the row"
+                return f"{where}: '{cell.strip()}' is no number; expected one such as -1.5; correct or drop the row"
     return f"{path} cannot be read as comma-separated numbers; expected a header line and one line a sample"
 
 

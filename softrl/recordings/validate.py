@@ -13,6 +13,8 @@ REACH_LENGTHS = 5.0  # a tip farther from the base than this many lengths is in 
 TINY_SHARE = 5e-3  # a command that never reaches this share of the limit is in another unit
 MEASURED_MARGIN = 0.25  # measured pressures may pass the limits by this share of the range: offsets, overshoot
 SLOWEST_PERIOD_S = 5.0  # a slower median sampling period means that time is in another unit
+FASTEST_PERIOD_S = 5e-5  # and so does a faster one: nothing that air moves is recorded at 20 kHz
+LARGEST_BEND_RAD = 6.0 * np.pi  # a backbone that is coiled three times round
 
 
 def require_values(path: Path, header: list[str], table: np.ndarray, columns: Columns, robot: Robot | None) -> None:
@@ -23,6 +25,10 @@ def require_values(path: Path, header: list[str], table: np.ndarray, columns: Co
     if robot is not None:
         _require_pressure(path, header, table, columns, robot)
         _require_reach(path, header, table, columns, robot)
+        _require_size(path, header, table, columns, "tip_force", "N", UNIT_RATIO * robot.tip_force_max_n)
+        for marker in columns.markers:
+            _require_size(path, header, table, columns, marker, "m", REACH_LENGTHS * robot.length_m)
+    _require_size(path, header, table, columns, "bend_angle", "rad", LARGEST_BEND_RAD)
 
 
 def _line(row: int) -> int:
@@ -50,10 +56,11 @@ def _require_increasing(path: Path, header: list[str], table: np.ndarray, column
             f"{time[row - 1]:g} of the line before; expected increasing time; sort the rows and drop repeated ones"
         )
     period = float(np.median(step)) * factor
-    if not 1e-6 <= period <= SLOWEST_PERIOD_S:
+    if not FASTEST_PERIOD_S <= period <= SLOWEST_PERIOD_S:
+        other = "time_ms" if period > SLOWEST_PERIOD_S else "time_s"
         raise RecordingError(
-            f"{path}, column '{header[number]}': the median sampling period is {period:g} s; "
-            f"expected 1e-6 to {SLOWEST_PERIOD_S:g} s; is the column in another unit (time_ms)?"
+            f"{path}, column '{header[number]}': the median sampling period is {period:g} s; expected "
+            f"{FASTEST_PERIOD_S:g} to {SLOWEST_PERIOD_S:g} s; is the column in another unit ({other})?"
         )
 
 
@@ -74,13 +81,13 @@ def _require_unit_quaternion(path: Path, header: list[str], table: np.ndarray, c
 def _require_pressure(path: Path, header: list[str], table: np.ndarray, columns: Columns, robot: Robot) -> None:
     low, high = robot.pressure_min_pa, robot.pressure_max_pa
     limit = max(abs(low), abs(high))
-    tiny = True
+    largest = dict.fromkeys(("pressure_cmd", "pressure_meas"), 0.0)
     for channel, margin in (("pressure_cmd", 1e-3), ("pressure_meas", MEASURED_MARGIN)):
         for number, factor in columns.channels.get(channel, {}).values():
             pressure = table[:, number] * factor
             slack = margin * (high - low)
             outside = (pressure < low - slack) | (pressure > high + slack)
-            tiny = tiny and (channel != "pressure_cmd" or np.abs(pressure).max() < TINY_SHARE * limit)
+            largest[channel] = max(largest[channel], float(np.abs(pressure).max()))
             if not outside.any():
                 continue
             row = int(np.argmax(outside))
@@ -93,13 +100,29 @@ def _require_pressure(path: Path, header: list[str], table: np.ndarray, columns:
                 f"{path}, line {_line(row)}, column '{header[number]}': {table[row, number]:g} is "
                 f"{pressure[row]:g} Pa; expected {low:g} to {high:g} Pa for robot {robot.name}; {what}"
             )
-    names = [header[number] for number, _ in columns.channels["pressure_cmd"].values()]
-    used = table[:, [header.index(name) for name in names]]
-    if tiny and np.abs(used).max() > 0.0:
-        raise RecordingError(
-            f"{path}, column '{names[0]}': no command exceeds {np.abs(used).max():g}, under {TINY_SHARE:.1%} of "
-            f"the limit {limit:g} Pa of robot {robot.name}; is the column in another unit?"
-        )
+    commanded = largest["pressure_cmd"]
+    for channel, found in largest.items():
+        # pressures that stay at zero are no matter of units, nor are measured ones where nothing was asked for
+        if 0.0 < found < TINY_SHARE * limit and (channel == "pressure_cmd" or commanded > 20.0 * found):
+            name = header[columns.channels[channel][0][0]]
+            raise RecordingError(
+                f"{path}, column '{name}': no {channel} exceeds {found:g} Pa, under {TINY_SHARE:.1%} of the limit "
+                f"{limit:g} Pa of robot {robot.name}; is the column in another unit?"
+            )
+
+
+def _require_size(
+    path: Path, header: list[str], table: np.ndarray, columns: Columns, channel: str, unit: str, largest: float
+) -> None:
+    """Refuse values of a channel that only another unit explains."""
+    for number, factor in columns.channels.get(channel, {}).values():
+        size = np.abs(table[:, number] * factor)
+        row = int(np.argmax(size))
+        if size[row] > largest:
+            raise RecordingError(
+                f"{path}, line {_line(row)}, column '{header[number]}': {table[row, number]:g} is "
+                f"{size[row]:g} {unit}; expected at most {largest:g} {unit}; is the column in another unit?"
+            )
 
 
 def _require_reach(path: Path, header: list[str], table: np.ndarray, columns: Columns, robot: Robot) -> None:

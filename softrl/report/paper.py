@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 ENOUGH_SEEDS = 5
+FULL_SIZE = "paper"  # the profile that the rows are meant for
 
 
 class Row(NamedTuple):
@@ -31,7 +32,6 @@ class Row(NamedTuple):
     missing: str = ""
 
 
-ON_THE_RIG = "rolled out on the driver only where the stage sim2real does that task"
 ROWS = (
     Row("1", "f_RS, pressure", "kPa", 0.13, 0.05, "calibration", "heldout/pressure_map_rms_kpa"),
     Row("1", "f_RS, pressure, identity for comparison", "kPa", None, None, "calibration",
@@ -57,9 +57,9 @@ ROWS = (
     Row("2", "simulation, hybrid task, force", "N", 0.55, 0.1, "rl:hybrid", "heldout/circle_force_error_n"),
     Row("2", "rig, circle", "mm", 3.38, 0.45, "sim2real", "circle_mm"),
     Row("2", "rig, star", "mm", 6.79, 0.45, "sim2real", "star_mm"),
-    Row("2", "rig, force task, position", "mm", 4.68, 0.75, "sim2real:force", "force_sine_mm", ON_THE_RIG),
-    Row("2", "rig, hybrid task, position", "mm", 4.20, 0.9, "sim2real:hybrid", "circle_mm", ON_THE_RIG),
-    Row("2", "rig, hybrid task, force", "N", 0.70, 0.15, "sim2real:hybrid", "circle_force_n", ON_THE_RIG),
+    Row("2", "rig, force task, position", "mm", 4.68, 0.75, "sim2real:force", "force_sine_mm"),
+    Row("2", "rig, hybrid task, position", "mm", 4.20, 0.9, "sim2real:hybrid", "hybrid_circle_mm"),
+    Row("2", "rig, hybrid task, force", "N", 0.70, 0.15, "sim2real:hybrid", "hybrid_circle_force_n"),
     Row("7.4", "simulation, unseen 3-D figure-eight", "mm", 5.34, 0.3, "rl:track", "heldout/figure_eight_position_rmse_mm"),
     Row("7.4", "rig, unseen 3-D figure-eight", "mm", None, 0.45, "sim2real", "figure_eight_mm"),
     Row("7.4", "recovery after a cut air line", "s", 5.0, 2.0, "sim2real", "recovery_s",
@@ -94,20 +94,28 @@ def collect(results: Mapping[str, Sequence[Mapping[str, float]]], why_not: Mappi
         if not found:
             reason = why_not.get(row.run) or row.missing or f"{row.metric} was not measured by {row.run}"
             entry["reason"] = reason
-        elif len(found) < ENOUGH_SEEDS:
-            entry["reason"] = f"{len(found)} of {ENOUGH_SEEDS} seeds"
+        elif shortfall := _shortfall(len(found), profile):
+            entry["reason"] = shortfall
         rows.append(entry)
     return rows
 
 
+def _shortfall(seeds: int, profile: str) -> str:
+    """Return what a row lacks to stand beside the paper's; nothing if it is of full size and seeds."""
+    lacks = [f"reduced sizes (profile={profile})"] if profile != FULL_SIZE else []
+    lacks += [f"{seeds} of {ENOUGH_SEEDS} seeds"] if seeds < ENOUGH_SEEDS else []
+    return ", ".join(lacks)
+
+
 def table_of(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return the rows as a Markdown table."""
-    lines = ["| table | row | paper | ours | seeds | goal | unit |", "|---|---|---|---|---|---|---|"]
+    lines = ["| table | row | paper | ours | seeds | goal | unit | note |", "|---|---|---|---|---|---|---|---|"]
     for row in rows:
         ours = "not measured" if row["ours_mean"] is None else f"{row['ours_mean']:.4g}"
         spread = "" if row["ours_std"] is None else f" ± {row['ours_std']:.2g}"
         paper, goal = ("-" if row[key] is None else f"{row[key]:g}" for key in ("paper", "goal"))
         lines.append(
-            f"| {row['table']} | {row['row']} | {paper} | {ours}{spread} | {row['seeds']} | {goal} | {row['unit']} |"
+            f"| {row['table']} | {row['row']} | {paper} | {ours}{spread} | {row['seeds']} | {goal} | {row['unit']} "
+            f"| {row.get('reason', '')} |"
         )
     return "\n".join(lines) + "\n"

@@ -1,9 +1,10 @@
 """The table of results at the end of a command."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 HIDDEN = ("train/", "loss/")
+MOST_COLUMNS = 6  # of a sweep's table
 # after the whole loop a stage shows these only; its result.json and its page hold all
 HEADLINES = {
     "mesh": ("nodes_count", "volume_cm3", "min_dihedral_deg"),
@@ -46,6 +47,27 @@ def table(finished: Sequence[Any]) -> str:
     report = finished[-1].folder / "report.html"
     if report.is_file():
         lines.append(f"report: {report}")
+    return "\n".join(lines)
+
+
+def sweep_table(stage: str, points: Sequence[tuple[str, str, Mapping[str, float]]]) -> str:
+    """Return a line a point: what sets it apart, its run, and the stage's main numbers.
+
+    Parameters
+    ----------
+    points : (overrides separated by blanks, run id, metrics)
+    """
+    words = [point[0].split() for point in points]
+    shared = set.intersection(*map(set, words))
+    labels = [" ".join(word for word in own if word not in shared) or "-" for own in words]
+    names = [name for name in points[0][2] if not name.startswith(HIDDEN)]
+    names = [name for name in HEADLINES.get(stage, tuple(names)) if any(name in m for _, _, m in points)][:MOST_COLUMNS]
+    width = max(map(len, [*labels, "point"]))
+    lines = [f"[{number}] {name}" for number, name in enumerate(names, start=1)]
+    lines.append(f"{'point':<{width}}  {'run':<8}" + "".join(f"{f'[{k + 1}]':>12}" for k in range(len(names))))
+    for label, (_, run_id, metrics) in zip(labels, points, strict=True):
+        cells = "".join(f"{metrics[n]:>12.5g}" if n in metrics else f"{'-':>12}" for n in names)
+        lines.append(f"{label:<{width}}  {run_id[:8]}{cells}")
     return "\n".join(lines)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softrl.calibration.material_fit import LAWS, best_fit, fit_materials, nominal_stress
+from softrl.calibration.material_fit import LAWS, best_fit, fit_materials, in_words, nominal_stress
 from softrl.calibration.tensile import TensileCurve, read_tensile
 from softrl.core.errors import ConfigError, RecordingError
 
@@ -127,3 +127,14 @@ def test_real_elastomers_stiffen_beyond_neo_hookean(stretch_max: float) -> None:
         assert fits["yeoh"].heldout_rms_pa < 0.75 * fits["neo_hookean"].heldout_rms_pa, path.name
         assert fits["yeoh"].stable, path.name
         assert 10e3 < best_fit(list(fits.values())).initial_youngs_modulus_pa < 5e6, path.name
+
+
+@pytest.mark.parametrize(
+    ("rise", "found"), [(0.0, "suffices"), (0.05, "strain stiffening"), (-0.02, "softening with strain")]
+)
+def test_what_a_plain_law_misses_is_said(rise: float, found: str) -> None:
+    stretch = np.linspace(1.0, 3.0, 200)
+    stress = nominal_stress("neo_hookean", {"mu_pa": 4e5}, stretch) * (1.0 + rise * (stretch - 1.0) ** 2)
+    noisy = stress + 2e3 * np.random.default_rng(0).standard_normal(200)
+    curve = TensileCurve(stretch, noisy)
+    assert found in in_words(curve, fit_materials(curve, 8))

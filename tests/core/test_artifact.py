@@ -58,5 +58,20 @@ def test_another_schema_or_kind_is_refused(sample: Sample, tmp_path: Path) -> No
 def test_pickled_objects_are_never_read(sample: Sample, tmp_path: Path) -> None:
     sample.save(tmp_path / "x")
     np.savez(tmp_path / "x" / "arrays.npz", table=np.array([{"evil": 1}], dtype=object))
-    with pytest.raises(ValueError, match="allow_pickle"):
+    with pytest.raises(ArtifactError, match=r"damaged Sample .*allow_pickle"):
+        Sample.load(tmp_path / "x")
+
+
+@pytest.mark.parametrize("damage", ["cut", "missing", "meta"])
+def test_a_damaged_artifact_is_told_in_one_line(damage: str, sample: Sample, tmp_path: Path) -> None:
+    sample.save(tmp_path / "x")
+    arrays, meta = tmp_path / "x/arrays.npz", tmp_path / "x" / META
+    if damage == "cut":
+        arrays.write_bytes(arrays.read_bytes()[:100])
+    elif damage == "missing":
+        np.savez(arrays, table=sample.table[:, 0])
+        meta.write_text(meta.read_text().replace('"names"', '"other"'))
+    else:
+        meta.write_text("{")
+    with pytest.raises(ArtifactError, match=r"holds a damaged Sample .*; rerun stage=fem"):
         Sample.load(tmp_path / "x")

@@ -14,8 +14,7 @@ class Parent:
     def __init__(self, stage: str, points: list[Point]) -> None:
         self.id, self.figures = "p", []
         self.run = SimpleNamespace(data=SimpleNamespace(tags={"softrl.stage": f"sweep:{stage}"}))
-        children = [SimpleNamespace(data=SimpleNamespace(params=p.params, metrics=p.metrics)) for p in points]
-        self.store = SimpleNamespace(children=lambda parent: children if parent == "p" else [])
+        self.runs = [SimpleNamespace(data=SimpleNamespace(params=p.params, metrics=p.metrics)) for p in points]
 
     def figure(self, name: str, figure: object) -> None:
         self.figures.append(name)
@@ -49,7 +48,7 @@ PHYSICS = [physics_point("0.0", "1"), physics_point("0.1", "10")]
 )
 def test_the_room_of_a_stage_draws(stage: str, points: list[Point], expected: list[str]) -> None:
     parent = Parent(stage, points)
-    sweep._draw(parent)
+    sweep._draw(parent, parent.runs)
     assert parent.figures == expected
 
 

@@ -41,3 +41,22 @@ def test_no_steps_no_sentence() -> None:
     wave = 1e3 * np.sin(time)[:, None]
     found = step_responses([Recording("run", "day", time, wave, wave)])
     assert found.steps == 0 and found.sentence() is None
+
+
+@pytest.mark.parametrize(
+    ("limited", "expected", "word"), [(False, 1.0, "much as with a lag"), (True, 4.0, "limited flow")]
+)
+def test_a_limited_rate_takes_longer_for_larger_steps_and_a_lag_does_not(
+    limited: bool, expected: float, word: str
+) -> None:
+    time = 0.02 * np.arange(1, 6001)
+    command = np.where((time // 5.0) % 2 == 1, np.where(time < 60.0, 20e3, 80e3), 0.0)
+    pressure = np.zeros_like(time)
+    for k in range(1, len(time)):
+        change = command[k] - pressure[k - 1]
+        step = np.clip(change, -40e3 * 0.02, 40e3 * 0.02) if limited else 0.05 * change
+        pressure[k] = pressure[k - 1] + step
+    found = step_responses([Recording("run", "day", time, command[:, None], pressure[:, None])])
+    assert found.pressure_fill_growth == pytest.approx(expected, rel=0.1)
+    assert found.pressure_vent_growth == pytest.approx(expected, rel=0.1)
+    assert word in str(found.sentence())

@@ -1,7 +1,6 @@
 """Truth told on recordings with known physics: what is there is named, what is not is not."""
 
 import json
-import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,6 @@ import pytest
 from scipy.signal import lfilter
 
 from softrl.artifacts.diagnosis import Diagnosis
-from softrl.core.config import build
 from softrl.core.errors import ConfigError, RecordingError
 from softrl.core.tracking import NullTracker
 from softrl.diagnosis.data import hold_out
@@ -19,13 +17,10 @@ from softrl.diagnosis.stage import run
 from softrl.effects.effect import Effect
 from softrl.effects.library import effect_class
 from softrl.pcc.simulator import PccSimulator
-from softrl.recordings.read import read
 from softrl.recordings.recording import Recording, RecordingSet
-from softrl.robots.robot import Robot
-from tests.diagnosis.conftest import configured, made, node
+from tests.diagnosis.conftest import configured, made
 
 FEW = ["lag", "viscoelasticity", "hysteresis", "payload"]
-DATA = Path(os.environ.get("SOFTRL_REAL_DATA", Path(__file__).resolve().parents[3] / "shared/data"))
 
 
 class Pages(NullTracker):
@@ -192,18 +187,3 @@ def test_physics_outside_the_candidates_is_unknown_not_a_false_name(body: PccSim
     found, _ = diagnose(body, made(other(body), seed=4, process=swaying))
     assert found.verdict == "unknown", found.sentences
     assert found.next_experiment is not None
-
-
-@pytest.mark.slow
-@pytest.mark.realdata
-@pytest.mark.skipif(not (DATA / "asu_smart_arm").is_dir(), reason="no real data")
-def test_real_arm_lags_at_the_valve_and_creeps_behind_it() -> None:
-    robot = build(node("robot/three_chamber_segment.yaml"), Robot, "robot")
-    simulator = PccSimulator(robot=robot, **node("simulator/pcc.yaml"))
-    found, _ = diagnose(simulator, read(DATA / "asu_smart_arm", robot))
-    named = {(effect["name"], effect["site"]) for effect in found.effects}
-    assert ("lag", "valve") in named
-    assert any(site == "body" for _, site in named)
-    held = found.errors_mm["heldout"]
-    assert held["corrected"] < 0.6 * min(held["nominal"], held["retuned"])
-    assert held["corrected"] < held["one_lag"]

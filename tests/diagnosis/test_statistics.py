@@ -10,11 +10,13 @@ from softrl.diagnosis.statistics import (
     correlation_time,
     follows,
     holm,
+    jackknife,
     left_out,
     phase_randomised,
     sandwich,
     slope_test,
     spectral_line,
+    unlike_noise,
     whiteness,
 )
 
@@ -131,10 +133,38 @@ def test_what_follows_the_drive_is_found_and_noise_with_a_memory_is_not() -> Non
 
 def test_a_line_in_the_spectrum_is_told_from_a_smooth_one() -> None:
     rng, clock = np.random.default_rng(11), 0.1 * np.arange(400)
-    alarms = sum(spectral_line([coloured(rng, 400, m)[:, None]]) < 1e-8 for m in (0.0, 0.5, 0.9) for _ in range(50))
-    assert alarms == 0
-    line = np.sin(2.0 * np.pi * 0.5 * clock) + 0.3 * coloured(rng, 400, 0.5)
-    assert spectral_line([line[:, None]]) < 1e-8
+    still = [np.zeros((400, 1))]
+    smooth = [[coloured(rng, 400, m)[:, None]] for m in (0.0, 0.5, 0.9) for _ in range(50)]
+    assert not any(spectral_line(run, still) < 1e-8 for run in smooth)
+    swing = np.sin(2.0 * np.pi * 0.5 * clock)[:, None]
+    line = swing + 0.3 * coloured(rng, 400, 0.5)[:, None]
+    assert spectral_line([line], still) < 1e-8
+    assert spectral_line([line], [swing + 0.1 * coloured(rng, 400, 0.5)[:, None]]) > 1e-8, "the drive swings so itself"
+
+
+def test_noise_is_told_from_jumps_and_from_what_comes_with_motion() -> None:
+    rng = np.random.default_rng(13)
+    drive = np.repeat(rng.uniform(size=(20, 1)), 15, axis=0)
+    steps = np.diff(drive, axis=0, prepend=drive[:1])
+    alarms = sum(unlike_noise([coloured(rng, 300, 0.9)[:, None]], [drive], 100, rng) < 0.05 for _ in range(60))
+    assert alarms <= 8, f"{alarms} of 60 false alarms at 5 %"
+    noise = coloured(rng, 300, 0.9)[:, None]
+    jumped = noise + 8.0 * (np.arange(300) > 150)[:, None]
+    assert unlike_noise([jumped], [drive], 200, rng) < 0.02
+    late = np.asarray(lfilter([1.0], [1.0, -0.7], np.abs(steps[:, 0]) * rng.standard_normal(300)))[:, None]
+    assert unlike_noise([0.2 * noise + 20.0 * late], [drive], 200, rng) < 0.02
+
+
+def test_jackknife_sees_what_differs_between_runs() -> None:
+    rng, folds, hits, narrow = np.random.default_rng(14), np.repeat(np.arange(6), 100), 0, 0
+    for _ in range(200):
+        jacobian = rng.standard_normal((600, 1)) + 1.0
+        error = rng.standard_normal(600) + 0.5 * rng.standard_normal(6)[folds]
+        fitted = np.linalg.lstsq(jacobian, error, rcond=None)[0]
+        left = error - jacobian @ fitted
+        hits += abs(fitted[0]) < 2.015 * jackknife(jacobian, left, folds)[0]
+        narrow += abs(fitted[0]) < 1.645 * np.sqrt(sandwich(jacobian, left, np.arange(600))[0, 0])
+    assert 165 <= hits <= 195 and narrow < 140, f"90 % interval covered {hits} and {narrow} of 200"
 
 
 def test_random_phases_keep_the_spectra() -> None:

@@ -37,6 +37,7 @@ from softrl.effects.effect import (
     Effect,
 )
 from softrl.effects.failure import Failure
+from softrl.effects.flow_limit import FlowLimit
 from softrl.effects.frame import Frame
 from softrl.effects.friction import Friction
 from softrl.effects.gain import Gain
@@ -489,3 +490,13 @@ def test_marker_keeps_its_distance_and_turns_with_the_tip() -> None:
     expected = pose[:, :3] + Rotation.from_quat(pose[:, 3:], scalar_first=True).apply(offset)
     np.testing.assert_allclose(marked[:, :3], expected, atol=1e-12)
     np.testing.assert_array_equal(marked[:, 3:], pose[:, 3:])
+
+
+def test_flow_limit_fills_at_a_constant_rate_and_vents_in_proportion_to_the_pressure() -> None:
+    effect, low = FlowLimit(rise_per_s=0.5, vent_s=0.8), min(ROBOT.pressure_min_pa, 0.0)
+    supplied = signal(effect, np.vstack([step_to(FULL, 300), step_to(0.2 * FULL, 100)]))[:, 0]
+    np.testing.assert_allclose(np.diff(supplied[:190]), 0.5 * FULL * DT)
+    assert supplied[299] == FULL
+    falling = supplied[299:350]
+    np.testing.assert_allclose(falling - low, (FULL - low) * np.exp(-DT * np.arange(51) / 0.8))
+    np.testing.assert_allclose(supplied[-1], 0.2 * FULL)

@@ -8,8 +8,11 @@ import hydra
 import pytest
 from omegaconf import OmegaConf
 
+from softrl.artifacts.artifact import Artifact
+from softrl.assembly import _without_none, output_kinds
 from softrl.core.config import build, constructor_hints, target_class
 from softrl.pipeline import EXTRA, STAGES
+from softrl.recordings.recording import RecordingSet
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
 GROUPS = ("robot", "simulator", "task", "agent", "driver", "effect", "bench")
@@ -44,6 +47,18 @@ def test_option_composes_and_names_a_class_of_ours(option: str) -> None:
         if isinstance(value, dict) and "_target_" in value:
             keys = set(value) - {"_target_"}
             assert keys <= set(constructor_hints(target_class(value, option)))
+
+
+def test_help_tells_what_stages_take_and_make() -> None:
+    lines = OmegaConf.load(CONF / "hydra/help/softrl.yaml")._get_node("template")._value().splitlines()
+    told = {line.split()[0]: line for line in lines if line.strip()}
+    for stage in STAGES + EXTRA:
+        run = importlib.import_module(f"softrl.{stage}.stage").run
+        kinds = [_without_none(hint) for name, hint in typing.get_type_hints(run).items() if name != "return"]
+        taken = {f"({k.key()})" if optional else k.key() for k, optional in kinds
+                 if isinstance(k, type) and issubclass(k, Artifact) and not (k is RecordingSet and optional)}  # fmt: skip
+        made = {kind.key() for kind in output_kinds(run)}
+        assert sorted(told[stage].split()[1:]) == sorted([*(taken or "-"), *made]), stage
 
 
 @pytest.mark.parametrize("profile", ["tiny", "paper"])

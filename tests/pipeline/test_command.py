@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -38,6 +39,8 @@ def results(folder: Path) -> list[dict]:
         (["stage=pod"], "run stage=fem first"),
         (["stage=pod", "inputs.snapshots=run:0"], "run:0 is not in this tracking store"),
         (["stage=simulate", "simulator=pcc", "recordings=nowhere"], "nowhere is no folder"),
+        (["stage=mesh", "inputs.mehs=latest"], "snapshots (of stage=fem)"),
+        (["stage=mesh", "driver=nothing"], "'driver': rig_serial rig_udp"),
     ],
 )
 def test_a_mistake_is_one_line_and_status_2(tmp_path: Path, words: list[str], says: str) -> None:
@@ -50,7 +53,7 @@ def test_a_mistake_is_one_line_and_status_2(tmp_path: Path, words: list[str], sa
 
 def test_help_is_quick_to_say_what_one_can_do(tmp_path: Path) -> None:
     done = softrl(tmp_path, "--help")
-    assert done.returncode == 0 and "stage=diagnosis" in done.stdout
+    assert done.returncode == 0 and "stage=diagnosis" in done.stdout and "_rig" not in done.stdout
     loaded = subprocess.run(
         [sys.executable, "-X", "importtime", "-m", "softrl", "--help"],
         cwd=tmp_path,
@@ -72,14 +75,26 @@ def test_a_finished_run_is_reused_until_forced(tmp_path: Path) -> None:
     assert "reused" in second.stderr
 
 
+def test_out_gets_a_copy_and_no_other_folder_is_touched(tmp_path: Path) -> None:
+    for _ in range(2):  # made, then reused
+        done = softrl(tmp_path, "stage=mesh", "profile=tiny", "out=copy")
+        assert done.returncode == 0, done.stderr
+        assert (tmp_path / "copy/mesh/arrays.npz").is_file() and (tmp_path / "copy/result.json").is_file()
+        shutil.rmtree(tmp_path / "copy")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/notes.txt").write_text("mine")
+    assert "out=mine holds something else" in softrl(tmp_path, "stage=mesh", "profile=tiny", "out=mine").stderr
+
+
 def test_a_sweep_is_one_parent_with_a_child_per_point(tmp_path: Path) -> None:
     done = softrl(tmp_path, "-m", "stage=mesh", "profile=tiny", "seed=1,2", "force=true")
     assert done.returncode == 0, done.stderr
     store = Store(Location(None, str(tmp_path)))
     runs = store.client.search_runs([store.experiment])
+    assert done.stderr.count("point ") == 1 and "\nseed=1 " in done.stderr and "\nseed=2 " in done.stderr
     parents = [run for run in runs if run.data.tags["softrl.stage"] == "sweep:mesh"]
     assert len(parents) == 1 and parents[0].info.status == "FINISHED"
-    assert len(store.children(parents[0].info.run_id)) == 2
+    assert len(store.points(parents[0].info.run_id)) == 2
     assert parents[0].data.metrics  # the page shows a collapsed parent only
 
 

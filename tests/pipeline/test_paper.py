@@ -22,7 +22,7 @@ def test_rows_carry_mean_and_spread_or_a_reason() -> None:
     assert len(by_name) == len(ROWS)
     ours = by_name[("1", "f_SP, position")]
     assert ours["ours_mean"] == pytest.approx(0.2) and ours["ours_std"] == pytest.approx(0.2 / 2**0.5)
-    assert ours["seeds"] == 2 and ours["reason"] == "2 of 5 seeds" and ours["command"]
+    assert ours["seeds"] == 2 and ours["reason"] == "reduced sizes (profile=quick), 2 of 5 seeds" and ours["command"]
     assert by_name[("1", "f_S, position, one step")]["reason"] == "seed 1: it diverged"
     unmeasured = [row for row in found if row["ours_mean"] is None]
     assert all(row["seeds"] == 0 and row["ours_std"] is None and row["reason"] for row in unmeasured)
@@ -36,14 +36,16 @@ def settings(**changes: Any) -> dict[str, Any]:
         "tasks": ["hybrid", "track"],
         "rollouts": True,
         "benches": [],
+        "minutes": None,
         "keep": None,
     }
-    return {"stage": stage | changes, "inputs": {"snapshots": "run:given"}, "profile": {"name": "tiny"}}
+    return {"stage": stage | changes, "inputs": {"snapshots": "run:given"}, "profile": {"name": "tiny"}, "out": None}
 
 
 def test_seeds_share_a_body_and_a_failure_costs_its_own_rows_only(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
+    caplog.set_level("INFO")
     ran: list[tuple[str, str, dict[str, str]]] = []
 
     def run_stage(stage: str, cfg: list[str], folder: Path, made: dict[str, str]) -> Outcome:
@@ -55,16 +57,19 @@ def test_seeds_share_a_body_and_a_failure_costs_its_own_rows_only(
         )
 
     monkeypatch.setattr(paper, "run_stage", run_stage)
+    monkeypatch.setattr(paper, "finished_before", lambda stage, cfg, made: "old" if stage in ("mesh", "pod") else None)
     done = paper.run_paper(
         settings(), ["stage=paper", "profile=tiny", "stage.seeds=[0,1]", "seed=9"], tmp_path, lambda w: w
     )
     stages = [stage for stage, _, _ in ran]
     assert stages[:3] == ["mesh", "pod", "calibration"]  # the snapshots are given
-    assert stages.count("mesh") == 1 and stages.count("rl") == 4 and stages.count("sim2real") == 2
+    assert stages.count("mesh") == 1 and stages.count("rl") == 4 and stages.count("sim2real") == 4
+    assert "16 runs for seeds [0, 1], profile=tiny (reduced sizes" in caplog.text and "2 of them are there" in caplog.text
     assert all("seed=9" not in words and "stage.seeds" not in words for _, words, _ in ran)
-    policies = [made["policy"] for stage, _, made in ran if stage == "sim2real"]
-    tracked = [f"rl-{i + 1}" for i, (stage, words, _) in enumerate(ran) if stage == "rl" and "task=track" in words]
-    assert policies == [f"run:{run}" for run in tracked]
+    for task in ("track", "hybrid"):  # each rollout has the policy of its own task
+        policies = [made["policy"] for stage, words, made in ran if stage == "sim2real" and f"task={task}" in words]
+        learned = [f"rl-{i + 1}" for i, (stage, words, _) in enumerate(ran) if stage == "rl" and f"task={task}" in words]
+        assert policies == [f"run:{run}" for run in learned]
     rows = {row["row"]: row for row in json.loads((tmp_path / "paper.json").read_text())}
     assert rows["rig, circle"]["seeds"] == 2 and rows["f_S, position, one step"]["ours_mean"] is None
     assert len(done) == len(ran) - 1
@@ -73,3 +78,15 @@ def test_seeds_share_a_body_and_a_failure_costs_its_own_rows_only(
 def test_seeds_that_repeat_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"stage\.seeds"):
         paper.run_paper(settings(seeds=[1, 1]), [], tmp_path, lambda w: {})
+
+
+def test_nothing_is_run_on_a_failed_body(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    ran = []
+
+    def run_stage(stage: str, cfg: list[str], folder: Path, made: dict[str, str]) -> Outcome:
+        ran.append(stage)
+        raise SolverError("it diverged")
+
+    monkeypatch.setattr(paper, "run_stage", run_stage)
+    monkeypatch.setattr(paper, "finished_before", lambda stage, cfg, made: None)
+    assert paper.run_paper(settings(), [], tmp_path, lambda w: w) == [] and ran == ["mesh"]

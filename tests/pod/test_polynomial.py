@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrl.pod.polynomial import basis, count, degree_of
+from softrl.pod.polynomial import basis, count, degree_of, multinomials
 
 STEP = 1e-6
 
@@ -39,3 +39,9 @@ def test_lower_degrees_come_first() -> None:
     assert degree_of(6, count(6, 5)) == 5
     with pytest.raises(ValueError, match="fill no degree"):
         degree_of(6, 5)
+
+
+def test_multinomials_expand_a_power_of_a_sum() -> None:
+    point, table = np.array([[0.3, -1.2, 0.7]]), basis(3, 5)
+    terms = (multinomials(3, 5) * table.values(point)[0])[table.degrees == 5]
+    np.testing.assert_allclose(terms.sum(), point.sum() ** 5, rtol=1e-12)

@@ -64,3 +64,11 @@ def test_jump_of_orientation_is_reported() -> None:
     assert not any("jumps" in w for w in check_run(replace(clean, quaternion=pose), TRIPOD).warnings)
     pose[1500:] = [0.7, 0.714, 0, 0]
     assert any("jumps 1 times" in w for w in check_run(replace(clean, quaternion=pose), TRIPOD).warnings)
+
+
+def test_a_tip_told_in_another_frame_is_noticed() -> None:
+    right = run_with_noise(1e-4, 1)
+    assert not [w for w in check_run(right, TRIPOD).warnings if "expected about (0, 0, 176) mm" in w]
+    for frame in ([0.0, 0.0, -0.1765], [0.3, 0.0, 0.0]):  # the origin at the tip, or beside the robot
+        moved = replace(right, position=right.position + frame)
+        assert any("expected about (0, 0, 176) mm" in w for w in check_run(moved, TRIPOD).warnings)

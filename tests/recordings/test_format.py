@@ -163,6 +163,17 @@ ROWS = "0.01,5,0,0,0,0,176\n0.02,5,1,0,0,0,176\n0.03,5,2,0,1,0,176\n"
         (GOOD, ROWS.replace("176", "0.176"), ["'tip_x_mm'", "never is farther"]),
         (GOOD, "", ["holds 0 samples"]),
         ("", "", ["is empty"]),
+        (GOOD.replace(",", ";"), ROWS.replace(",", ";"), ["line 1", "semicolons", "'time_s;p1_cmd", "expected commas: "]),
+        (GOOD.replace(",", ";"), ROWS.replace(",", ";").replace(".", ","), ["semicolons", "points in decimals"]),
+        (GOOD.replace(",", "\t"), ROWS.replace(",", "\t"), ["line 1", "tabs", "expected commas"]),
+        (GOOD, ROWS.replace(".", ","), ["line 2", "8 values for 7 columns", "expected 7", "decimals"]),
+        (GOOD.replace("tip_x_mm", "tip_x"), ROWS, ["column 5", "unknown column 'tip_x'", "did you mean 'tip_x_mm'"]),
+        (GOOD.replace("time_s", "Time_s"), ROWS, ["column 1", "did you mean 'time_s'"]),
+        (GOOD.replace("time_s", "time_us"), ROWS, ["'time_us' is in 'us'", "expected s, ms"]),
+        (GOOD.replace("time_s", "time_ms"), ROWS, ["'time_ms'", "1e-05 s", "time_s"]),
+        (GOOD.replace("\n", ",p1_meas_pa,p2_meas_pa,p3_meas_pa\n"), ROWS.replace("\n", ",5,0,0\n"), ["p1_meas_pa", "unit?"]),
+        (GOOD.replace("\n", ",force_x_n,force_y_n,force_z_n\n"), ROWS.replace("\n", ",0,0,900\n"), ["900 N", "unit?"]),
+        (GOOD.replace("\n", ",bend_angle_rad\n"), ROWS.replace("\n", ",45\n"), ["45 rad", "another unit?"]),
     ],
 )
 def test_bad_file_is_refused_in_one_line(
@@ -203,6 +214,22 @@ def test_bad_dataset_is_refused_in_one_line(
     assert "\n" not in str(caught.value)
     for part in expected:
         assert part in str(caught.value), str(caught.value)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-8"])
+def test_a_byte_order_mark_and_quoted_names_change_nothing(encoding: str, tripod: Robot, tmp_path: Path) -> None:
+    (tmp_path / "dataset.yaml").write_text("robot: tripod\n", encoding=encoding)
+    quoted = '"' + GOOD.strip().replace(",", '","') + '"\r\n'
+    (tmp_path / "a.csv").write_text(quoted + ROWS, encoding=encoding)
+    assert read(tmp_path, tripod).recordings[0].position is not None
+
+
+@pytest.mark.parametrize("name", ["a.csv", "dataset.yaml"])
+def test_a_file_in_another_encoding_is_refused(name: str, tripod: Robot, tmp_path: Path) -> None:
+    for file, text in (("dataset.yaml", "robot: tripod\n"), ("a.csv", GOOD + ROWS)):
+        (tmp_path / file).write_text(text, encoding="utf-16" if file == name else "utf-8")
+    with pytest.raises(RecordingError, match=f"{name}: byte 0 is no UTF-8"):
+        read(tmp_path, tripod)
 
 
 def test_missing_folder_and_empty_folder(tripod: Robot, tmp_path: Path) -> None:

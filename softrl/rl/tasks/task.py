@@ -75,10 +75,11 @@ class Task(ABC):
             raise ConfigError(f"task.disturbance_n={self.disturbance_n:g} must not be negative")
         if not 0.0 <= self.feedback_gain <= 1.0:
             raise ConfigError(f"task.feedback_gain={self.feedback_gain:g}; expected a share between 0 and 1")
+        if self.lap_steps < 3:
+            raise ConfigError(f"task.lap_steps={self.lap_steps}; expected 3 or more targets on a closed curve")
         for key in (
             "horizon",
             "episode_steps",
-            "lap_steps",
             "step_s",
             "harmonics",
             "position_scale_m",

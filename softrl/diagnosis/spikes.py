@@ -1,0 +1,50 @@
+"""Single wrong samples of the motion: a marker mistaken for another, a detection that failed for an instant."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from softrl.diagnosis.gaps import rows
+from softrl.recordings.recording import Recording
+
+LONGEST = 7  # samples: what lasts longer may be real
+TIMES = 10.0  # a spike stands out from the running median by this many times what four samples out of five do
+LEAST_SHARE = 0.02  # of the range
+JUMP_SHARE = 0.5  # of its height a spike is entered and left by within one sample: no body turns round that fast
+
+
+def without_spikes(runs: Sequence[Recording]) -> tuple[tuple[Recording, ...], list[str]]:
+    """Return the runs without samples whose motion is a spike, and how many there were, a sentence a run."""
+    kept, lines = [], []
+    for run in runs:
+        wrong = np.zeros(len(run.time), dtype=bool)
+        for values in (run.position, run.bend_angle):
+            if values is not None:
+                wrong |= spikes(values.reshape(len(values), -1))
+        if wrong.any():
+            lines.append(
+                f"{run.name}: {np.count_nonzero(wrong)} samples, first at t = {run.time[wrong][0]:.2f} s, jump away and "
+                "back within an instant and are left out: the tracking mistook something"
+            )
+        kept.append(rows(run, ~wrong) if wrong.any() else run)
+    return tuple(kept), lines
+
+
+def spikes(values: np.ndarray) -> np.ndarray:
+    """Return which rows (steps,) of ``values`` (steps, n) lie on a spike of at most ``LONGEST`` samples."""
+    wrong = np.zeros(len(values), dtype=bool)
+    if len(values) <= 2 * LONGEST + 1:
+        return wrong
+    off = values - median_filter(values, size=(2 * LONGEST + 1, 1), mode="nearest")
+    height = np.linalg.norm(off, axis=1)
+    level = max(TIMES * float(np.quantile(height, 0.8)), LEAST_SHARE * float(np.linalg.norm(np.ptp(values, axis=0))))
+    edges = np.flatnonzero(np.diff(np.r_[False, height > level, False].astype(int)))
+    for first, end in edges.reshape(-1, 2):
+        if first == 0 or end == len(values) or end - first > LONGEST:
+            continue
+        jump = JUMP_SHARE * float(height[first:end].max())
+        entered, left = values[first] - values[first - 1], values[end] - values[end - 1]
+        if min(np.linalg.norm(entered), np.linalg.norm(left)) > jump and entered @ left < 0.0:
+            wrong[first:end] = True
+    return wrong

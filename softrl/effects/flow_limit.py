@@ -1,0 +1,54 @@
+"""A valve that is fully open either way: it fills at a constant rate and vents in proportion to the pressure."""
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numba as nb
+import numpy as np
+
+from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
+from softrl.robots.robot import Robot
+
+UNLIMITED_PER_S = 1e4
+
+
+@nb.njit(SIGNAL_KERNEL, cache=True)
+def flow_limit_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
+    """Let the supplied pressure rise by no more than its rate, and fall no faster than it decays to the lowest."""
+    rise, vent_s, lowest, chamber = parameters[0], parameters[1], parameters[2], int(parameters[3])
+    for i in range(len(value)):
+        if chamber < 0 or chamber == i:
+            vented = value[i] if vent_s <= 0.0 else lowest + math.exp(-dt / vent_s) * (state[i] - lowest)
+            state[i] = min(max(value[i], min(vented, state[i])), state[i] + rise * dt)
+            value[i] = state[i]
+
+
+@dataclass(frozen=True)
+class FlowLimit(Effect):
+    """Filling at ``dp/dt = rise`` at most, venting at ``dp/dt = -(p - p_min) / tau`` at most.
+
+    The rise is in the robot's largest pressure per second, at 1e4 there is no limit; ``p_min`` is the robot's smallest
+    pressure, towards which it vents.
+
+    Notes
+    -----
+    A source of much higher pressure is choked and fills a chamber of constant volume at a constant rate; the flow out
+    grows with the pressure that drives it, so that venting is exponential, towards the outside and not towards the
+    command (isothermal orifice flow, no equation number checked).
+    """
+
+    site: ClassVar[str] = "valve"
+    title: ClassVar[str] = "limited flow of the valve: constant rate of filling, venting in proportion to the pressure"
+    kernel: ClassVar = flow_limit_kernel
+    variant_of: ClassVar[str] = "rate_limit"
+
+    rise_per_s: float = parameter("1/s", 0.02, UNLIMITED_PER_S, UNLIMITED_PER_S, typical=0.4, log=True)
+    vent_s: float = parameter("s", 0.0, 10.0, 0.0, typical=0.5)
+    chamber: int = -1
+
+    def pack(self, robot: Robot) -> np.ndarray:
+        """Return (rise Pa/s, time constant s, lowest pressure Pa, chamber)."""
+        rise, vent_s, chamber = super().pack(robot)
+        rise_pa_per_s = rise * robot.pressure_max_pa if rise < UNLIMITED_PER_S else np.inf
+        return np.array([rise_pa_per_s, vent_s, min(robot.pressure_min_pa, 0.0), chamber])

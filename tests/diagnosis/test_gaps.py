@@ -1,0 +1,81 @@
+"""Pauses are bridged where nothing much happened, and cut where something did; single wrong samples go, real peaks stay."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softrl.diagnosis.gaps import MIN_PART_S, mend, rows
+from softrl.diagnosis.spikes import LONGEST, spikes
+from softrl.effects.chain import Plant, chain_of
+from softrl.effects.replay import replay
+from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.check import check_run
+from softrl.recordings.recording import Recording
+
+STEP_AT_S = 30.0
+
+
+def stepped(robot_chambers: int = 3) -> Recording:
+    """Return 60 s at 50 Hz of one slow ramp, then a step, of pressure and of motion with it."""
+    time = 0.02 * np.arange(1, 3001)
+    level = 10e3 * (0.2 * time / STEP_AT_S + (time > STEP_AT_S))
+    pressure = np.outer(level, np.eye(robot_chambers)[0])
+    position = np.outer(1e-6 * level, [1.0, 0.5, 0.1])
+    return Recording("run", "day", time, pressure, pressure, position)
+
+
+def without(run: Recording, start_s: float, length_s: float) -> Recording:
+    return rows(run, (run.time < start_s) | (run.time >= start_s + length_s))
+
+
+@pytest.mark.parametrize(
+    ("start_s", "length_s", "parts"), [(15.0, 1.0, 1), (29.5, 1.0, 2), (15.0, 3.0, 2), (29.9, 0.15, 1)]
+)
+def test_a_pause_is_cut_only_where_something_unknown_happened(
+    body: PccSimulator, start_s: float, length_s: float, parts: int
+) -> None:
+    run = without(stepped(), start_s, length_s)
+    mended = mend(run, check_run(run, body.robot).gaps)
+    assert len(mended.parts) == parts
+    kept = np.concatenate([part.time for part in mended.parts])
+    np.testing.assert_array_equal(kept, run.time)
+    assert mended.dropped_s == pytest.approx(length_s if parts == 2 else 0.0, abs=0.05)
+    assert mended.bridged_s == pytest.approx(length_s if parts == 1 else 0.0, abs=0.05)
+
+
+def test_short_parts_between_cuts_are_left_out(body: PccSimulator) -> None:
+    run = without(without(stepped(), 29.5, 1.0), 29.0 - 0.5 * MIN_PART_S, 2.5)
+    mended = mend(run, check_run(run, body.robot).gaps)
+    assert [part.name for part in mended.parts] == ["run, part 1", "run, part 3"]
+    assert all(np.ptp(part.time) >= MIN_PART_S for part in mended.parts)
+
+
+def test_a_bridged_pause_hardly_changes_what_measured_pressure_does(body: PccSimulator) -> None:
+    plant, time = Plant(body, chain_of(body.robot, ())), 0.02 * np.arange(1, 1001)
+    pressure = np.outer(8e3 * (1.0 - np.cos(0.6 * time)), [1.0, 0.3, 0.0])
+    whole = replay(plant, Recording("run", "day", time, pressure, pressure), 0.01, "measured")
+    keep = (time % 2.0) < 1.0
+    torn = replay(plant, rows(Recording("run", "day", time, pressure, pressure), keep), 0.01, "measured")
+    assert whole.position is not None and torn.position is not None
+    error = np.linalg.norm(torn.position - whole.position[keep], axis=1)
+    assert error.max() < 0.06 * np.ptp(whole.position, axis=0).max()
+
+
+def test_spikes_are_found_and_nothing_else() -> None:
+    time, rng = 0.02 * np.arange(2000), np.random.default_rng(0)
+    triangle = np.abs((time % 4.0) - 2.0)
+    steps = np.where((time % 8.0) < 4.0, 0.0, 1.0)
+    rung = steps * (1.0 - np.exp(-(time % 4.0) / 0.1) * np.cos(12.0 * (time % 4.0)))
+    clean = np.stack([triangle, np.sin(9.0 * time), rung], axis=1) + 1e-3 * rng.standard_normal((2000, 3))
+    assert not spikes(clean).any()
+    wrong = np.zeros(2000, dtype=bool)
+    for start in range(60, 1900, 230):
+        wrong[start : start + 1 + start % LONGEST] = True
+    np.testing.assert_array_equal(spikes(clean + 3.0 * np.outer(wrong, [0.5, 0.7, -0.3])), wrong)
+
+
+def test_a_change_that_stays_is_no_spike() -> None:
+    values = np.where(np.arange(500) < 250, 0.0, 1.0)[:, None]
+    assert not spikes(values).any()
+    assert not spikes(replace(stepped()).pressure_cmd).any()

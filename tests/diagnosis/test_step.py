@@ -1,0 +1,29 @@
+"""A slow robot is replayed with longer steps, a fast one is not, and what that changes stays below what counts."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from softrl.diagnosis.hypothesis import Hypothesis
+from softrl.diagnosis.problem import Problem
+from softrl.diagnosis.step import FITTED_SHARE, suited
+from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.recording import Recording
+from tests.diagnosis.conftest import configured
+
+
+def body_alone(body: PccSimulator, speed: float) -> Problem:
+    time = 0.02 * np.arange(1, 1001)
+    pressure = np.outer(8e3 * (1.0 - np.cos(speed * time)), [1.0, 0.3, 0.0])
+    run = Recording("run", "day", time, pressure, None, np.zeros((1000, 3)))
+    return Problem(body.robot, body, (run,), configured().numerics, "motion", "command", False, False)
+
+
+def test_steps_follow_the_motion(body: PccSimulator) -> None:
+    slow, fast = body_alone(body, 0.2), body_alone(body, 12.0)
+    material, empty = 1e-4, Hypothesis((), ())
+    assert suited(fast, material) == fast.numerics
+    longer = suited(slow, material)
+    assert longer.dt_s > slow.numerics.dt_s and longer.rough_dt_s > slow.numerics.rough_dt_s
+    moved = [np.concatenate(p.residual(empty, np.zeros(0)).runs) for p in (slow, replace(slow, numerics=longer))]
+    assert np.sqrt(np.mean(np.sum((moved[1] - moved[0]) ** 2, axis=1))) <= FITTED_SHARE * material

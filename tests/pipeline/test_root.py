@@ -1,0 +1,54 @@
+"""The keys at the root: what is out of range or unknown is refused in one line; policies are found by their task."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import hydra
+import pytest
+
+from softrl.artifacts.policy import Policy
+from softrl.assembly import Assembly
+from softrl.core.errors import ArtifactError, ConfigError
+from softrl.loop import _compose
+
+CONF = Path(__file__).resolve().parents[2] / "conf"
+
+
+def composed(*words: str) -> dict:
+    with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
+        return _compose(list(words))
+
+
+@pytest.mark.parametrize(
+    ("word", "says"),
+    [
+        ("alpha=2", "alpha=2 is refused; expected a share between 0 and 1"),
+        ("alpha=-0.1", "alpha=-0.1"),
+        ("alpha=true", "alpha=True"),
+        ("lambda=nan", "lambda=nan is refused; expected a number from 0 on"),
+        ("lambda=inf", "lambda=inf"),
+        ("seed=1.5", "seed=1.5 is refused; expected a whole number"),
+        ("seed=4294967296", "seed=4294967296"),
+        ("force=1", "force=1 is refused; expected true or false"),
+        ("recordings=7", "recordings=7 is refused; expected a folder"),
+        ("+sed=3", "sed=3 is an unknown key"),
+        ("+inputs.mehs=latest", r"inputs.mehs=latest is an unknown key; .*snapshots \(of stage=fem\)"),
+        ("inputs.mesh=somewhere", "expected latest, run:<id> or path:<folder>"),
+    ],
+)
+def test_a_wrong_key_at_the_root_is_refused(word: str, says: str) -> None:
+    with pytest.raises(ConfigError, match=says):
+        composed("stage=mesh", word)
+
+
+def test_the_latest_policy_is_that_of_the_task() -> None:
+    asked: list[dict[str, str]] = []
+
+    def find(tags: dict[str, str]) -> object:
+        asked.append(tags)
+        return None if tags.get("task") == "force" else SimpleNamespace()
+
+    assembly = Assembly(SimpleNamespace(find=find), composed("stage=sim2real", "task=force"), {})
+    with pytest.raises(ArtifactError, match=r"there is one with another task; run stage=rl task=force"):
+        assembly._locate(Policy, "policy")
+    assert asked[0]["task"] == "force"

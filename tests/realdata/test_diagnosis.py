@@ -1,0 +1,57 @@
+"""What the diagnosis says about public recordings of a three-chamber arm and of a one-chamber finger.
+
+The arm's pressure steps rise at a constant rate and fall in proportion to the pressure, so that a valve of limited flow
+is the physics there, and one first-order lag is not; behind it the motion creeps on.
+"""
+
+import os
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from softrl.artifacts.diagnosis import Diagnosis
+from softrl.core.config import build
+from softrl.core.tracking import NullTracker
+from softrl.diagnosis.stage import run
+from softrl.effects.library import effect_class
+from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.read import read
+from softrl.robots.robot import Robot
+from tests.diagnosis.conftest import configured, node
+
+ROOT = Path(__file__).resolve().parents[2]
+DATA = Path(os.environ.get("SOFTRL_REAL_DATA", ROOT.parent / "shared" / "data"))
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.realdata,
+    pytest.mark.skipif(not (DATA / "asu_smart_arm").is_dir(), reason=f"no real data at {DATA}"),
+]
+
+
+@cache
+def diagnosed(folder: str, robot_name: str) -> Diagnosis:
+    robot = build(node(f"robot/{robot_name}.yaml"), Robot, "robot")
+    simulator = PccSimulator(robot=robot, **node("simulator/pcc.yaml"))
+    return run(configured(), robot, read(DATA / folder, robot), simulator, tracker=NullTracker())
+
+
+def kinds(found: Diagnosis, site: str) -> set[str]:
+    """Return the physics named at ``site``, another law of the same physics counting as it."""
+    names = [effect["name"] for effect in found.effects if effect["site"] == site]
+    return {effect_class(name).variant_of or name for name in names}
+
+
+def test_arm_is_limited_by_its_valve_and_creeps_behind_it() -> None:
+    found = diagnosed("asu_smart_arm", "three_chamber_segment")
+    assert "rate_limit" in kinds(found, "valve"), found.sentences
+    assert "viscoelasticity" in kinds(found, "body"), found.sentences
+    held = found.errors_mm["heldout"]
+    assert held["corrected"] < 0.45 * min(held["nominal"], held["retuned"], held["static"])
+    assert held["corrected"] < min(held["one_lag"], held["blackbox"])
+
+
+def test_arm_reads_its_step_times_without_a_model() -> None:
+    steps = diagnosed("asu_smart_arm", "three_chamber_segment").data["step_responses"]
+    assert 0.3 < steps["pressure_fill_s"] < 1.0 < steps["pressure_vent_s"] < 2.0
+    assert steps["motion_fill_s"] > 2.0 * steps["pressure_fill_s"]
