@@ -1,9 +1,11 @@
 """The door: ``python -m softrl stage=...``."""
 
+import _thread
 import os
 import signal
 import sys
 import textwrap
+import threading
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -29,9 +31,7 @@ def _choices() -> str:
     """Return the configuration groups and their options for --help; what begins with _ is a part of other options."""
     groups = sorted(folder for folder in CONF.iterdir() if folder.is_dir() and folder.name != "hydra")
     options = {g.name: sorted(file.stem for file in g.glob("*.yaml") if not file.stem.startswith("_")) for g in groups}
-    lines = [
-        textwrap.fill(f"{name}: {', '.join(found)}", 116, subsequent_indent="  ") for name, found in options.items()
-    ]
+    lines = [textwrap.fill(f"{name}: {', '.join(found)}", 116, subsequent_indent="  ") for name, found in options.items()]
     return "\n".join(lines).replace("\n", "\n  ")
 
 
@@ -56,6 +56,7 @@ def main() -> None:
     sweep = bool({"-m", "--multirun"} & set(sys.argv[1:]))
     sys.argv[1:] = [word for given in sys.argv[1:] for word in _spell_out(given, sweep)]
     signal.signal(signal.SIGTERM, _stop)
+    sys.unraisablehook = _repeat_interrupt
     error: BaseException | None = None
     try:
         run()
@@ -117,6 +118,14 @@ def _leave(message: str, status: int) -> NoReturn:
 
 def _stop(number: int, frame: Any) -> NoReturn:
     raise KeyboardInterrupt
+
+
+def _repeat_interrupt(lost: "sys.UnraisableHookArgs") -> None:
+    """Interrupt again if a destructor or a callback swallowed the interrupt; leave the rest to Python."""
+    if lost.exc_type is KeyboardInterrupt:
+        threading.Timer(0.1, _thread.interrupt_main).start()
+    else:
+        sys.__unraisablehook__(lost)
 
 
 if __name__ == "__main__":

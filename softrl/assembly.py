@@ -176,6 +176,12 @@ class Assembly:
                 raise ArtifactError(self._nothing_found(kind, name))
         else:
             run = self.store.get(wanted.removeprefix("run:"))
+            made_by = run.data.tags.get("softrl.stage")
+            if name not in run.data.tags.get("softrl.artifacts", name).split():
+                raise ArtifactError(
+                    f"inputs.{name}={wanted} is a run of stage={made_by}, which makes no {kind.kind()}; expected one of "
+                    f"stage={kind.stage}"
+                )
         return self.store.folder(run, name), run.info.run_id
 
 

@@ -29,7 +29,7 @@ class Config:
     seeds : of everything that is learned or recorded;  body_seed : of mesh, fem and pod
     tasks : of stage rl;  rollouts : whether policies are rolled out on the driver
     benches : of stage bench, run once
-    minutes : that all of it took from nothing on two cores, or null where nobody has measured it
+    minutes : roughly, of all of it from nothing on two cores, or null where nobody knows
     keep : file that the rows are copied to, or null
     """
 
@@ -72,7 +72,9 @@ class Runs:
 
     def go(self, step: Step, made: Made) -> str | None:
         """Run a step and return the id of its run, or None if it failed."""
-        self.commands[step.name] = " ".join(["python -m softrl", f"stage={step.stage}", *self._shared, *step.words])
+        self.commands[step.name] = " ".join(
+            ["python -m softrl", f"stage={step.stage}", *self._shared, *step.words]
+        )
         folder = self._folder / f"{step.name.replace(':', '_')}_{step.seed}"
         try:
             outcome = run_stage(step.stage, self.configuration(step), folder, made)
@@ -138,7 +140,9 @@ def seed_steps(config: Config, seed: int) -> list[Step]:
     return steps
 
 
-def follow(steps: Sequence[Step], do: Callable[[Step, Made], str | None], made: Made, failed: set[str]) -> list[Step]:
+def follow(
+    steps: Sequence[Step], do: Callable[[Step, Made], str | None], made: Made, failed: set[str]
+) -> list[Step]:
     """Do the steps in order and return those done; ``made`` and ``failed`` grow, what stands on a failed one is left out."""
     done = []
     for step in steps:
@@ -160,10 +164,10 @@ def _announce(runs: Runs, config: Config, body: list[Step], profile: str) -> Non
         steps = seed_steps(config, seed)
         count += len(steps)
         there += follow(steps, runs.look, dict(made), set(failed))
-    size = "full size" if profile == FULL_SIZE else f"reduced sizes; {FULL_SIZE} takes profile={FULL_SIZE}, many hours"
+    size = "full size" if profile == FULL_SIZE else f"reduced sizes; the paper's take profile={FULL_SIZE} and many hours"
     log.info("paper: %d runs for seeds %s, profile=%s (%s)", count, list(config.seeds), profile, size)
-    took = "nobody has measured how long" if config.minutes is None else f"about {config.minutes:g} min on two cores"
-    log.info("%d of them are there and are reused; from nothing all take %s", len(there), took)
+    takes = "an unknown time" if config.minutes is None else f"roughly {config.minutes:g} min on two cores"
+    log.info("%d of them are there and are reused; from nothing all take %s", len(there), takes)
     log.info("stop it when you like: the same command goes on with the first run that is not finished")
 
 

@@ -154,6 +154,7 @@ def _tags(stage: str, mark: str, assembly: Assembly) -> dict[str, str]:
         "git": _git_revision(),
         "inputs": json.dumps(assembly.inputs),
         "seed": str(assembly.cfg["seed"]),
+        "artifacts": " ".join(outputs(stage)),
     } | assembly.task_tag()
 
 

@@ -61,12 +61,8 @@ class Artifact:
         """Write the files of this artifact; a subclass with a format of its own overrides this and ``read``."""
         values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         plain = {k: v for k, v in values.items() if not _is_array(v) and not _is_array_dict(v)}
-        meta = {
-            "kind": self.kind(),
-            "schema": self.schema,
-            "values": plain,
-            "array_dicts": [k for k, v in values.items() if _is_array_dict(v)],
-        }
+        meta = {"kind": self.kind(), "schema": self.schema, "values": plain,
+                "array_dicts": [k for k, v in values.items() if _is_array_dict(v)]}
         (folder / META).write_text(json.dumps(meta, indent=1, default=_jsonable))
         np.savez_compressed(folder / ARRAYS, allow_pickle=False, **_arrays_of(self))
 

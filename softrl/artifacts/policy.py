@@ -74,7 +74,7 @@ class Policy(Artifact):
         for i in range(self.layers):
             rows, columns = self.weights[f"weight_{i}"].shape
             if columns != size or self.weights[f"bias_{i}"].shape != (rows,):
-                raise ArtifactError(f"Policy.weight_{i} has shape {(rows, columns)}; expected {size} columns")
+                raise ArtifactError(f"Policy.weight_{i} has shape {(rows, columns)}; expected {size} columns; rerun stage=rl")
             size = rows
         if size != 3:
             raise ArtifactError(f"Policy ends in {size} outputs; expected 3, the grouped joint command")

@@ -21,9 +21,9 @@ class ReducedModel(Artifact):
     frame : (r, r) m^3 and m, z per y
     energy : (monomials,) J, elastic energy W; none of degree 0 and 1
     mass_root : (r r, monomials) kg^0.5 m, rows of R with M = R' R in y
-    stiffness_root : (r r, monomials) J^0.5, rows of R with T' K T = R' R in y: what stiffness-proportional damping
-        multiplies, less its share that lags
-    lag_root : (r r, monomials) J^0.5, likewise the share that lags; without columns nothing lags
+    stiffness_root : (r r, monomials) rows of R with T' K T = U R' R U' in y, U upper triangular with U U' the Hessian of
+        the energy: what stiffness-proportional damping multiplies, less its share that lags
+    lag_root : (r r, monomials) likewise the share that lags; without columns nothing lags
     lag_ratio : time constant of the lags over ``rayleigh_stiffness_s``
     lag_rotation : (3 r, monomials) rad per y s, further turn of the tip by the lagged rate times
         ``rayleigh_stiffness_s``
@@ -46,7 +46,7 @@ class ReducedModel(Artifact):
     and ``rayleigh_stiffness lag_ratio u' = z' - u``: a slow motion meets B + G = T' K T, a sudden one B.
     """
 
-    schema: ClassVar[int] = 2
+    schema: ClassVar[int] = 3
     stage: ClassVar[str] = "pod"
 
     frame: np.ndarray

@@ -14,7 +14,7 @@ from softrl.bench.reference import Reference
 from softrl.bench.watch import Watch, peak_memory_gb
 from softrl.core.errors import ConfigError, SolverError
 from softrl.core.tracking import Tracker
-from softrl.fem.convergence import draw_convergence, study
+from softrl.fem.convergence import Study, draw_convergence, study
 from softrl.fem.coupling import Pose
 from softrl.fem.material import TANGENT, StableNeoHookean, material_of
 from softrl.fem.model import FemModel, State
@@ -71,12 +71,14 @@ class FemBench:
             metrics |= {f"at_{size.unknowns}/{name}": value for name, value in size.metrics.items()}
         metrics["peak_memory_gb"] = sizes[-1].metrics["peak_memory_gb"]
         metrics["peak_memory_unknowns"] = sizes[-1].unknowns
-        if len(sizes) > 1:
-            tracker.figure("fem_scaling", draw_scaling([s.unknowns for s in sizes], [s.metrics for s in sizes]))
         if self.reference_steps:
             metrics |= self.against_reference(watch)
-        if self.convergence_parts:
-            metrics |= self.convergence(tracker)
+        found = self.convergence() if self.convergence_parts else None
+        if found is not None:
+            metrics |= _distance(found)
+            tracker.figure("fem_convergence", draw_convergence({self.simulator.mesh.robot_name: found}))
+        if len(sizes) > 1:
+            tracker.figure("fem_scaling", draw_scaling([s.unknowns for s in sizes], [s.metrics for s in sizes], found))
         return metrics
 
     def cost(self, watch: Watch) -> Cost:
@@ -134,30 +136,21 @@ class FemBench:
             "scikit_fem_node_difference_mm": 1e3 * float(np.abs(ended[0].position - ended[1].position).max()),
         }  # fmt: skip
 
-    def convergence(self, tracker: Tracker) -> dict[str, float]:
-        """Return how far the tip's displacement, without weight, is from the limit of finer and finer meshes."""
+    def convergence(self) -> Study:
+        """Return how far the pressure moves the tip, without weight, on finer and finer meshes."""
         still = replace(self.simulator.robot, gravity_m_s2=(0.0, 0.0, 0.0))
 
         def body(mesh: Mesh) -> FemModel:
             return replace(self.simulator, robot=still, mesh=mesh).model
 
-        found = study(body, self.simulator.mesh, self._load, self.convergence_parts)
-        tracker.figure("fem_convergence", draw_convergence({self.simulator.mesh.robot_name: found}))
-        moved = 1e3 * np.linalg.norm(found.tip_m, axis=1)
-        return {
-            "convergence_error_pct": float(found.error_pct[0]),
-            "convergence_uncertainty_pct": found.uncertainty_pct,
-            "convergence_limit_mm": 1e3 * float(np.linalg.norm(found.limit.value_m)),
-            "convergence_order_in_h": found.limit.order,
-            **{f"at_{n}/tip_displacement_mm": float(d) for n, d in zip(found.unknowns, moved, strict=True)},
-        }
+        return study(body, self.simulator.mesh, self._load, self.convergence_parts)
 
     def _elsewhere(self, parts: int, watch: Watch) -> Cost:
-        """Return the cost on a finer mesh, measured in a process of its own, so that its memory is its own too."""
+        """Return the cost on a finer mesh, timed once, in a process of its own, so that its memory is its own too."""
         finer = refine(self.simulator.mesh, parts)
         bench = replace(self, simulator=replace(self.simulator, mesh=finer))
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-            return pool.submit(_cost, bench, watch).result()
+            return pool.submit(_cost, bench, replace(watch, repeats=1)).result()
 
     @property
     def _load(self) -> np.ndarray:
@@ -178,6 +171,20 @@ class FemBench:
     def _moving(self, model: FemModel) -> State:
         """Return the body two steps after the pressure's jump: bent, and moving fast."""
         return self._run(model, 2)
+
+
+def _distance(found: Study) -> dict[str, float]:
+    """Return how far the first mesh's tip is from the limit of all, and what each equilibrium took."""
+    metrics = {
+        "convergence_error_pct": float(found.error_pct[0]),
+        "convergence_uncertainty_pct": found.uncertainty_pct,
+        "convergence_limit_mm": 1e3 * float(np.linalg.norm(found.limit.value_m)),
+        "convergence_order_in_h": found.limit.order,
+    }
+    for unknowns, tip, seconds in zip(found.unknowns, found.tip_m, found.seconds, strict=True):
+        metrics[f"at_{unknowns}/tip_displacement_mm"] = 1e3 * float(np.linalg.norm(tip))
+        metrics[f"at_{unknowns}/equilibrium_s"] = float(seconds)
+    return metrics
 
 
 def _cost(bench: FemBench, watch: Watch) -> Cost:

@@ -83,9 +83,7 @@ class Reference:
             pose = coupling.move(pose, change)
             if np.abs(change[: 3 * len(coupling.free)]).max() < model.newton.tolerance_m:
                 return ReferenceStep(pose, iteration, spent["assembly"], spent["solve"])
-        raise SolverError(
-            f"the reference step of {dt:g} s did not converge in {model.newton.max_iterations} iterations"
-        )
+        raise SolverError(f"the reference step of {dt:g} s did not converge in {model.newton.max_iterations} iterations")
 
     def stiffness(self, position: np.ndarray) -> sp.csr_matrix:
         """Return the elastic stiffness at nodes ``position`` (nodes, 3) m in scikit-fem's order."""
@@ -200,10 +198,7 @@ class Reference:
         row, column = np.broadcast_arrays(first[:, :, None], second[:, None, :])
         apart = (pairs.first[used] != pairs.second[used])[:, None, None] & np.ones((3, 3), bool)
         data = blocks[used]
-        entries = (
-            np.r_[data.ravel(), data[apart]],
-            (np.r_[row.ravel(), column[apart]], np.r_[column.ravel(), row[apart]]),
-        )
+        entries = (np.r_[data.ravel(), data[apart]], (np.r_[row.ravel(), column[apart]], np.r_[column.ravel(), row[apart]]))
         return sp.csr_matrix(entries, shape=(self.rows.size, self.rows.size))
 
     def _reduced(self, matrix: sp.csr_matrix, gradient: np.ndarray, pose: Pose) -> sp.csc_matrix:

@@ -40,9 +40,7 @@ class RlBench:
         """Return the metrics: the difference of a longer and a shorter training, so that setting up does not count."""
         space = Workspace(self.surrogate)
         goals = self.task.training_goals(CURVES, space, np.random.default_rng(seed))
-        practice = Practice(
-            lambda size, start: TwinVecEnv(Batch(self.task, space, goals, size), start), lambda actor: 0.0
-        )
+        practice = Practice(lambda size, start: TwinVecEnv(Batch(self.task, space, goals, size), start), lambda actor: 0.0)
         first = self.agent.learning_starts + self.agent.envs
 
         def train(steps: int) -> None:

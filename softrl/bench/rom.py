@@ -136,9 +136,7 @@ def errors(name: str, found: list[Path], full: list[Path]) -> dict[str, float]:
     pairs = list(zip(found, full, strict=True))
     tip = [np.linalg.norm(a.tip - b.tip, axis=1) for a, b in pairs]
     turn = [2.0 * np.arccos(np.minimum(1.0, np.abs((a.quaternion * b.quaternion).sum(axis=1)))) for a, b in pairs]
-    missed, moved = (
-        np.concatenate(rows) for rows in ([a.volume - b.volume for a, b in pairs], [b.volume for b in full])
-    )
+    missed, moved = (np.concatenate(rows) for rows in ([a.volume - b.volume for a, b in pairs], [b.volume for b in full]))
     return {
         f"{name}_tip_rms_mm": _rms_mm([a.tip - b.tip for a, b in pairs]),
         f"{name}_tip_max_mm": 1e3 * float(np.concatenate(tip).max()),

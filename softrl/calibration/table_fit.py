@@ -1,7 +1,8 @@
 """Fit a body to a table of pressures and tips: its modulus, and where it stands in the table's frame.
 
 Without weight a hyperelastic body's shape depends on pressure over modulus alone, so equilibria at one modulus serve
-for all: a polynomial through them is the body, and only the modulus and a rigid motion are sought.
+for all: a polynomial through them is the body, and only the modulus and a rigid motion are sought. The table's point may
+also lie a reach beyond the body's own tip, where it swings wider as the plate turns.
 """
 
 from dataclasses import dataclass
@@ -12,6 +13,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from softrl.core.errors import ConfigError
+
+REACH_UNIT_M = 0.1  # so that the search steps alike in the modulus' logarithm and in the reach
 
 
 @dataclass(frozen=True)
@@ -24,17 +27,24 @@ class BodyMap:
     youngs_modulus_pa : of the body whose equilibria were fitted
     coefficients : (terms, 3) m
     degree : of the polynomial
+    turns : (terms, 3) rad, of the plate's rotation vector; None where it is not known
     """
 
     scale_pa: float
     youngs_modulus_pa: float
     coefficients: np.ndarray
     degree: int
+    turns: np.ndarray | None = None
 
-    def tip(self, pressure: np.ndarray, youngs_modulus_pa: float) -> np.ndarray:
-        """Return the tip's displacement (rows, 3) m under ``pressure`` (rows, chambers) Pa."""
+    def tip(self, pressure: np.ndarray, youngs_modulus_pa: float, reach_m: float = 0.0) -> np.ndarray:
+        """Return how far (rows, 3) m ``pressure`` (rows, chambers) Pa moves the point ``reach_m`` beyond the tip."""
         scaled = pressure * self.youngs_modulus_pa / (youngs_modulus_pa * self.scale_pa)
-        return _terms(scaled, self.degree) @ self.coefficients
+        terms = _terms(scaled, self.degree)
+        moved = terms @ self.coefficients
+        if self.turns is None:
+            return moved
+        ahead = np.array([0.0, 0.0, reach_m])
+        return moved + Rotation.from_rotvec(terms @ self.turns).apply(ahead) - ahead
 
 
 @dataclass(frozen=True)
@@ -49,6 +59,7 @@ class TableFit:
     origin_m : (3,) the tip under no pressure, in the table's frame
     train_rmse_m, heldout_rmse_m : root mean square of the tip's distance
     still_rmse_m : the same on the held-out rows if the tip never moved
+    reach_m : how far beyond the body's tip the table's point lies; 0 where it was not sought
     """
 
     youngs_modulus_pa: float
@@ -58,59 +69,69 @@ class TableFit:
     train_rmse_m: float
     heldout_rmse_m: float
     still_rmse_m: float
+    reach_m: float = 0.0
 
 
-def body_map(pressure: np.ndarray, tip: np.ndarray, youngs_modulus_pa: float, degree: int) -> tuple[BodyMap, float]:
-    """Return the map through equilibria, and its cross-validated error in m, root mean square.
+def body_map(
+    pressure: np.ndarray, tip: np.ndarray, youngs_modulus_pa: float, degree: int, turn: np.ndarray | None = None
+) -> tuple[BodyMap, float]:
+    """Return the map through equilibria, and the cross-validated error of its tip in m, root mean square.
 
     Parameters
     ----------
     pressure, tip : (samples, chambers) Pa, (samples, 3) m displacement of the tip
     degree : of the polynomial; it needs more samples than terms
+    turn : (samples, 3) rad, rotation vector of the plate, where a reach beyond the tip is to be sought
     """
     scale = float(np.abs(pressure).max())
     terms = _terms(pressure / scale, degree)
     if len(terms) <= terms.shape[1]:
         raise ConfigError(f"degree={degree} has {terms.shape[1]} terms, more than {len(terms) - 1} samples can fix")
     solution = np.linalg.lstsq(terms, tip, rcond=None)[0]
+    turns = None if turn is None else np.linalg.lstsq(terms, turn, rcond=None)[0]
     # leaving one out changes its residual by its leverage
     leverage = np.einsum("ij,ji->i", terms, np.linalg.pinv(terms))
     miss = (tip - terms @ solution) / np.maximum(1.0 - leverage, 1e-9)[:, None]
-    return BodyMap(scale, youngs_modulus_pa, solution, degree), _rms(miss)
+    return BodyMap(scale, youngs_modulus_pa, solution, degree, turns), _rms(miss)
 
 
-def fit_table(body: BodyMap, pressure: np.ndarray, tip: np.ndarray, train: np.ndarray) -> TableFit:
+def fit_table(
+    body: BodyMap, pressure: np.ndarray, tip: np.ndarray, train: np.ndarray, seek_reach: bool = False
+) -> TableFit:
     """Return the modulus and rigid motion that bring ``body`` to the rows ``train`` of a table.
 
     Parameters
     ----------
     pressure, tip : (rows, chambers) Pa, (rows, 3) m position of the tip
     train : (rows,) bool; the other rows are only looked at afterwards
+    seek_reach : whether the table's point may lie beyond the body's tip, along its axis
     """
-    best: tuple[float, float, tuple[int, ...]] | None = None
+    if seek_reach and body.turns is None:
+        raise ConfigError("seek_reach needs the turns of the plate; give them to body_map")
+    best: tuple[float, np.ndarray, tuple[int, ...]] | None = None
     for order in permutations(range(pressure.shape[1])):
+
+        def miss(x: np.ndarray, order: tuple[int, ...] = order) -> np.ndarray:
+            own = body.tip(pressure[train][:, order], np.exp(x[0]), *(REACH_UNIT_M * x[1:]))
+            return (_placed(own, tip[train])[0] - tip[train]).ravel()
+
         for log_modulus in (-0.5, 0.0, 0.5):
-            found = least_squares(
-                lambda x, order=order: (
-                    _placed(body, pressure[train][:, order], tip[train], np.exp(x[0]))[0] - tip[train]
-                ).ravel(),
-                [np.log(body.youngs_modulus_pa) + log_modulus],
-            )
+            start = [np.log(body.youngs_modulus_pa) + log_modulus, *([0.0] if seek_reach else [])]
+            found = least_squares(miss, start)
             if best is None or found.cost < best[0]:
-                best = (found.cost, float(np.exp(found.x[0])), order)
+                best = (found.cost, found.x, order)
     assert best is not None
-    _, modulus, order = best
-    _, rotation, origin = _placed(body, pressure[train][:, order], tip[train], modulus)
-    miss = body.tip(pressure[:, order], modulus) @ rotation.T + origin - tip
+    _, x, order = best
+    modulus, reach = float(np.exp(x[0])), float(REACH_UNIT_M * x[1:].sum())
+    own = body.tip(pressure[:, order], modulus, reach)
+    _, rotation, origin = _placed(own[train], tip[train])
+    left = own @ rotation.T + origin - tip
     still = tip[~train] - tip[train].mean(axis=0)
-    return TableFit(modulus, order, rotation, origin, _rms(miss[train]), _rms(miss[~train]), _rms(still))
+    return TableFit(modulus, order, rotation, origin, _rms(left[train]), _rms(left[~train]), _rms(still), reach)
 
 
-def _placed(
-    body: BodyMap, pressure: np.ndarray, tip: np.ndarray, modulus: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _placed(own: np.ndarray, tip: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the body's tips in the table's frame, and the rigid motion that fits them best."""
-    own = body.tip(pressure, modulus)
     turn, _ = Rotation.align_vectors(tip - tip.mean(axis=0), own - own.mean(axis=0))
     rotation = turn.as_matrix()
     origin = tip.mean(axis=0) - rotation @ own.mean(axis=0)

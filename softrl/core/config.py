@@ -86,7 +86,7 @@ def _value(value: Any, hint: Any, path: str, fill: Fill) -> Any:
     if dataclasses.is_dataclass(hint) and isinstance(hint, type) and isinstance(value, Mapping):
         return build(value, hint, path, fill)
     if isinstance(value, str) and value == "???":
-        raise ConfigError(f"{path} is not set; give {path}=<{_readable(hint)}>")
+        raise ConfigError(f"{path} is not set; give {path}=<{_readable(hint).removesuffix(' | None')}>")
     try:
         return TypeAdapter(hint, config={"arbitrary_types_allowed": True}).validate_python(value)
     except ValidationError as error:

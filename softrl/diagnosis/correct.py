@@ -1,6 +1,5 @@
 """Errors of the competitors from command to motion, at every sample, on training and held-out runs."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -62,13 +61,8 @@ def errors(found: dict[str, Traces], noise: float) -> dict[str, float]:
     return {"noise_floor": noise} | {name: trace.rms for name, trace in found.items()}
 
 
-def share_closed(heldout: dict[str, float]) -> float:
-    """Return the share of the squared nominal error above the noise floor that the correction removes."""
+def share_closed(heldout: dict[str, float]) -> float | None:
+    """Return the share of the squared nominal error above the noise floor that the correction removes; None without one."""
     floor = heldout["noise_floor"] ** 2
     whole, left = (max(heldout[name] ** 2 - floor, 0.0) for name in ("nominal", "corrected"))
-    return 1.0 - left / whole if whole > 0.0 else 0.0
-
-
-def runs_by_name(runs: Sequence[Recording]) -> list[str]:
-    """Return the names of the runs."""
-    return [run.name for run in runs]
+    return 1.0 - left / whole if whole > floor else None

@@ -78,11 +78,13 @@ class Refusal(NamedTuple):
 
 
 def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: int) -> Data | Refusal:
-    """Return the recordings sorted by use, or the reason why they cannot tell anything."""
+    """Return the recordings sorted by use, or the reason why they cannot tell anything.
+
+    Runs in which the robot was interfered with (``disturbed`` in the notes: names of runs or sessions) are not used.
+    """
     found = check(recordings, robot)
     channel = "bend_angle" if robot.output == "bend_angle" else "position"
-    seen = [r for r in recordings.recordings if np.ptp(r.time) >= MIN_RUN_S and getattr(r, channel) is not None]
-    usable, spiked = without_spikes(seen)
+    usable, spiked = without_spikes(_seen_undisturbed(recordings, channel))
     marked = set(recordings.notes.get("out_of_distribution", ()))
     outside = tuple(r for r in usable if marked & {r.name, r.session})
     usable = tuple(r for r in usable if not marked & {r.name, r.session})
@@ -116,6 +118,18 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: 
         rms_about_mean([r.pressure_meas for r in training if r.pressure_meas is not None]),
         (*spiked, *mended),
     )
+
+
+def _seen_undisturbed(recordings: RecordingSet, channel: str) -> list[Recording]:
+    """Return the runs that are long enough, show ``channel``, and in which nobody interfered with the robot."""
+    disturbed = set(recordings.notes.get("disturbed", ()))
+    return [
+        run
+        for run in recordings.recordings
+        if np.ptp(run.time) >= MIN_RUN_S
+        and getattr(run, channel) is not None
+        and not disturbed & {run.name, run.session}
+    ]
 
 
 def hold_out(recordings: RecordingSet, share: float, seed: int) -> tuple[RecordingSet, RecordingSet]:

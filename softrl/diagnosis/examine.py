@@ -11,7 +11,7 @@ from scipy import stats
 from softrl.core.errors import SolverError
 from softrl.diagnosis.flexible import correction, pressures
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes
-from softrl.diagnosis.hypothesise import Path, Search, Trial, drop, fit_trials, forward, join, raced
+from softrl.diagnosis.hypothesise import Path, forward
 from softrl.diagnosis.judge import Gap, Judge, Thresholds
 from softrl.diagnosis.locate import corrected, locate
 from softrl.diagnosis.problem import Problem, Residual
@@ -25,6 +25,7 @@ from softrl.diagnosis.statistics import (
     unlike_noise,
     whiteness,
 )
+from softrl.diagnosis.trial import Search, Trial, drop, fit_trials, join, raced
 from softrl.recordings.recording import Recording
 
 log = logging.getLogger(__name__)
@@ -37,7 +38,6 @@ UNDRIVEN_SHARE = 0.5  # of the squared error: effects that remove less explain n
 UNKNOWN_TIMES = 1.2  # what is missing must stand out more than what is named: nobody can check it
 FOLLOWING_FACTOR = 3.0  # times what counts: structure below this may be a detail of the body
 FOLLOWING_LEVEL = 1e-3
-LARGE_SHARE = 0.05  # of the travel: noise with a memory is not as large
 
 
 @dataclass(frozen=True)
@@ -197,7 +197,7 @@ def _unexplained(judge: Judge, final: Trial, offer: Offer, explained: float, lef
     """Return why the effects do not explain what is measured, one clause each; empty if they do.
 
     Noise with a memory is no reason: what is left has to follow the pressures, to be a line in the spectrum, or to be
-    a large share of the motion and unlike noise of its own spectrum.
+    unlike noise of its own spectrum.
     """
     heldout, reasons = _heldout(judge, final), []
     drives = [pressures(judge.problem, k) for k in range(len(judge.problem.runs))]
@@ -209,8 +209,8 @@ def _unexplained(judge: Judge, final: Trial, offer: Offer, explained: float, lef
         reasons.append(f"what is left follows the pressures and their past ({region})")
     elif left > judge.floor and spectral_line(heldout.runs, drives) < LINE_LEVEL:
         reasons.append("what is left swings at one frequency")
-    elif left > LARGE_SHARE * judge.travel and _uneven(judge, heldout, drives):
-        reasons.append("what is left is a large share of the motion, and no noise")
+    elif left > FOLLOWING_FACTOR * judge.material and _uneven(judge, heldout, drives):
+        reasons.append("what is left is no noise: it jumps, or grows where the pressures move")
     return reasons
 
 

@@ -1,6 +1,7 @@
 """Findings in plain words and plain values: verdict, effects, rivals, what is left, what to record next."""
 
 from collections.abc import Sequence
+from math import degrees
 from typing import Any
 
 from softrl.artifacts.diagnosis import Diagnosis
@@ -13,6 +14,7 @@ from softrl.effects.library import effect_class
 from softrl.robots.robot import Robot
 
 AT_BOUND = 0.97  # a retuned parameter this close to the end of its range (in logarithms) is not plausible
+AS_GOOD = 1.05  # times the retuned error: retuning brought nothing
 WORDS = {
     "valve": "between command and chamber pressure",
     "chamber": "in the chamber",
@@ -88,11 +90,16 @@ def where(choice: Choice) -> str:
 
 def shown_in(finding: Finding) -> tuple[float, str]:
     """Return factor and unit in which a part's errors are shown."""
-    return (1e-3, "kPa") if finding.part.problem.target == "pressure" else (1e3, "mm")
+    problem = finding.part.problem
+    if problem.target == "pressure":
+        return 1e-3, "kPa"
+    if problem.robot.output == "bend_angle":
+        return degrees(1.0) / problem.robot.length_m, "deg"
+    return 1e3, "mm"
 
 
 def rival_entries(findings: Sequence[Finding], robot: Robot) -> list[dict[str, Any]]:
-    """Return the alternatives, nearest first; gaps of motion in mm, of measured pressure in kPa."""
+    """Return the alternatives, nearest first; gaps of motion in mm or deg, of measured pressure in kPa."""
     rows = []
     for finding in findings:
         factor, unit = shown_in(finding)
@@ -179,15 +186,7 @@ def _planned(findings: Sequence[Finding], noise_m: float) -> dict[str, Any] | No
 
 def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
     """Return the finding in plain words, the verdict first."""
-    held = diagnosis.errors_mm["heldout"]
-    lines = [_verdict_sentence(diagnosis)]
-    lines.append(
-        f"Held-out error from command to motion: nominal {held['nominal']:.3g} mm, "
-        f"retuned only {held['retuned']:.3g} mm, corrected {held['corrected']:.3g} mm, "
-        f"noise {held['noise_floor']:.2g} mm; beside them "
-        + ", ".join(f"{words} {held[name]:.3g} mm" for name, words in BESIDE.items() if name in held)
-        + "."
-    )
+    lines = [_verdict_sentence(diagnosis), _error_sentence(diagnosis)]
     lines += [_effect_sentence(effect) for effect in diagnosis.effects]
     for rival in diagnosis.rivals[:4]:
         verb = "cannot be told from" if rival["equivalent"] else "is worse than"
@@ -207,10 +206,23 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
     return lines
 
 
+def _error_sentence(diagnosis: Diagnosis) -> str:
+    unit = "deg" if diagnosis.errors_deg else "mm"
+    held = (diagnosis.errors_deg or diagnosis.errors_mm)["heldout"]
+    beside = ", ".join(f"{words} {held[name]:.3g} {unit}" for name, words in BESIDE.items() if name in held)
+    return (
+        f"Held-out error from command to motion: nominal {held['nominal']:.3g} {unit}, retuned only "
+        f"{held['retuned']:.3g} {unit}, corrected {held['corrected']:.3g} {unit}, noise {held['noise_floor']:.2g} {unit}; "
+        f"beside them {beside}."
+    )
+
+
 def _verdict_sentence(diagnosis: Diagnosis) -> str:
     names_ = " and ".join(f"{effect['title']} ({effect['where']})" for effect in diagnosis.effects)
     if diagnosis.verdict == "nothing missing":
-        return "Nothing is missing that these recordings could show: retuned parameters suffice."
+        held = diagnosis.errors_mm["heldout"]
+        enough = "its own parameters" if held["nominal"] <= AS_GOOD * held["retuned"] else "retuned parameters"
+        return f"Nothing is missing from the simulator that these recordings could show: {enough} suffice."
     if diagnosis.verdict == "named":
         return f"The simulator leaves out: {names_}."
     if diagnosis.verdict == "indistinguishable":
@@ -239,5 +251,5 @@ def _left_sentence(finding: Finding) -> str:
         if offer.pays
         else ""
     )
-    why = f" ({'; '.join(finding.reasons)})" if finding.reasons else ""
+    why = f" ({'; '.join(finding.reasons)})" if finding.reasons else " (more than white noise; it was not found to be physics)"
     return f"{finding.part.title}: {factor * finding.left:.3g} {unit} above the noise stay unexplained{why}{closest}.{more}"

@@ -161,12 +161,13 @@ def draw_errors(diagnosis: Diagnosis) -> Figure:
     """Draw training and held-out errors of all competitors."""
     figure = Figure(figsize=(8, 3.2), layout="constrained")
     ax = figure.subplots()
-    width = 0.8 / max(len(diagnosis.errors_mm), 1)
-    for k, (split, errors) in enumerate(diagnosis.errors_mm.items()):
+    shown = diagnosis.errors_deg or diagnosis.errors_mm
+    width = 0.8 / max(len(shown), 1)
+    for k, (split, errors) in enumerate(shown.items()):
         bars = ax.bar(np.arange(len(errors)) + (k + 0.5) * width - 0.4, list(errors.values()), width, label=split)
         ax.bar_label(bars, fmt="%.2g", fontsize=7)
     ax.set_xticks(np.arange(len(errors)), [name.replace("_", " ") for name in errors])
-    ax.set_ylabel("rms error, mm")
+    ax.set_ylabel(f"rms error, {'deg' if diagnosis.errors_deg else 'mm'}")
     ax.legend()
     return figure
 

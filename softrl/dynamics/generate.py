@@ -63,12 +63,7 @@ class Generated(NamedTuple):
 
 
 def generate_chunks(
-    recipe: Recipe,
-    runs: int,
-    runs_per_chunk: int,
-    seed: np.random.SeedSequence,
-    parallel: Parallel,
-    processes: int,
+    recipe: Recipe, runs: int, runs_per_chunk: int, seed: np.random.SeedSequence, parallel: Parallel, processes: int,
     kept: Kept,
 ) -> Generated:
     """Return windows over ``runs`` random runs that lie in files under ``kept``.
@@ -90,9 +85,7 @@ def generate_chunks(
         k = waiting[number]
         part = slice(k * runs_per_chunk, k * runs_per_chunk + counts[k])
         for name, values in ((ROWS, chunk.rows), (RATES, chunk.next_rate)):
-            file = np.lib.format.open_memmap(
-                kept.folder / name, mode="r+"
-            )  # anew, or all that was written stays mapped
+            file = np.lib.format.open_memmap(kept.folder / name, mode="r+")  # anew, or all that was written stays mapped
             file[part] = values
             file.flush()
         kept.save(f"chunk_{k}", {"within_reach": np.asarray(chunk.within_reach)})

@@ -49,7 +49,7 @@ def replay(
 
     Notes
     -----
-    Between grid points positions are interpolated linearly, quaternions likewise and normalised.
+    Between grid points positions are interpolated linearly, quaternions likewise and normalised; pressures are held.
     """
     return replay_batch([plant], recording, dt_s, drive, settle_s, before=before)[0]
 
@@ -129,7 +129,7 @@ def _reported(recording: Recording, robot: Robot, time: np.ndarray, motion: Moti
     reports_angle = robot.output == "bend_angle" or recording.bend_angle is not None
     return replace(
         recording,
-        pressure_meas=_sampled(recording.time, time, motion.pressure),
+        pressure_meas=_held(recording.time, time, motion.pressure),
         position=_sampled(recording.time, time, motion.position),
         quaternion=quaternion,
         bend_angle=bend_angle(robot, quaternion) if reports_angle else None,
@@ -187,6 +187,16 @@ def _sampled(wanted: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.nda
     """Return the columns of ``values`` (steps, n), interpolated linearly from ``time`` to ``wanted``."""
     place = (wanted - time[0]) / (time[1] - time[0])
     return _interpolated(place, np.ascontiguousarray(values))
+
+
+def _held(wanted: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the rows of ``values`` (steps, n) at the last of ``time`` that is not after each ``wanted``.
+
+    A pressure that follows its command at once jumps with it; between two grid points around a stamp it would seem to
+    know the command that comes next.
+    """
+    place = np.floor((wanted - time[0]) / (time[1] - time[0]) + 1e-9).astype(int)
+    return np.asarray(values[np.clip(place, 0, len(values) - 1)])
 
 
 @nb.njit(cache=True, nogil=True)

@@ -49,10 +49,7 @@ def node_pairs(nodes: int, elements: np.ndarray, triangles: np.ndarray) -> NodeP
         return np.ascontiguousarray(np.where(swap, ~found, found))
 
     return NodePairs(
-        unique // nodes,
-        unique % nodes,
-        slots(element_key, element_swap),
-        slots(triangle_key, triangle_swap),
+        unique // nodes, unique % nodes, slots(element_key, element_swap), slots(triangle_key, triangle_swap),
         np.searchsorted(unique, own * nodes + own),
     )
 
@@ -62,21 +59,11 @@ def _assembler(nodes: int, points: int) -> Any:
 
     @nb.njit(
         nb.float64(_law, _f1, nb.float64, _f2, _i2, _f4, _f2, nb.int64, _i3, _f2, _f3),
-        cache=True,
-        fastmath={"contract", "reassoc", "nsz", "arcp"},
+        cache=True, fastmath={"contract", "reassoc", "nsz", "arcp"},
     )
     def assemble_elastic(
-        law: Any,
-        parameters: np.ndarray,
-        bulk: float,
-        x: np.ndarray,
-        elements: np.ndarray,
-        gradients: np.ndarray,
-        weights: np.ndarray,
-        order: int,
-        slots: np.ndarray,
-        gradient: np.ndarray,
-        blocks: np.ndarray,
+        law: Any, parameters: np.ndarray, bulk: float, x: np.ndarray, elements: np.ndarray, gradients: np.ndarray,
+        weights: np.ndarray, order: int, slots: np.ndarray, gradient: np.ndarray, blocks: np.ndarray,
     ) -> float:
         """Return the elastic energy in J at nodes ``x`` (nodes, 3) m, infinite where the law ends.
 

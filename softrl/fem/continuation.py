@@ -143,9 +143,7 @@ def _walk(model: FemModel, start: Equilibrium, load: np.ndarray, count: int) -> 
         try:
             _check_solve(solve)
             there = Place(solve.pose, model.answer(solve.pose, unit), False)
-            if (
-                _astray(model, here, there, stride) is not None
-            ):  # by tangents as stale as Newton's factors: make new ones
+            if _astray(model, here, there, stride) is not None:  # by tangents as stale as Newton's factors: make new ones
                 factorisations += 1 + (not here.exact)
                 here, there = (_exact(model, *at, unit) for at in ((here, ends[0]), (there, ends[1])))
                 _check_way(model, here, there, stride)

@@ -70,10 +70,12 @@ class Study:
         return 100.0 * self.limit.uncertainty_m / float(np.linalg.norm(self.limit.value_m))
 
 
-def study(body: Callable[[Mesh], FemModel], mesh: Mesh, load: np.ndarray, parts: Sequence[int] = (1, 2, 3)) -> Study:
+def study(
+    body: Callable[[Mesh], FemModel], mesh: Mesh, load: np.ndarray, parts: Sequence[int] = (1, 2, 3)
+) -> Study:
     """Return the tips of what ``body`` makes of ``mesh`` under ``load``, each edge cut into ``parts`` in turn.
 
-    Each finer body starts in the shape of the coarsest, which saves it half of its iterations.
+    Each finer body starts in the shape of the one before, which saves it half of its iterations.
 
     Raises
     ------
@@ -82,14 +84,15 @@ def study(body: Callable[[Mesh], FemModel], mesh: Mesh, load: np.ndarray, parts:
     """
     if len(parts) < 3 or list(parts) != sorted(set(parts)) or parts[0] != 1:
         raise ConfigError(f"parts={list(parts)}; expected 1 and two or more rising numbers, to find order and limit")
-    coarse, shape, rows = body(mesh), None, []
+    rows: list[tuple[float, int, np.ndarray, float]] = []
+    before: tuple[FemModel, Pose] | None = None
     for count in parts:
         fine = refine(mesh, count)
-        model = coarse if count == 1 else body(fine)
+        model = body(fine)
         began = time.process_time()
-        pose = _equilibrium(model, load, None if shape is None else carried(coarse, shape, model))
+        pose = _equilibrium(model, load, None if before is None else carried(*before, model, mesh))
         tip, seconds = model.tip(pose) - model.rest_tip, time.process_time() - began
-        shape = pose if shape is None else shape
+        before = model, pose
         edge = float(np.cbrt(6.0 * tetrahedron_volumes(fine.points, fine.tetrahedra).mean()))
         rows.append((edge, model.coupling.unknowns, tip, seconds))
         log.info("%d unknowns: tip displaced %s mm, %.0f s", rows[-1][1], np.round(1e3 * tip, 3), seconds)
@@ -103,8 +106,8 @@ def extrapolate(edge: np.ndarray, tip: np.ndarray) -> Limit:
     Notes
     -----
     The order is that of the changes' length, one for all components. The uncertainty is the grid convergence index of the
-    finest mesh, 1.25 times its distance from the limit, 3 times where the order is not credible; where the tips
-    follow no power it is three times the largest difference between them.
+    finest mesh, 1.25 times its distance from the limit; 3 times where the order is not credible or the tips turn back on
+    their way. Where they follow no power it is three times the largest difference between them.
     """
     h, x = np.asarray(edge, float)[-3:], np.asarray(tip, float)[-3:]
     first, second = np.linalg.norm(x[1] - x[0]), np.linalg.norm(x[2] - x[1])
@@ -117,7 +120,9 @@ def extrapolate(edge: np.ndarray, tip: np.ndarray) -> Limit:
         return Limit(0.0, x[2], SAFETY_IN_DOUBT * float(max(first, second, np.linalg.norm(x[2] - x[0]))))
     order = float(brentq(excess, LOWEST_ORDER, HIGHEST_ORDER))
     rest = (x[2] - x[1]) * h[2] ** order / (h[1] ** order - h[2] ** order)
-    safety = SAFETY if CREDIBLE_ORDER[0] <= order <= CREDIBLE_ORDER[1] else SAFETY_IN_DOUBT
+    onward = float((x[1] - x[0]) @ (x[2] - x[1])) > 0.0  # else the tips swing round the limit
+    credible = onward and CREDIBLE_ORDER[0] <= order <= CREDIBLE_ORDER[1]
+    safety = SAFETY if credible else SAFETY_IN_DOUBT
     return Limit(order, x[2] + rest, safety * float(np.linalg.norm(rest)))
 
 

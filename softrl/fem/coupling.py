@@ -126,7 +126,9 @@ class Coupling:
         arms = np.zeros_like(pose.position)
         for k, member in enumerate(self.members):
             arms[member] = pose.position[member] - pose.centre[k]
-        _scatter(blocks, self.pairs.first, self.pairs.second, arms, self._source, self._kind, self._start, data)
+        _scatter(
+            blocks, self.pairs.first, self.pairs.second, arms, self._source, self._kind, self._start, data
+        )
         for k, member in enumerate(self.members):
             product = arms[member].T @ gradient[member]
             turn = 0.5 * (product + product.T) - np.trace(product) * np.eye(3)
@@ -193,14 +195,8 @@ def quaternion_of(rotation: np.ndarray) -> np.ndarray:
 
 @nb.njit(cache=True)
 def _scatter(
-    blocks: np.ndarray,
-    first: np.ndarray,
-    second: np.ndarray,
-    arms: np.ndarray,
-    source: np.ndarray,
-    kind: np.ndarray,
-    start: np.ndarray,
-    data: np.ndarray,
+    blocks: np.ndarray, first: np.ndarray, second: np.ndarray, arms: np.ndarray, source: np.ndarray,
+    kind: np.ndarray, start: np.ndarray, data: np.ndarray,
 ) -> None:
     """Add every block to the reduced matrix, turned by the arms where a side spins with a rigid body.
 

@@ -66,9 +66,7 @@ class EdgeFrameBody:
         pose, lag = motion.pose, dt + self.rayleigh_stiffness_s
         force, blocks = self._force_and_stiffness(pose, pressure)
         forward = self.coupling.expand(motion.rate, pose)
-        push = self.coupling.reduce(
-            force - lag * multiply_blocks(blocks, self.pairs.first, self.pairs.second, forward), pose
-        )
+        push = self.coupling.reduce(force - lag * multiply_blocks(blocks, self.pairs.first, self.pairs.second, forward), pose)
         matrix = dt * lag * blocks
         matrix[self.pairs.diagonal[:, None], range(3), range(3)] += self.nodal_mass[:, None]
         rate = motion.rate + self._solve(matrix, dt * push, pose)

@@ -70,9 +70,7 @@ def solid_of(mesh: Mesh, order: int) -> Solid:
     """Return the elements of ``order`` 1 or 2 on ``mesh``."""
     orders = {1: linear_mesh, 2: quadratic_mesh}
     if order not in orders:
-        raise ConfigError(
-            f"element_order={order} is unknown; expected 2 (quadratic tetrahedra) or 1 (linear, they lock)"
-        )
+        raise ConfigError(f"element_order={order} is unknown; expected 2 (quadratic tetrahedra) or 1 (linear, they lock)")
     return orders[order](mesh)
 
 
@@ -82,15 +80,9 @@ def linear_mesh(mesh: Mesh) -> Solid:
     gradients = _barycentric_gradients(mesh.points, tetrahedra)[:, None]
     weights = tetrahedron_volumes(mesh.points, tetrahedra)[:, None]
     return Solid(
-        np.array(mesh.points, dtype=float),
-        len(mesh.points),
-        np.zeros((0, 2), dtype=np.int64),
-        tetrahedra,
-        np.asarray(mesh.node_region),
-        mesh.cavity_triangles.astype(np.int64),
-        mesh.cavity_of_triangle.astype(np.int64),
-        np.ascontiguousarray(gradients),
-        weights,
+        np.array(mesh.points, dtype=float), len(mesh.points), np.zeros((0, 2), dtype=np.int64), tetrahedra,
+        np.asarray(mesh.node_region), mesh.cavity_triangles.astype(np.int64), mesh.cavity_of_triangle.astype(np.int64),
+        np.ascontiguousarray(gradients), weights,
     )
 
 
@@ -118,15 +110,8 @@ def quadratic_mesh(mesh: Mesh) -> Solid:
     middle = corners + np.searchsorted(key, side_key)
     gradients, weights = shape_gradients(mesh.points, tetrahedra)
     return Solid(
-        points,
-        corners,
-        edge,
-        elements,
-        region,
-        np.hstack([triangles, middle.reshape(-1, 3)]),
-        mesh.cavity_of_triangle.astype(np.int64),
-        gradients,
-        weights,
+        points, corners, edge, elements, region, np.hstack([triangles, middle.reshape(-1, 3)]),
+        mesh.cavity_of_triangle.astype(np.int64), gradients, weights,
     )
 
 
@@ -140,6 +125,13 @@ def shape_gradients(points: np.ndarray, tetrahedra: np.ndarray) -> tuple[np.ndar
             gradients[:, q, 4 + k] = 4.0 * (share[i] * barycentric[:, j] + share[j] * barycentric[:, i])
     volume = tetrahedron_volumes(points, tetrahedra)
     return gradients, np.repeat(volume[:, None] / 4.0, 4, axis=1)
+
+
+def barycentric(corner: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return the barycentric coordinates (n, 4) of ``points`` (n, 3) in tetrahedra of ``corner`` (n, 4, 3)."""
+    sides = np.swapaxes(corner[:, 1:] - corner[:, :1], 1, 2)
+    inner = np.linalg.solve(sides, (points - corner[:, 0])[..., None])[..., 0]
+    return np.concatenate([1.0 - inner.sum(axis=1, keepdims=True), inner], axis=1)
 
 
 def shape_at(share: np.ndarray, nodes: int) -> np.ndarray:

@@ -43,4 +43,6 @@ def lag_at(model: FemModel, pose: Pose, tangent: Tangent) -> Lag:
     held = model.load_directions(pose).T @ free
     lag = tangent.change @ np.linalg.solve(tangent.compliance, held) - free
     stiffness, viscosity = -lag.T @ push, lag.T @ resist(lag)
-    return Lag(0.5 * (stiffness + stiffness.T), 0.5 * (viscosity + viscosity.T), lag[plate.start + 3 : plate.stop])
+    return Lag(
+        0.5 * (stiffness + stiffness.T), 0.5 * (viscosity + viscosity.T), lag[plate.start + 3 : plate.stop]
+    )

@@ -65,13 +65,8 @@ def enclosed_volumes(
 
 @nb.njit(cache=True)
 def add_volume_gradient(
-    x: np.ndarray,
-    triangles: np.ndarray,
-    cavity: np.ndarray,
-    triples: np.ndarray,
-    weights: np.ndarray,
-    pressure: np.ndarray,
-    gradient: np.ndarray,
+    x: np.ndarray, triangles: np.ndarray, cavity: np.ndarray, triples: np.ndarray, weights: np.ndarray,
+    pressure: np.ndarray, gradient: np.ndarray,
 ) -> None:
     """Add sum_i pressure_i dV_i/dx to ``gradient`` (nodes, 3); with pressure in Pa this is the force in N."""
     for e in range(len(triangles)):
@@ -91,14 +86,8 @@ def add_volume_gradient(
 
 @nb.njit(cache=True)
 def add_volume_stiffness(
-    x: np.ndarray,
-    triangles: np.ndarray,
-    cavity: np.ndarray,
-    triples: np.ndarray,
-    weights: np.ndarray,
-    pressure: np.ndarray,
-    slots: np.ndarray,
-    blocks: np.ndarray,
+    x: np.ndarray, triangles: np.ndarray, cavity: np.ndarray, triples: np.ndarray, weights: np.ndarray,
+    pressure: np.ndarray, slots: np.ndarray, blocks: np.ndarray,
 ) -> None:
     """Add the Hessian of - sum_i pressure_i V_i to the node-pair ``blocks`` (pairs, 3, 3), N/m.
 

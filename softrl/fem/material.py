@@ -411,6 +411,7 @@ class MooneyRivlin:
         return np.array([*moduli, 0.0]), float(kappa)
 
 
+
 def bulk_modulus(shear_modulus: float, poisson: float) -> float:
     """Return kappa in the unit of ``shear_modulus``."""
     return 2.0 * shear_modulus * (1.0 + poisson) / (3.0 * (1.0 - 2.0 * poisson))

@@ -81,17 +81,9 @@ class FemModel:
     """
 
     def __init__(
-        self,
-        mesh: Mesh,
-        material: Material,
-        density_kg_m3: float,
-        rayleigh_mass_per_s: float,
-        rayleigh_stiffness_s: float,
-        newton: NewtonSettings,
-        gravity_m_s2: tuple[float, ...] = (0.0, 0.0, 0.0),
-        stiffness_scale: float = 1.0,
-        solver: LinearSolver | None = None,
-        element_order: int = 2,
+        self, mesh: Mesh, material: Material, density_kg_m3: float, rayleigh_mass_per_s: float,
+        rayleigh_stiffness_s: float, newton: NewtonSettings, gravity_m_s2: tuple[float, ...] = (0.0, 0.0, 0.0),
+        stiffness_scale: float = 1.0, solver: LinearSolver | None = None, element_order: int = 2,
         mean_dilatation: bool = True,
     ) -> None:
         if density_kg_m3 <= 0:
@@ -116,11 +108,7 @@ class FemModel:
         self.coupling = self._couple()
         self._tip_share = self.coupling.spread(0)[:, None]
         self._solver = solver if solver is not None else linear_solver()
-        self._surface = (
-            solid.cavity_triangles,
-            solid.cavity_of_triangle,
-            *VOLUME_RULE[solid.cavity_triangles.shape[1]],
-        )
+        self._surface = (solid.cavity_triangles, solid.cavity_of_triangle, *VOLUME_RULE[solid.cavity_triangles.shape[1]])
         self._assemble = ASSEMBLERS[solid.elements.shape[1]]
         self._stepping = 0.0  # the time step whose factors the solver holds, s
         self.rest_tip = solid.plate_centroid()
@@ -185,9 +173,7 @@ class FemModel:
         shapes = np.stack([self.coupling.expand(column, pose) for column in change.T])
         stiff = np.stack([multiply_blocks(blocks, self.pairs.first, self.pairs.second, t) for t in shapes])
         return Tangent(
-            change,
-            forces.T @ change,
-            np.einsum("ani,bni->ab", shapes, stiff),
+            change, forces.T @ change, np.einsum("ani,bni->ab", shapes, stiff),
             np.einsum("ani,n,bni->ab", shapes, self.nodal_mass, shapes),
         )
 
@@ -239,11 +225,7 @@ class FemModel:
         return State(pose, np.zeros_like(pose.position), np.zeros(self.coupling.unknowns))
 
     def step(
-        self,
-        state: State,
-        load: np.ndarray,
-        dt: float,
-        gravity_m_s2: np.ndarray | None = None,
+        self, state: State, load: np.ndarray, dt: float, gravity_m_s2: np.ndarray | None = None,
         start: Pose | None = None,
     ) -> Step:
         """Return the state ``dt`` seconds later under ``load``, by implicit Euler; Newton begins at ``start``.
@@ -293,17 +275,8 @@ class FemModel:
         """Return the node-pair blocks of what stiffness-proportional damping multiplies, N/m."""
         blocks = np.zeros((len(self.pairs.first), 3, 3))
         self._assemble(
-            viscous,
-            self._viscous_moduli,
-            self._viscous_bulk,
-            pose.position,
-            self._elements,
-            self._gradients,
-            self._weights,
-            VISCOUS,
-            self.pairs.element_slots,
-            np.zeros_like(pose.position),
-            blocks,
+            viscous, self._viscous_moduli, self._viscous_bulk, pose.position, self._elements, self._gradients,
+            self._weights, VISCOUS, self.pairs.element_slots, np.zeros_like(pose.position), blocks,
         )
         return blocks
 
@@ -321,17 +294,8 @@ class FemModel:
         gradient = np.zeros_like(pose.position)
         blocks = np.zeros((len(self.pairs.first) if order >= TANGENT else 1, 3, 3))
         energy = self._assemble(
-            type(self._material).kernel,
-            self._parameters,
-            self._bulk_pa,
-            pose.position,
-            self._elements,
-            self._gradients,
-            self._weights,
-            order,
-            self.pairs.element_slots,
-            gradient,
-            blocks,
+            type(self._material).kernel, self._parameters, self._bulk_pa, pose.position, self._elements, self._gradients,
+            self._weights, order, self.pairs.element_slots, gradient, blocks,
         )
         return Value(energy, gradient, blocks if order >= TANGENT else None)
 

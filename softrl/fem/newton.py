@@ -75,11 +75,7 @@ Objective = Callable[[Pose, int], Value]
 
 
 def minimise(
-    objective: Objective,
-    start: Pose,
-    coupling: Coupling,
-    solver: LinearSolver,
-    settings: NewtonSettings,
+    objective: Objective, start: Pose, coupling: Coupling, solver: LinearSolver, settings: NewtonSettings,
     factors_ready: bool = False,
 ) -> Solve:
     """Return the pose near ``start`` at which ``objective`` has no gradient.

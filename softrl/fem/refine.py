@@ -12,7 +12,7 @@ import numpy as np
 from softrl.artifacts.mesh import FREE, Mesh, tetrahedron_volumes
 from softrl.core.errors import ConfigError
 from softrl.fem.coupling import Pose
-from softrl.fem.elements import Solid, shape_at
+from softrl.fem.elements import Solid, barycentric, shape_at
 from softrl.fem.model import FemModel
 
 
@@ -27,12 +27,9 @@ def refine(mesh: Mesh, parts: int) -> Mesh:
         return mesh
     solid, tetrahedra = _lattice(4, parts), _tetrahedra_of(parts)
     face, triangles = _lattice(3, parts), _triangles_of(parts)
-    key = np.concatenate(
-        [
-            _keys(mesh.tetrahedra, solid).reshape(-1, 8),
-            _keys(mesh.cavity_triangles, face).reshape(-1, 8),
-        ]
-    )
+    key = np.concatenate([
+        _keys(mesh.tetrahedra, solid).reshape(-1, 8), _keys(mesh.cavity_triangles, face).reshape(-1, 8),
+    ])
     unique, number = np.unique(key, axis=0, return_inverse=True)
     number = number.ravel()
     inside = number[: len(mesh.tetrahedra) * len(solid)].reshape(-1, len(solid))
@@ -43,44 +40,43 @@ def refine(mesh: Mesh, parts: int) -> Mesh:
     alike = ((region == region[:, :1]) | (weight == 0)).all(axis=1)
     diagonal = _shortest_diagonal(points, inside, solid)
     cut = np.where(
-        diagonal[:, None, None] == 0,
-        inside[:, tetrahedra[0]],
+        diagonal[:, None, None] == 0, inside[:, tetrahedra[0]],
         np.where(diagonal[:, None, None] == 1, inside[:, tetrahedra[1]], inside[:, tetrahedra[2]]),
     ).reshape(-1, 4)
     flipped = tetrahedron_volumes(points, cut) < 0
     cut[flipped] = cut[flipped][:, [1, 0, 2, 3]]
     return Mesh(
-        points,
-        cut,
-        np.where(alike, region[:, 0], FREE),
-        np.repeat(mesh.element_layer, parts**3),
-        surface[:, triangles].reshape(-1, 3),
-        np.repeat(mesh.cavity_of_triangle, parts**2),
-        mesh.robot_name,
+        points, cut, np.where(alike, region[:, 0], FREE), np.repeat(mesh.element_layer, parts**3),
+        surface[:, triangles].reshape(-1, 3), np.repeat(mesh.cavity_of_triangle, parts**2), mesh.robot_name,
     )
 
 
-def carried(coarse: FemModel, pose: Pose, fine: FemModel) -> Pose:
-    """Return the pose of ``fine``, whose mesh ``refine`` cut out of that of ``coarse``, in the shape of ``pose``."""
-    position = _interpolated(coarse.solid, pose.position, fine.solid)
+def carried(coarse: FemModel, pose: Pose, fine: FemModel, root: Mesh) -> Pose:
+    """Return the pose of ``fine`` in the shape that ``coarse`` has in ``pose``; ``refine`` cut both out of ``root``."""
+    position = _interpolated(coarse.solid, pose.position, fine.solid, len(root.tetrahedra))
     centre = pose.centre + np.einsum("kij,kj->ki", pose.rotation, fine.coupling.centres - coarse.coupling.centres)
     for k, (member, arm) in enumerate(zip(fine.coupling.members, fine.coupling.arms, strict=True)):
         position[member] = centre[k] + arm @ pose.rotation[k].T
     return Pose(position, centre, pose.rotation.copy())
 
 
-def _interpolated(coarse: Solid, position: np.ndarray, fine: Solid) -> np.ndarray:
-    """Return where ``coarse``, its nodes at ``position``, has the nodes of ``fine``, (nodes, 3) m."""
-    children = len(fine.elements) // len(coarse.elements)  # they stand in the order of what they were cut out of
-    owner = np.empty(len(fine.points), dtype=int)
-    owner[fine.elements] = (np.arange(len(fine.elements)) // children)[:, None]
-    nodes = coarse.elements[owner]
-    corner = coarse.points[nodes[:, :4]]
-    inner = np.linalg.solve(np.swapaxes(corner[:, 1:] - corner[:, :1], 1, 2), (fine.points - corner[:, 0])[..., None])[
-        ..., 0
-    ]
-    share = np.concatenate([1.0 - inner.sum(axis=1, keepdims=True), inner], axis=1)
-    return np.einsum("na,nai->ni", shape_at(share, nodes.shape[1]), position[nodes])
+def _interpolated(coarse: Solid, position: np.ndarray, fine: Solid, roots: int) -> np.ndarray:
+    """Return where ``coarse``, its nodes at ``position``, has the nodes of ``fine``, (nodes, 3) m.
+
+    Parts stand in the order of the ``roots`` tetrahedra that they were cut out of, so that a node is looked for in few.
+    """
+    mine, parts = len(fine.elements) // roots, len(coarse.elements) // roots
+    root = np.empty(len(fine.points), dtype=int)
+    root[fine.elements] = (np.arange(len(fine.elements)) // mine)[:, None]
+    inside, found = np.full(len(root), -np.inf), np.empty_like(fine.points)
+    for part in range(parts):
+        nodes = coarse.elements[root * parts + part]
+        share = barycentric(coarse.points[nodes[:, :4]], fine.points)
+        better = share.min(axis=1) > inside
+        inside[better] = share[better].min(axis=1)
+        shape = shape_at(share[better], nodes.shape[1])
+        found[better] = np.einsum("na,nai->ni", shape, position[nodes[better]])
+    return found
 
 
 def _lattice(corners: int, parts: int) -> np.ndarray:
@@ -143,9 +139,9 @@ def _triangles_of(parts: int) -> np.ndarray:
 def _shortest_diagonal(points: np.ndarray, inside: np.ndarray, lattice: np.ndarray) -> np.ndarray:
     """Return for each large tetrahedron which of its octahedra's three diagonals is the shortest (0, 1, 2)."""
     parts = int(lattice[0].sum())
-    ends = inside[
-        :, [int(np.flatnonzero((lattice == parts * np.eye(4, dtype=int)[c]).all(axis=1))[0]) for c in range(4)]
-    ]
+    ends = inside[:, [int(np.flatnonzero((lattice == parts * np.eye(4, dtype=int)[c]).all(axis=1))[0]) for c in range(4)]]
     x = points[ends]
-    lengths = [np.linalg.norm(x[:, 0] + x[:, k] - sum(x[:, c] for c in (1, 2, 3) if c != k), axis=1) for k in (1, 2, 3)]
+    lengths = [
+        np.linalg.norm(x[:, 0] + x[:, k] - sum(x[:, c] for c in (1, 2, 3) if c != k), axis=1) for k in (1, 2, 3)
+    ]
     return np.argmin(lengths, axis=0)

@@ -128,15 +128,11 @@ class FemSimulator:
     def model(self) -> FemModel:
         """The finite-element model with the robot's weight."""
         return FemModel(
-            self.mesh,
-            material_of(self.law, self.moduli_pa, self.poisson),
+            self.mesh, material_of(self.law, self.moduli_pa, self.poisson),
             self.mass_scale * self.robot.mass_kg / self.mesh.volume(),
-            self.damping_scale * self.rayleigh_mass_per_s,
-            self.damping_scale * self.rayleigh_stiffness_s,
-            NewtonSettings(self.tolerance_m, self.max_iterations, self.reuse_below),
-            self.robot.gravity_m_s2,
-            self.youngs_modulus_scale,
-            element_order=self.element_order,
+            self.damping_scale * self.rayleigh_mass_per_s, self.damping_scale * self.rayleigh_stiffness_s,
+            NewtonSettings(self.tolerance_m, self.max_iterations, self.reuse_below), self.robot.gravity_m_s2,
+            self.youngs_modulus_scale, element_order=self.element_order,
             mean_dilatation=self.mean_dilatation,
         )
 
@@ -171,13 +167,8 @@ class FemSimulator:
         return FemState(self.model.state(pose), self.model.volumes(pose), np.zeros(3))
 
     def step(
-        self,
-        state: FemState,
-        pressure: np.ndarray,
-        dt_s: float,
-        tip_force: np.ndarray | None = None,
-        body: Sequence[Hook] = (),
-        load: Sequence[Hook] = (),
+        self, state: FemState, pressure: np.ndarray, dt_s: float, tip_force: np.ndarray | None = None,
+        body: Sequence[Hook] = (), load: Sequence[Hook] = (),
     ) -> FemState:
         """Return the state after ``dt_s`` under ``pressure`` (n,) Pa and ``tip_force`` (3,) N."""
         self.model.forget()  # so that a step depends on nothing but its arguments
@@ -274,12 +265,8 @@ class FemSimulator:
         return self.model.tip(state.body.pose), self.model.tip_quaternion(state.body.pose)
 
     def simulate(
-        self,
-        time: np.ndarray,
-        pressure: np.ndarray,
-        tip_force: np.ndarray | None = None,
-        body: Sequence[Hook] = (),
-        load: Sequence[Hook] = (),
+        self, time: np.ndarray, pressure: np.ndarray, tip_force: np.ndarray | None = None,
+        body: Sequence[Hook] = (), load: Sequence[Hook] = (),
     ) -> Motion:
         """Return the motion from rest under ``pressure`` (steps, n), each row held until its time.
 

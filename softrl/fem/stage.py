@@ -3,7 +3,7 @@
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,7 +40,8 @@ class Config:
     mean_dilatation: bool  # changes of volume are weighed by their mean over an element; see FemModel
     equilibria: int  # Sobol samples of the loads
     faces_share: float  # share of them with one pressure at its limit
-    load_step: float  # longest load step, in units of (half the pressure range, largest tip force)
+    tip_force_scale: float  # largest sampled tip force over the robot's: inertia and weight pull at a body like more
+    load_step: float  # longest load step, in units of (half the pressure range, largest sampled tip force)
     paths: int  # warm-started chains of samples; more are better balanced, each begins at rest
     trajectories: int
     duration_s: float  # of each trajectory
@@ -62,7 +63,7 @@ class Config:
         for key, low in least.items():
             if getattr(self, key) < low:
                 raise ConfigError(f"stage.{key}={getattr(self, key)} must be at least {low}")
-        for key in ("load_step", "duration_s", "hold_s", "dt_s"):
+        for key in ("tip_force_scale", "load_step", "duration_s", "hold_s", "dt_s"):
             if not getattr(self, key) > 0:
                 raise ConfigError(f"stage.{key}={getattr(self, key):g} must be positive")
         for key in ("faces_share", "max_failed_share"):
@@ -82,7 +83,9 @@ class Body(NamedTuple):
     material: Material
 
 
-def run(config: Config, robot: Robot, mesh: Mesh, parallel: Parallel | None = None, *, tracker: Tracker) -> Snapshots:
+def run(
+    config: Config, robot: Robot, mesh: Mesh, parallel: Parallel | None = None, *, tracker: Tracker
+) -> Snapshots:
     """Return equilibria over the robot's loads, with tangents, and trajectories of the full model.
 
     Notes
@@ -93,8 +96,8 @@ def run(config: Config, robot: Robot, mesh: Mesh, parallel: Parallel | None = No
     trajectories are kept under the working directory until the stage ends, so that a killed run goes on.
     """
     body = Body(config, robot, mesh, material_of(config.law, config.moduli_pa, config.poisson))
-    loads = sobol_loads(robot, config.equilibria, config.faces_share, config.seed)
-    scale = load_scale(robot)
+    pulled = _pulled(body)
+    loads, scale = sobol_loads(pulled, config.equilibria, config.faces_share, config.seed), load_scale(pulled)
     loads, chains = with_waypoints(loads, paths(loads, scale, config.paths), scale, config.load_step)
     clock = np.arange(1, round(config.duration_s / config.dt_s) + 1) * config.dt_s
     programs = [
@@ -124,15 +127,15 @@ def build_model(body: Body) -> FemModel:
     config = body.config
     newton = NewtonSettings(config.tolerance_m, config.max_iterations, config.reuse_below)
     return FemModel(
-        body.mesh,
-        body.material,
-        body.robot.mass_kg / body.mesh.volume(),
-        config.rayleigh_mass_per_s,
-        config.rayleigh_stiffness_s,
-        newton,
-        element_order=config.element_order,
+        body.mesh, body.material, body.robot.mass_kg / body.mesh.volume(), config.rayleigh_mass_per_s,
+        config.rayleigh_stiffness_s, newton, element_order=config.element_order,
         mean_dilatation=config.mean_dilatation,
     )
+
+
+def _pulled(body: Body) -> Robot:
+    """Return the robot with the largest tip force that is sampled."""
+    return replace(body.robot, tip_force_max_n=body.config.tip_force_scale * body.robot.tip_force_max_n)
 
 
 class Row(NamedTuple):
@@ -222,9 +225,7 @@ def _trace(body: Body, loads: np.ndarray, chain: np.ndarray) -> Chain:
     """Return the equilibria of the rows in ``chain``, and which of them are missed."""
     model = build_model(body)
     traced = Chain([], [])
-    for number, end in zip(
-        chain, follow(model, loads[chain], load_scale(body.robot), body.config.load_step), strict=True
-    ):
+    for number, end in zip(chain, follow(model, loads[chain], load_scale(_pulled(body)), body.config.load_step), strict=True):
         if isinstance(end, Missed):
             traced.missed.append((int(number), end))
         else:
@@ -324,7 +325,9 @@ def corner_mass(model: FemModel) -> np.ndarray:
     return mass
 
 
-def _report(snapshots: Snapshots, samples: list[Found], trajectories: int, tracker: Tracker) -> None:
+def _report(
+    snapshots: Snapshots, samples: list[Found], trajectories: int, tracker: Tracker
+) -> None:
     tip = snapshots.coordinate[:, -3:]
     tracker.metric("equilibria", len(samples))
     tracker.metric("failed", snapshots.failed)

@@ -44,7 +44,9 @@ def by_equilibria(
     points = []
     for share in shares:
         count = max(settings.folds, round(share * len(seen.load)))
-        model, _ = fit_model(lean, robot, snapshots, seen.rows(slice(0, count)), pod, np.random.default_rng(0))
+        model, _ = fit_model(
+            lean, robot, snapshots, seen.rows(slice(0, count)), pod, np.random.default_rng(0)
+        )
         points.append(Point(count, *errors_of(model, snapshots, heldout)))
     return points
 
@@ -56,29 +58,32 @@ def errors_of(model: ReducedModel, snapshots: Snapshots, heldout: Equilibria) ->
     return static, moving
 
 
-def without_lags(model: ReducedModel, samples: Equilibria) -> ReducedModel:
-    """Return ``model`` with all of its viscosity at once: a constant one, the mean over ``samples``, if it lags."""
-    if not model.lag_root.size:
-        return model
-    mean = model.frame.T @ samples.stiffness.mean(axis=0) @ model.frame
+def with_elastic_viscosity(model: ReducedModel) -> ReducedModel:
+    """Return ``model`` with viscosity proportional to the Hessian of its energy, none of which lags."""
     return replace(
         model,
-        stiffness_root=np.linalg.cholesky(mean).T.reshape(-1, 1),
+        stiffness_root=np.eye(model.order).reshape(-1, 1),
         lag_root=model.lag_root[:, :0],
         lag_rotation=model.lag_rotation[:, :0],
     )
 
 
+def without_lags(model: ReducedModel) -> ReducedModel:
+    """Return ``model`` without the share of its viscosity that lags."""
+    return replace(model, lag_root=model.lag_root[:, :0], lag_rotation=model.lag_rotation[:, :0])
+
+
 def report_coordinates(
-    model: ReducedModel, snapshots: Snapshots, samples: tuple[Equilibria, Equilibria], tracker: Tracker
+    model: ReducedModel, snapshots: Snapshots, heldout: Equilibria, tracker: Tracker
 ) -> None:
-    """Log what the lags and the non-linear maps are worth."""
+    """Log what viscosity of its own, the lags and the non-linear maps are worth."""
     for name, other in (
-        ("constant_viscosity", without_lags(model, samples[0])),
+        ("elastic_viscosity", with_elastic_viscosity(model)),
+        ("no_lag", without_lags(model)),
         ("linear", linear_model(model)),
         ("all", model),
     ):
-        static, moving = errors_of(other, snapshots, samples[1])
+        static, moving = errors_of(other, snapshots, heldout)
         tracker.metric(f"convergence/{name}_static_tip_rms_mm", 1e3 * static)
         if np.isfinite(moving):
             tracker.metric(f"convergence/{name}_dynamic_tip_rms_mm", 1e3 * moving)

@@ -65,7 +65,9 @@ class GalerkinBody(NamedTuple):
     sampling_error: float
 
 
-def full_displacements(model: FemModel, loads: np.ndarray, corner_displacement: np.ndarray) -> np.ndarray:
+def full_displacements(
+    model: FemModel, loads: np.ndarray, corner_displacement: np.ndarray
+) -> np.ndarray:
     """Return the displacements (samples, nodes, 3) m of all nodes from those of the corners (samples, corners, 3) m.
 
     Middles of edges start half-way between their ends and are let go by Newton's method under ``loads``.
@@ -92,12 +94,7 @@ def moving_displacements(model: FemModel, load: np.ndarray, dt_s: float) -> np.n
 
 
 def build_body(
-    model: FemModel,
-    material: Material,
-    displacement: np.ndarray,
-    modes: int,
-    tolerance: float,
-    most: int,
+    model: FemModel, material: Material, displacement: np.ndarray, modes: int, tolerance: float, most: int,
     training: int,
 ) -> GalerkinBody:
     """Return the Galerkin body on the POD basis of ``displacement`` (samples, nodes, 3) m.
@@ -167,7 +164,9 @@ def _volume_tensors(model: FemModel, basis: np.ndarray, chamber: int) -> tuple[n
 
     rest = bends(model.solid.points)
     twist = np.array([bends(np.ascontiguousarray(mode)) for mode in basis])
-    slope = np.array([_volume_slope(model, np.ascontiguousarray(mode), chamber) for mode in basis])
+    slope = np.array(
+        [_volume_slope(model, np.ascontiguousarray(mode), chamber) for mode in basis]
+    )
     return slope, rest, twist
 
 
@@ -176,8 +175,7 @@ def _volume_slope(model: FemModel, mode: np.ndarray, chamber: int) -> float:
     size = 1e-2 / np.abs(mode).max()
     rest = model.rest()
     at = [
-        model.volumes(Pose(rest.position + s * size * mode, rest.centre, rest.rotation))[chamber]
-        for s in (-2, -1, 1, 2)
+        model.volumes(Pose(rest.position + s * size * mode, rest.centre, rest.rotation))[chamber] for s in (-2, -1, 1, 2)
     ]
     return float((at[0] - 8.0 * at[1] + 8.0 * at[2] - at[3]) / (12.0 * size))
 
@@ -237,15 +235,8 @@ def stresses(law: Any, parameters: np.ndarray, bulk: float, gradient: np.ndarray
     cache=True, fastmath={"contract", "reassoc", "nsz"},
 )  # fmt: skip
 def elastic(
-    law: Any,
-    parameters: np.ndarray,
-    bulk: float,
-    slope: np.ndarray,
-    weight: np.ndarray,
-    q: np.ndarray,
-    order: int,
-    gradient: np.ndarray,
-    hessian: np.ndarray,
+    law: Any, parameters: np.ndarray, bulk: float, slope: np.ndarray, weight: np.ndarray, q: np.ndarray, order: int,
+    gradient: np.ndarray, hessian: np.ndarray,
 ) -> float:
     """Return the elastic energy in J at amplitudes ``q`` and fill its gradient (r,) and Hessian (r, r) as asked.
 

@@ -132,9 +132,7 @@ class GalerkinSimulator:
             self.mesh, self._material, self.robot.mass_kg / self.mesh.volume(), shots.rayleigh_mass_per_s,
             shots.rayleigh_stiffness_s, NEWTON,
         )  # fmt: skip
-        chosen = np.unique(
-            np.linspace(0, len(shots.loads) - 1, min(self.training_snapshots, len(shots.loads))).astype(int)
-        )
+        chosen = np.unique(np.linspace(0, len(shots.loads) - 1, min(self.training_snapshots, len(shots.loads))).astype(int))
         seen = [full_displacements(model, shots.loads[chosen], shots.displacement[chosen])]
         if self.training_motion_s > 0:
             clock = np.arange(1, round(self.training_motion_s / self.dt_s) + 1) * self.dt_s
@@ -234,13 +232,8 @@ class GalerkinSimulator:
         return self._state(self._rest.copy(), np.zeros_like(self._rest))
 
     def step(
-        self,
-        state: GalerkinState,
-        pressure: np.ndarray,
-        dt_s: float,
-        tip_force: np.ndarray | None = None,
-        body: Sequence[Hook] = (),
-        load: Sequence[Hook] = (),
+        self, state: GalerkinState, pressure: np.ndarray, dt_s: float, tip_force: np.ndarray | None = None,
+        body: Sequence[Hook] = (), load: Sequence[Hook] = (),
     ) -> GalerkinState:
         """Return the state after ``dt_s`` under ``pressure`` (n,) Pa and ``tip_force`` (3,) N."""
         _refuse(body, load)
@@ -258,12 +251,8 @@ class GalerkinSimulator:
         return self.body.rest_tip + self.body.tip @ state.amplitude, quaternion
 
     def simulate(
-        self,
-        time: np.ndarray,
-        pressure: np.ndarray,
-        tip_force: np.ndarray | None = None,
-        body: Sequence[Hook] = (),
-        load: Sequence[Hook] = (),
+        self, time: np.ndarray, pressure: np.ndarray, tip_force: np.ndarray | None = None,
+        body: Sequence[Hook] = (), load: Sequence[Hook] = (),
     ) -> Motion:
         """Return the motion from rest under ``pressure`` (steps, n), each row held until its time."""
         _refuse(body, load)

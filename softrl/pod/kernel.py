@@ -8,11 +8,21 @@ import numpy as np
 
 from softrl.pod.linear import newton_direction
 from softrl.pod.ports import add_effects, commit_effects, fill_ports, make_ports
-from softrl.pod.potential import fill_monomials, fill_potential, fill_square, polynomial, to_ball
+from softrl.pod.potential import (
+    fill_behind,
+    fill_elastic_factor,
+    fill_monomials,
+    fill_potential,
+    fill_root,
+    fill_square,
+    polynomial,
+    to_ball,
+)
 
 TOLERANCE = 1e-9  # change of y: below a nanometre at the tip
 MAX_ITERATIONS = 60
 LONGEST_STEP = 0.5  # of y, in one iteration
+
 
 
 @nb.njit(cache=True)
@@ -71,7 +81,8 @@ def _fill_mass(
     radius = to_ball(y, point)
     few = values[: tables.mass_root.shape[1]]
     fill_monomials(point, tables.parent, tables.variable, few)
-    fill_square(tables.mass_root, few, root, mass)
+    fill_root(tables.mass_root, few, root)
+    fill_square(root, mass)
     return radius
 
 
@@ -82,16 +93,23 @@ def _fill_viscosity(
     values: np.ndarray,
     point: np.ndarray,
     root: np.ndarray,
+    factor: np.ndarray,
+    product: np.ndarray,
     stiff: np.ndarray,
     loose: np.ndarray,
 ) -> None:
     """Fill viscosity and its lagging share (r, r) at ``y``."""
     to_ball(y, point)
-    few = values[: max(tables.stiffness_root.shape[1], tables.lag_root.shape[1])]
+    few = values[: max(tables.elastic.shape[1], tables.stiffness_root.shape[1], tables.lag_root.shape[1])]
     fill_monomials(point, tables.parent, tables.variable, few)
-    fill_square(tables.stiffness_root, few, root, stiff)
+    fill_elastic_factor(tables, few, factor)
+    fill_root(tables.stiffness_root, few, root)
+    fill_behind(root, factor, product)
+    fill_square(product, stiff)
     if tables.lag_root.shape[1] > 0:
-        fill_square(tables.lag_root, few, root, loose)
+        fill_root(tables.lag_root, few, root)
+        fill_behind(root, factor, product)
+        fill_square(product, loose)
 
 
 @nb.njit(cache=True)
@@ -171,23 +189,23 @@ def _set_out(
     ----------
     kinetic : twice the kinetic energy that the velocity is scaled to; negative to leave it
     stored : the lag is scaled down where it would hold more, in the measure of ``loose``
-    work : monomials, point (r,), root (r, r), scratch (r, r), scratch (r,)
+    work : monomials, point (r,), three matrices (r, r), a vector (r,)
     held : mass, viscosity, its lagging share (r, r), force of turning (r,)
     """
-    values, point, root, scratch, halfway = work
+    values, point, root, scratch, factor, halfway = work
     mass, stiff, loose, turning = held
     r = len(y)
     radius = _fill_mass(y, tables, values, point, root, mass)
     if kinetic >= 0.0:
         now = _square(mass, velocity)
-        factor = math.sqrt(kinetic / now) if now > 0.0 else 1.0
+        share = math.sqrt(kinetic / now) if now > 0.0 else 1.0
         for i in range(r):
-            velocity[i] *= factor
+            velocity[i] *= share
     _fill_turning(radius, velocity, tables, values, point, root, scratch, turning)
     if tables.scales[2] > 0.0:
         for i in range(r):
             halfway[i] = y[i] + 0.5 * dt * velocity[i]
-        _fill_viscosity(halfway, tables, values, point, root, stiff, loose)
+        _fill_viscosity(halfway, tables, values, point, root, factor, scratch, stiff, loose)
         after = _square(loose, lag)
         if after > stored:
             for i in range(r):
@@ -245,7 +263,7 @@ def run_kernel(
         fill_potential(y, tables, values, point, gradient, hessian)
         fill_ports(y, rest, gradient, hessian, dt, load[0, :n], tables, ports, True)
         ports.strains[0], ports.tips[0] = ports.strains[1], ports.tips[1]
-    work = (values, point, root, scratch, direction)
+    work = (values, point, root, scratch, jacobian, direction)
     held = (mass, stiff, loose, turning)
     farthest = _set_out(y, velocity, lag, dt, -1.0, np.inf, tables, work, held)
     for step in range(len(load)):

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrl.pod.polynomial import basis, count, degree_of
+from softrl.pod.polynomial import basis, count, degree_of, multinomials
 
 RIDGE = 1e-9
 
@@ -16,13 +16,12 @@ def fit_map(
 
     ``weight`` (S,) is that of each sample's squares. ``through_origin`` leaves out the constant term: the map of rest is zero.
     """
-    rows = basis(points.shape[1], degree).values(points)
+    spread = np.sqrt(multinomials(points.shape[1], degree))
     skip = 1 if through_origin else 0
-    scale = np.linalg.norm(rows * np.sqrt(weight)[:, None], axis=0) + 1e-300
-    scaled = (rows / scale)[:, skip:]
+    scaled = (basis(points.shape[1], degree).values(points) * spread)[:, skip:]
     weighed = scaled * weight[:, None]
-    normal = weighed.T @ scaled + RIDGE * np.eye(scaled.shape[1])
-    found = np.linalg.solve(normal, weighed.T @ targets) / scale[skip:, None]
+    normal = weighed.T @ scaled + RIDGE * weight.sum() * np.eye(scaled.shape[1])
+    found = np.linalg.solve(normal, weighed.T @ targets) * spread[skip:, None]
     return np.pad(found.T, ((0, 0), (skip, 0)))
 
 
@@ -40,12 +39,7 @@ class Degree(NamedTuple):
 
 
 def best_degree(
-    points: np.ndarray,
-    targets: np.ndarray,
-    weight: np.ndarray,
-    fold: np.ndarray,
-    judged: slice,
-    degree_max: int,
+    points: np.ndarray, targets: np.ndarray, weight: np.ndarray, fold: np.ndarray, judged: slice, degree_max: int,
     through_origin: bool,
 ) -> Degree:
     """Return the degree up to ``degree_max`` whose error over folds that the fit did not see is smallest.
@@ -68,12 +62,12 @@ def best_degree(
     return Degree(best, errors[best])
 
 
-def root_targets(matrices: np.ndarray, factor: np.ndarray) -> np.ndarray:
-    """Return (S, r r): S L' of every positive matrix, with L the Cholesky ``factor`` (r, r) of their mean.
+def symmetric_roots(matrices: np.ndarray) -> np.ndarray:
+    """Return the symmetric roots (S, r, r) of symmetric ``matrices``, negative parts left out; smooth near identity."""
+    values, vectors = np.linalg.eigh(matrices)
+    return np.einsum("sik,sk,sjk->sij", vectors, np.sqrt(values.clip(min=0.0)), vectors)
 
-    S is the symmetric root of L^-1 M L^-T, so that ``(S L')' (S L') = M``; S is near the identity and smooth.
-    """
-    inverse = np.linalg.inv(factor)
-    values, vectors = np.linalg.eigh(inverse @ matrices @ inverse.T)
-    roots = np.einsum("sik,sk,sjk->sij", vectors, np.sqrt(values.clip(min=0.0)), vectors)
-    return (roots @ factor.T).reshape(len(matrices), -1)
+
+def elastic_factors(hessian: np.ndarray) -> np.ndarray:
+    """Return upper triangular U (S, r, r) with U U' the ``hessian``, as ``pod.potential.fill_elastic_factor`` does."""
+    return np.linalg.cholesky(hessian[..., ::-1, ::-1])[..., ::-1, ::-1]

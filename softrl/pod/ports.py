@@ -27,6 +27,10 @@ from softrl.pod.potential import polynomial
 PROBE = 1e-4  # of the stiffness scale: change of the elastic pressure by which effects are probed
 
 
+
+
+
+
 class Ports(NamedTuple):
     """What effects see, and room to work in; made once for a run.
 

@@ -14,6 +14,7 @@ import numba as nb
 import numpy as np
 
 _FAST = {"reassoc", "contract"}
+PIVOT = 1e-3  # of the elastic Hessian at rest: least pivot of its factor
 
 
 class Tables(NamedTuple):
@@ -25,9 +26,10 @@ class Tables(NamedTuple):
     parent, variable, degrees : (k,) how monomials are made
     gradient : (r, k), hessian : (pairs, k) J, of elastic energy and weight together
     quadratic : (r, r) J, elastic Hessian at rest: what makes an indefinite Newton matrix definite
-    mass_root, stiffness_root, lag_root : (r r, k) of mass, viscosity and the share of it that lags; the last may have
-        no columns
+    mass_root, stiffness_root, lag_root : (r r, k) of mass, viscosity and the share of it that lags, the latter two
+        beside the factor of ``elastic``; the last may have no columns
     mass_slope : (r r r, k) gradient of ``mass_root`` by y, the first axis by which coordinate
+    elastic : (pairs, k) J, Hessian of the elastic energy alone at scale 1
     weight : (3, r, k) N/(m/s^2) m, mass times the gradient of the centre of mass by y
     rotation : (3, k) rad;  lag_rotation : (3 r, k) rad per y, of the lags
     rest_volume : (n,) m^3;  rest_tip : (3,) m
@@ -49,6 +51,7 @@ class Tables(NamedTuple):
     stiffness_root: np.ndarray
     lag_root: np.ndarray
     mass_slope: np.ndarray
+    elastic: np.ndarray
     weight: np.ndarray
     rotation: np.ndarray
     lag_rotation: np.ndarray
@@ -96,9 +99,7 @@ def fill_potential(
     """Fill gradient (r,) and Hessian (r, r) of the potential at ``y`` in J; return ``|y|``."""
     r = len(y)
     radius = to_ball(y, point)
-    fill_monomials(
-        point, tables.parent, tables.variable, values[: max(tables.gradient.shape[1], tables.weight.shape[2])]
-    )
+    fill_monomials(point, tables.parent, tables.variable, values[: max(tables.gradient.shape[1], tables.weight.shape[2])])
     for i in range(r):
         gradient[i] = polynomial(tables.gradient[i], values)
     pair = 0
@@ -175,12 +176,18 @@ def _ray(degree: float, radius: float) -> tuple[float, float, float]:
 
 
 @nb.njit(cache=True, fastmath=_FAST)
-def fill_square(roots: np.ndarray, values: np.ndarray, root: np.ndarray, square: np.ndarray) -> None:
-    """Fill ``square`` (r, r) with R' R, R from the polynomials ``roots`` (r r, k): never indefinite."""
+def fill_root(roots: np.ndarray, values: np.ndarray, root: np.ndarray) -> None:
+    """Fill ``root`` (r, r) from the polynomials ``roots`` (r r, k)."""
     r = len(root)
     for i in range(r):
         for j in range(r):
             root[i, j] = polynomial(roots[i * r + j], values)
+
+
+@nb.njit(cache=True, fastmath=_FAST)
+def fill_square(root: np.ndarray, square: np.ndarray) -> None:
+    """Fill ``square`` (r, r) with R' R: never indefinite."""
+    r = len(root)
     for i in range(r):
         for j in range(i, r):
             total = 0.0
@@ -188,3 +195,47 @@ def fill_square(roots: np.ndarray, values: np.ndarray, root: np.ndarray, square:
                 total += root[k, i] * root[k, j]
             square[i, j] = total
             square[j, i] = total
+
+
+@nb.njit(cache=True)
+def fill_elastic_factor(tables: Any, values: np.ndarray, factor: np.ndarray) -> None:
+    """Fill ``factor`` (r, r), upper triangular, with U U' the elastic Hessian, made positive.
+
+    Columns are eliminated from the last: the soft coordinates of the tip before the stiff ones of the volumes. Pivots
+    are held above a share of those diagonal entries at rest.
+    """
+    r = len(factor)
+    pair = 0
+    for i in range(r):
+        for j in range(i, r):
+            factor[i, j] = polynomial(tables.elastic[pair], values)
+            factor[j, i] = 0.0 if j > i else factor[i, j]
+            pair += 1
+    for j in range(r - 1, -1, -1):
+        pivot = factor[j, j]
+        for k in range(j + 1, r):
+            pivot -= factor[j, k] * factor[j, k]
+        factor[j, j] = math.sqrt(max(pivot, PIVOT * tables.elastic[_diagonal(r, j), 0]))
+        for i in range(j):
+            entry = factor[i, j]
+            for k in range(j + 1, r):
+                entry -= factor[i, k] * factor[j, k]
+            factor[i, j] = entry / factor[j, j]
+
+
+@nb.njit(cache=True)
+def _diagonal(r: int, i: int) -> int:
+    """Return where a table of Hessians keeps the entry (i, i)."""
+    return i * r - i * (i - 1) // 2
+
+
+@nb.njit(cache=True)
+def fill_behind(root: np.ndarray, factor: np.ndarray, product: np.ndarray) -> None:
+    """Fill ``product`` (r, r) with R U', U upper triangular."""
+    r = len(root)
+    for i in range(r):
+        for j in range(r):
+            total = 0.0
+            for k in range(j, r):
+                total += root[i, k] * factor[j, k]
+            product[i, j] = total

@@ -13,7 +13,7 @@ from softrl.effects.effect import PORT_KERNEL
 from softrl.pod.inverse import solve_pressures
 from softrl.pod.kernel import run_kernel, tip_pose
 from softrl.pod.polynomial import basis, degree_of
-from softrl.pod.potential import Tables
+from softrl.pod.potential import Tables, fill_behind, fill_elastic_factor
 
 log = logging.getLogger(__name__)
 
@@ -71,6 +71,7 @@ def tables_of(
                 model.stiffness_root,
                 model.lag_root,
                 gradient_of(model.mass_root, r).reshape(r**3, -1),
+                elastic_hessian(model),
                 mass * weight.transpose(1, 0, 2),
                 model.rotation,
                 model.lag_rotation,
@@ -98,12 +99,18 @@ def gradient_of(coefficients: np.ndarray, order: int) -> np.ndarray:
     return basis(order, degree_of(order, coefficients.shape[-1])).derivative(coefficients)
 
 
+def elastic_hessian(model: ReducedModel) -> np.ndarray:
+    """Return the Hessian of the elastic energy by y as polynomials (pairs, k) J."""
+    r = model.order
+    table = basis(r, max(degree_of(r, len(model.energy)), 2))
+    return table.hessian(np.pad(model.energy, (0, table.monomials - len(model.energy))))
+
+
 def elastic_hessian_at_rest(model: ReducedModel) -> np.ndarray:
     """Return the Hessian (r, r) of the elastic energy by y at rest, J."""
     r = model.order
-    hessian = basis(r, 2).hessian(model.energy[: basis(r, 2).monomials])[:, 0]
     full = np.zeros((r, r))
-    full[np.triu_indices(r)] = hessian
+    full[np.triu_indices(r)] = elastic_hessian(model)[:, 0]
     return full + np.triu(full, 1).T
 
 
@@ -296,9 +303,19 @@ def mechanical_energy(
     energy = 0.5 * (moving**2).sum(axis=1) + values @ model.energy - model.mass * height @ gravity
     if lag is None or not model.lag_root.size:
         return energy
-    ahead = y + 0.5 * dt_s * rate
-    ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1.0)
-    loose = basis(r, degree_of(r, model.lag_root.shape[1])).values(ahead) @ model.lag_root.T
-    loose = loose.reshape(-1, r, r)
+    loose = _lag_roots(model, y + 0.5 * dt_s * rate)
     pulled = np.einsum("sij,sj->si", loose, lag @ inverse.T)
     return energy + 0.5 * model.lag_ratio * model.rayleigh_stiffness_s**2 * (pulled**2).sum(axis=1)
+
+
+def _lag_roots(model: ReducedModel, points: np.ndarray) -> np.ndarray:
+    """Return R U' (S, r, r) of the viscosity that lags at ``points`` (S, r)."""
+    tables, r = tables_of(model), model.order
+    table = basis(r, degree_of(r, len(tables.parent)))
+    factor, product = np.empty((r, r)), np.empty((r, r))
+    found = []
+    for row in table.values(points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1.0)):
+        fill_elastic_factor(tables, row, factor)
+        fill_behind((model.lag_root @ row[: model.lag_root.shape[1]]).reshape(r, r), factor, product)
+        found.append(product.copy())
+    return np.array(found)

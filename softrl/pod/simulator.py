@@ -186,9 +186,7 @@ class RomSimulator:
         tables = self._tables
         position, quaternion = np.empty(3), np.empty(4)
         values, point = np.empty(len(tables.parent)), np.empty(len(tables.frame))
-        tip_pose(
-            tables.inverse @ state.coordinates, tables.inverse @ state.lag, tables, values, point, position, quaternion
-        )
+        tip_pose(tables.inverse @ state.coordinates, tables.inverse @ state.lag, tables, values, point, position, quaternion)
         return position, quaternion
 
     def simulate(

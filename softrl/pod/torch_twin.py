@@ -5,6 +5,7 @@ import torch
 from torch import Tensor
 
 from softrl.artifacts.reduced_model import ReducedModel
+from softrl.pod.potential import PIVOT
 from softrl.pod.rom import tables_of
 
 NEWTON = 30
@@ -34,6 +35,7 @@ class TorchRom(torch.nn.Module):
     stiffness_root: Tensor
     lag_root: Tensor
     mass_slope: Tensor
+    elastic: Tensor
     degrees: Tensor
     quadratic: Tensor
 
@@ -56,11 +58,12 @@ class TorchRom(torch.nn.Module):
         pairs = np.zeros((r, r), dtype=int)
         pairs[np.triu_indices(r)] = np.arange(r * (r + 1) // 2)
         pairs = pairs + np.triu(pairs, 1).T
-        self.register_buffer("hessian", torch.tensor(tables.hessian[pairs.ravel()], dtype=dtype))
+        for name in ("hessian", "elastic"):
+            self.register_buffer(name, torch.tensor(getattr(tables, name)[pairs.ravel()], dtype=dtype))
         scales = [float(scale) for scale in tables.scales]
         self.mass_scale, self.mass_damping, self.stiffness_damping, self.wall, self.lag_time = scales[:5]
         roots = (tables.mass_root, tables.stiffness_root, tables.lag_root)
-        most = max(tables.gradient.shape[1], *(root.shape[1] for root in roots))
+        most = max(tables.gradient.shape[1], tables.elastic.shape[1], *(root.shape[1] for root in roots))
         self._levels: list[tuple[Tensor, Tensor]] = []
         for degree in range(1, int(tables.degrees[most - 1]) + 1):
             level = np.flatnonzero(tables.degrees == degree)
@@ -78,9 +81,7 @@ class TorchRom(torch.nn.Module):
         mass, turning = self._inertia(y, rate)
         stiff, loose = self._viscosity(y)
         late = rate if lag is None else lag @ self.inverse.T
-        viscous = self.stiffness_damping * (_times(stiff, rate) + _times(loose, late)) + _times(
-            self.mass_damping * mass, rate
-        )
+        viscous = self.stiffness_damping * (_times(stiff, rate) + _times(loose, late)) + _times(self.mass_damping * mass, rate)
         inside = _times(self.mass_scale * mass, change) - self.mass_scale * turning + viscous + self._slope(y)
         return inside @ self.inverse - load
 
@@ -205,11 +206,25 @@ class TorchRom(torch.nn.Module):
         """Return viscosity without what lags, and what lags (B, r, r) in y."""
         u, _ = self._ball(y)
         roots = self.stiffness_root, self.lag_root
-        values = self._monomials(u, max(root.shape[1] for root in roots))
+        values = self._monomials(u, max(self.elastic.shape[1], *(root.shape[1] for root in roots)))
+        behind = self._elastic_factor(values).transpose(1, 2)
         stiff, loose = (
-            _square((values[:, : root.shape[1]] @ root.T).reshape(-1, self.order, self.order)) for root in roots
+            _square((values[:, : root.shape[1]] @ root.T).reshape(-1, self.order, self.order) @ behind) for root in roots
         )
         return stiff, loose
+
+    def _elastic_factor(self, values: Tensor) -> Tensor:
+        """Return U (B, r, r) of ``pod.potential.fill_elastic_factor``."""
+        r = self.order
+        hessian = (values[:, : self.elastic.shape[1]] @ self.elastic.T).reshape(-1, r, r)
+        columns: dict[int, Tensor] = {}
+        for j in range(r - 1, -1, -1):
+            column = hessian[:, : j + 1, j]
+            for k in range(j + 1, r):
+                column = column - columns[k][:, : j + 1] * columns[k][:, j : j + 1]
+            pivot = column[:, j : j + 1].clamp(min=PIVOT * float(self.elastic[j * r + j, 0])).sqrt()
+            columns[j] = torch.cat([column[:, :j] / pivot, pivot, torch.zeros_like(hessian[:, j + 1 :, j])], dim=1)
+        return torch.stack([columns[j] for j in range(r)], dim=2)
 
 
 def _ray(degree: Tensor, radius: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -39,9 +39,7 @@ def table(finished: Sequence[Any]) -> str:
     """Return one line a number: stage, metric, value, in the order in which stages ran."""
     lines = ["", f"{'stage':<12} {'result':<48} {'value':>12}"]
     for outcome in finished:
-        lines += [
-            f"{outcome.stage:<12} {name:<48} {value:>12.5g}" for name, value in _shown(outcome, len(finished) > 1)
-        ]
+        lines += [f"{outcome.stage:<12} {name:<48} {value:>12.5g}" for name, value in _shown(outcome, len(finished) > 1)]
         word = "seconds_s (reused)" if outcome.reused else "seconds_s"
         lines.append(f"{outcome.stage:<12} {word:<48} {outcome.seconds:>12.1f}")
     if len(finished) > 1:

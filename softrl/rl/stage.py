@@ -51,10 +51,11 @@ def run(config: Config, robot: Robot, surrogate: Surrogate, task: Task, agent: A
         )
     rng = np.random.default_rng(config.seed)
     space = Workspace(surrogate)
+    evaluation = {curve: task.evaluation_goals(curve, space) for curve in task.curves}  # one out of reach is told at once
     training = task.training_goals(config.training_curves, space, rng)
     validation = task.training_goals(config.validation_curves, space, rng)
     lesson = agent.train(_practice(task, space, training, validation), config.seed)
-    metrics = _report(config, task, space, lesson, tracker)
+    metrics = _report(config, task, space, evaluation, lesson, tracker)
     return _policy(robot, task, agent, space, lesson.actor, metrics)
 
 
@@ -73,13 +74,14 @@ def controller_of(actor: Actor) -> Controller:
     return lambda batch: act_scaled(actor, batch.observation())
 
 
-def _report(config: Config, task: Task, space: Workspace, lesson: Lesson, tracker: Tracker) -> dict[str, float]:
+def _report(
+    config: Config, task: Task, space: Workspace, evaluation: dict[str, Goals], lesson: Lesson, tracker: Tracker
+) -> dict[str, float]:
     """Return the metrics after sending them, and figures, to ``tracker``."""
     controllers = {"": controller_of(lesson.actor), "expert_": expert, "rest_": rest}
     metrics: dict[str, float] = {}
     laps: dict[str, Evaluation] = {}
-    for curve in task.curves:
-        goals = task.evaluation_goals(curve, space)
+    for curve, goals in evaluation.items():
         extent = np.linalg.norm(goals.position[0] - space.centre, axis=1).max()
         metrics[f"heldout/{curve}_radius_mm"] = 1e3 * float(extent)
         for label, controller in controllers.items():

@@ -63,6 +63,17 @@ class Workspace:
                 f"bring the tip to within {1e3 * TOLERANCE_M:g} mm: make it smaller or move it"
             )
 
+    def fitted(self, shape: np.ndarray, centre: np.ndarray, share: float, name: str) -> np.ndarray:
+        """Return the points (points, 3) m of ``shape`` about ``centre`` (3,) m, at a share of the largest reachable size."""
+        size = self.largest(shape, centre)
+        if size == 0.0:
+            raise ConfigError(
+                f"trajectory {name}: in no size are its points about {np.round(1e3 * centre, 1).tolist()} mm within reach of "
+                f"robot {self.surrogate.robot_name}; expected some: move it, or rerun stage=surrogate if its joints are kept "
+                "from moving"
+            )
+        return centre + share * size * shape
+
     def largest(self, shape: np.ndarray, centre: np.ndarray) -> float:
         """Return the largest scale in m at which ``shape`` (points, 3), put about ``centre`` (3,) m, is reachable."""
         low, high = 0.0, 4.0 * self.scale

@@ -73,9 +73,7 @@ def prepare(models: Models, planning: Planning, pace: Pace, course: Course) -> P
     return plan(route, course.wanted, start, pace.approach_steps, planning)
 
 
-def controllers(
-    models: Models, planning: Planning, pace: Pace, course: Course, prepared: Plan
-) -> dict[str, Controller]:
+def controllers(models: Models, planning: Planning, pace: Pace, course: Course, prepared: Plan) -> dict[str, Controller]:
     """Return fresh controllers of one course by name.
 
     ``policy`` and ``planned`` see the tip; ``feedforward`` and ``open_loop`` do not. ``open_loop`` is the surrogate's static

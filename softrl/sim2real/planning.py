@@ -214,11 +214,7 @@ class PlannedController:
     """
 
     def __init__(
-        self,
-        prepared: Plan,
-        approach: int,
-        settings: Planning,
-        robot: Robot,
+        self, prepared: Plan, approach: int, settings: Planning, robot: Robot,
         read: Callable[[np.ndarray, np.ndarray | None], np.ndarray],
     ) -> None:
         self._plan, self._approach, self._settings, self._robot, self._read = prepared, approach, settings, robot, read

@@ -31,7 +31,9 @@ def report_rollouts(rollouts: dict[str, dict[str, Rollout]], window: int, tracke
         tracker.metric(name, 1.0 / float(np.mean(decisions)))
 
 
-def report_recovery(rollouts: dict[str, Rollout], disturbance: Disturbance, period_s: float, tracker: Tracker) -> None:
+def report_recovery(
+    rollouts: dict[str, Rollout], disturbance: Disturbance, period_s: float, tracker: Tracker
+) -> None:
     """Log how long each controller took to come back; one that did not has no such number."""
     for controller, rollout in rollouts.items():
         cut, back = disturbance.steps(len(rollout.reached), period_s)

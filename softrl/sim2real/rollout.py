@@ -82,13 +82,7 @@ class Rollout:
 
 
 def follow(
-    driver: Driver,
-    robot: Robot,
-    controller: Controller,
-    course: Course,
-    pace: Pace,
-    name: str,
-    session: str,
+    driver: Driver, robot: Robot, controller: Controller, course: Course, pace: Pace, name: str, session: str,
     events: Mapping[int, Callable[[], None]] = MappingProxyType({}),
 ) -> Rollout:
     """Return how the robot behind ``driver``, which is connected here, follows ``course``.

@@ -27,7 +27,7 @@ from softrl.sim2real.keep import keeping
 from softrl.sim2real.planning import Planning
 from softrl.sim2real.report import report_bandwidth, report_recovery, report_rollouts
 from softrl.sim2real.rollout import Pace, Rollout
-from softrl.sim2real.trial import Trial, mount
+from softrl.sim2real.trial import LINE_OFF, Trial, mount
 
 log = logging.getLogger(__name__)
 RUN_NOTES = {
@@ -104,6 +104,8 @@ def run(
     task = task_of(policy, config.shape_steps, config.radius_share)
     models = Models(robot, policy, Workspace(surrogate), task, calibration, Plant(simulator, effects))
     trial = Trial(models, driver, config.planning, config.pace)
+    if models.surface is None:
+        _require_fit(config, robot, task.curves, driver)
     mount(driver, models)
     recordings: list[Recording] = []
     with keeping(recordings, driver, robot, tracker):
@@ -122,7 +124,28 @@ def run(
     tracker.metric("samples", sum(len(r.time) for r in recordings))
     tracker.metric("recorded_s", sum(float(np.ptp(r.time)) for r in recordings))
     notes = {r.name: next(text for kind, text in RUN_NOTES.items() if kind in r.name) for r in recordings}
-    return RecordingSet(robot_name=robot.name, recordings=tuple(recordings), notes={"run_notes": notes})
+    disturbed = [r.name for r in recordings if r.session.endswith(LINE_OFF)]
+    return RecordingSet(
+        robot_name=robot.name, recordings=tuple(recordings), notes={"run_notes": notes, "disturbed": disturbed}
+    )
+
+
+def _require_fit(config: Config, robot: Robot, curves: tuple[str, ...], driver: Driver) -> None:
+    """Refuse, before anything moves, what would be found out late in the session only."""
+    band, low, high = config.bandwidth, 1e-3 * robot.pressure_min_pa, 1e-3 * robot.pressure_max_pa
+    if band.middle_kpa - band.amplitude_kpa < low or band.middle_kpa + band.amplitude_kpa > high:
+        raise ConfigError(
+            f"stage.bandwidth: middle_kpa={band.middle_kpa:g} with amplitude_kpa={band.amplitude_kpa:g} leaves the range "
+            f"of robot {robot.name}, {low:g} to {high:g} kPa; expected both ends of the tone within it"
+        )
+    cut = config.disturbance
+    if not isinstance(driver, Breakable):
+        return
+    if cut.course not in curves:
+        raise ConfigError(f"stage.disturbance.course={cut.course} is unknown; expected one of {', '.join(curves)}")
+    if not 0 <= cut.chamber < robot.chambers:
+        raise ConfigError(f"stage.disturbance.chamber={cut.chamber}; expected 0 to {robot.chambers - 1}")
+    cut.steps(config.shape_steps, config.pace.period_s)
 
 
 def _disturb(config: Config, trial: Trial, recordings: list[Recording], tracker: Tracker) -> None:

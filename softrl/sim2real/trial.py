@@ -17,6 +17,7 @@ from softrl.sim2real.rollout import Pace, Rollout, follow
 
 log = logging.getLogger(__name__)
 DISTURBED = ("policy", "planned")
+LINE_OFF = "_line_off"  # ends the names of runs, and of their session, in which an air line is cut
 
 
 @runtime_checkable
@@ -60,12 +61,9 @@ class Trial:
         events = {cut: lambda: driver.cut(disturbance.chamber), back: lambda: driver.cut(None)}
         made = controllers(self.models, self.planning, self.pace, course, prepared)
         for name in DISTURBED:
-            run = f"{course.name}_{name}_line_off"
-            yield (
-                name,
-                follow(
-                    driver, self.models.robot, made[name], course, self.pace, run, f"{course.name}_line_off", events
-                ),
+            run = f"{course.name}_{name}{LINE_OFF}"
+            yield name, follow(
+                driver, self.models.robot, made[name], course, self.pace, run, f"{course.name}{LINE_OFF}", events
             )
 
 

@@ -30,6 +30,7 @@ from softrl.surrogate.urdf import write_urdf
 
 log = logging.getLogger(__name__)
 SAMPLED_RADIUS = 0.97  # of the ball that holds the reduced model's samples; beyond it extrapolates, and yields less
+WORST_FIT = 0.1  # of the tips' spread: a chain that cannot follow the body is no surrogate of it
 
 
 @dataclass(frozen=True)
@@ -176,6 +177,12 @@ def _sample(
     )
     limit = np.array([bend, bend, slide])
     fit = fit_joints(chain, tip, -limit, limit)
+    left, spread = np.sqrt(np.mean(fit.residual**2)), np.sqrt(np.mean((tip - tip.mean(axis=0)) ** 2) * 3)
+    if left > WORST_FIT * spread:
+        raise SolverError(
+            f"the joints reach the body's tips to {1e3 * left:.2g} mm rms only, where these spread by {1e3 * spread:.2g} mm: "
+            f"stage.bend_max_rad={config.bend_max_rad:g} or stage.slide_max_share={config.slide_max_share:g} is too small"
+        )
     if not sampled.all():
         log.info(
             "%d equilibria lie outside the reduced model's samples; springs are not fitted there", (~sampled).sum()
@@ -186,6 +193,11 @@ def _sample(
     )  # fmt: skip
     heldout = np.zeros(len(tip), dtype=bool)
     heldout[rng.permutation(len(tip))[: max(1, round(config.heldout_share * len(tip)))]] = True
+    if (~heldout).sum() < 2:
+        raise ConfigError(
+            f"stage.samples={config.samples} with heldout_share={config.heldout_share:g} leaves {(~heldout).sum()} to fit; "
+            "expected 2 or more"
+        )
     return Samples(pressure, tip, quaternion, sampled, fit.theta, fit.residual, heldout)
 
 

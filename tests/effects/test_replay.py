@@ -29,7 +29,7 @@ ROBOT = Robot(
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("dt_s", [0.02, 0.01, 0.005])
+@pytest.mark.parametrize("dt_s", [0.02, 0.01, 0.005, 0.0025])
 @pytest.mark.parametrize("uneven_s", [0.0, 2e-3])
 def test_pressures_arrive_when_they_were_commanded(dt_s: float, uneven_s: float) -> None:
     rng = np.random.default_rng(3)
@@ -40,5 +40,5 @@ def test_pressures_arrive_when_they_were_commanded(dt_s: float, uneven_s: float)
     assert made.pressure_meas is not None
     apart, slope = made.pressure_meas - command, np.gradient(command, time, axis=0)
     late_s = -float(np.sum(apart * slope) / np.sum(slope**2))
-    assert abs(late_s) < (1e-9 if uneven_s == 0.0 else 5e-3), late_s  # a quarter of the time between samples
+    assert abs(late_s) < (1e-9 if uneven_s == 0.0 else 0.6 * dt_s), late_s  # a step's own uncertainty
     assert np.abs(apart).max() < 1e-4 or uneven_s > 0.0

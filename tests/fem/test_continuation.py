@@ -101,7 +101,8 @@ def test_the_stage_records_jumps_with_their_reason(tmp_path: Path, monkeypatch: 
     tracker = Keeper()
     snapshots = run(config, robot, arch(0.004), tracker=tracker)
     rows = list(csv.DictReader(texts["failed_loads.csv"].splitlines()))
-    assert len(rows) == snapshots.failed == tracker.metrics["failed"] == 6 - len(snapshots.loads) > 0
+    assert len(rows) == snapshots.failed == tracker.metrics["failed"] > 0
+    assert snapshots.failed + len(snapshots.loads) >= 6
     assert tracker.metrics["jumps"] == sum("jumps" in row["reason"] for row in rows) > 0
     kept = {tuple(load.round(9)) for load in snapshots.loads}
     names = ("p1_pa", "force_x_n", "force_y_n", "force_z_n")

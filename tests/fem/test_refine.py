@@ -1,5 +1,7 @@
 """Cutting a mesh finer keeps the solid and its parts; a shape carried over to it stays the same shape."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -34,15 +36,20 @@ def test_regions_of_a_finer_mesh_are_those_of_quadratic_elements(box: Mesh) -> N
     assert set(np.unique(fine.node_region)) == {FREE, BASE, PLATE, FIRST_RIB}
 
 
-@pytest.mark.parametrize("order", [1, 2])
-def test_a_carried_shape_stores_the_same_energy_in_the_same_volumes(box: Mesh, order: int) -> None:
-    coarse = model_of(box, mean_dilatation=False, element_order=order)
+@pytest.mark.parametrize(("order", "first", "second"), [(1, 1, 2), (2, 1, 2), (2, 2, 3)])
+def test_a_carried_shape_is_the_same_shape(box: Mesh, order: int, first: int, second: int) -> None:
+    coarse, fine = (
+        model_of(refine(box, parts), mean_dilatation=False, element_order=order) for parts in (first, second)
+    )
+    # linear in each of the finest tetrahedra: every element can follow it, whoever contains whom
+    bend = np.array([[1.02, 0.1, 0.0], [-0.1, 0.97, 0.05], [0.0, 0.03, 1.1]])
+    rest = coarse.rest()
+    shape = carried(coarse, replace(rest, position=rest.position @ bend.T), fine, box)
+    free = fine.coupling.free
+    assert np.allclose(shape.position[free], (fine.solid.points @ bend.T)[free], atol=1e-12)
     pose = coarse.static(np.array([4e3, -2e3, 0.2, -0.1, 0.15])).pose
-    for parts in (3,):
-        fine = model_of(refine(box, parts), mean_dilatation=False, element_order=order)
-        shape = carried(coarse, pose, fine)
-        # its density is no polynomial: finer integration sees a little of it anew
-        energy, stored = fine.elastic_energy(shape), coarse.elastic_energy(pose)
-        assert energy == pytest.approx(stored, rel=1e-9 if order == 1 else 2e-2)
-        assert np.allclose(fine.volumes(shape), coarse.volumes(pose), rtol=1e-9)
-        assert np.allclose(fine.tip(shape) - fine.rest_tip, coarse.tip(pose) - coarse.rest_tip, atol=1e-6)
+    shape = carried(coarse, pose, fine, box)
+    moved = np.abs(pose.position - rest.position).max()
+    assert np.allclose(fine.volumes(shape), coarse.volumes(pose), rtol=1e-9 if first == 1 else 1e-4)
+    assert np.allclose(fine.tip(shape) - fine.rest_tip, coarse.tip(pose) - coarse.rest_tip, atol=1e-3 * moved)
+    assert fine.static(np.array([4e3, -2e3, 0.2, -0.1, 0.15]), shape).iterations <= 6

@@ -1,10 +1,11 @@
 """Which loads are computed, and in which order."""
 
 import numpy as np
+import pytest
 
 from softrl.artifacts.mesh import Mesh
 from softrl.fem.continuation import Equilibrium, follow
-from softrl.fem.sampling import load_scale, paths, sobol_loads, step_program
+from softrl.fem.sampling import load_scale, paths, sobol_loads, step_program, with_waypoints
 from tests.fem.bodies import box_robot, model_of
 
 ROBOT = box_robot(3)
@@ -34,6 +35,19 @@ def test_paths_hold_every_load_once_and_are_shorter_than_chance() -> None:
         return float(np.linalg.norm(np.diff(loads[order] / scale, axis=0), axis=1).sum())
 
     assert sum(length(c) for c in chains) < 0.75 * length(np.arange(64))
+
+
+def test_waypoints_divide_every_way_evenly_and_keep_the_samples() -> None:
+    loads, scale = sobol_loads(ROBOT, 16, 0.0, 0), load_scale(ROBOT)
+    more, chains = with_waypoints(loads, paths(loads, scale, 3), scale, 0.8)
+    assert sorted(np.concatenate(chains)) == list(range(len(more)))
+    np.testing.assert_array_equal(more[:16], loads)
+    for chain in chains:
+        steps = np.linalg.norm(np.diff(more[chain] / scale, axis=0, prepend=0.0), axis=1)
+        assert steps.max() <= 0.8 + 1e-12
+        assert steps.sum() == pytest.approx(
+            np.linalg.norm(np.diff(more[chain[chain < 16]] / scale, axis=0, prepend=0.0), axis=1).sum()
+        )
 
 
 def test_programs_keep_the_slew_rate_and_the_limits() -> None:

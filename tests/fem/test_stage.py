@@ -17,10 +17,28 @@ from tests.fem.bodies import box_robot
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
 CONFIG = Config(
-    law="stable_neo_hookean", moduli_pa=(1e6,), poisson=0.45, element_order=2, mean_dilatation=True,
-    equilibria=5, faces_share=0.2, load_step=1.0, paths=2, trajectories=1, duration_s=0.02, hold_s=0.01, dt_s=0.002,
-    rayleigh_mass_per_s=0.0, rayleigh_stiffness_s=1e-3,
-    tolerance_m=1e-8, max_iterations=40, reuse_below=0.3, max_failed_share=0.0, processes=1, seed=0,
+    law="stable_neo_hookean",
+    moduli_pa=(1e6,),
+    poisson=0.45,
+    element_order=2,
+    mean_dilatation=True,
+    equilibria=5,
+    faces_share=0.2,
+    tip_force_scale=1.0,
+    load_step=4.0,
+    paths=2,
+    trajectories=1,
+    duration_s=0.02,
+    hold_s=0.01,
+    dt_s=0.002,
+    rayleigh_mass_per_s=0.0,
+    rayleigh_stiffness_s=1e-3,
+    tolerance_m=1e-8,
+    max_iterations=40,
+    reuse_below=0.3,
+    max_failed_share=0.0,
+    processes=1,
+    seed=0,
 )
 
 

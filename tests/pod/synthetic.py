@@ -145,13 +145,12 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
 def march(law: Law, loads: np.ndarray, dt: float, mass_damping: float, stiffness_damping: float) -> np.ndarray:
     """Return z (steps, n + 3) by implicit Euler in SI with mass, damping at the start of each step; from rest.
 
-    The law's stiffness in the damping is its Hessian at rest; a share of it lags.
+    The stiffness in the damping is the law's Hessian half a step ahead; a share of it lags.
     """
     z, v, u, path = np.zeros(loads.shape[1]), np.zeros(loads.shape[1]), np.zeros(loads.shape[1]), []
-    stiffness = law.hessian(z)
     hold = LAG_RATIO * stiffness_damping / (LAG_RATIO * stiffness_damping + dt)
     for load in loads:
-        mass = law.mass(z)
+        mass, stiffness = law.mass(z), law.hessian(z + 0.5 * dt * v)
         damping = mass_damping * mass + stiffness_damping * (1.0 - LAG_SHARE * hold) * stiffness
         pull = LAG_SHARE * stiffness_damping * hold * stiffness @ u
         load = load + law.turning(z, v)
@@ -177,7 +176,7 @@ def synthetic_snapshots(robot: Robot, samples: int, seed: int, trajectories: int
     z = np.array([law.equilibrium(load) for load in loads])
     compliance = np.array([np.linalg.inv(law.hessian(point)) for point in z])
     compliance = 0.5 * (compliance + compliance.transpose(0, 2, 1))
-    masses, stiffness = np.array([law.mass(point) for point in z]), law.hessian(np.zeros(n + 3))
+    masses, stiffness = np.array([law.mass(point) for point in z]), np.array([law.hessian(point) for point in z])
     nodes = np.stack([rng.uniform(-0.05, 0.05, 40), rng.uniform(-0.05, 0.05, 40), rng.uniform(0, 0.18, 40)], axis=1)
     tip = z[:, n:]
     height = nodes[:, 2] / 0.18
@@ -195,8 +194,8 @@ def synthetic_snapshots(robot: Robot, samples: int, seed: int, trajectories: int
         compliance=compliance,
         tangent_stiffness=compliance @ stiffness @ compliance,
         tangent_mass=compliance @ masses @ compliance,
-        lag_stiffness=np.tile(LAG_RATIO * LAG_SHARE * stiffness, (samples, 1, 1)),
-        lag_viscosity=np.tile(LAG_RATIO**2 * LAG_SHARE * stiffness, (samples, 1, 1)),
+        lag_stiffness=LAG_RATIO * LAG_SHARE * stiffness,
+        lag_viscosity=LAG_RATIO**2 * LAG_SHARE * stiffness,
         lag_spin=np.zeros((samples, 3, n + 3)),
         centre_of_mass=np.array([law.centre_of_mass(point) for point in z]),
         tip_quaternion=np.array([quaternion(law.rotation(point)) for point in z]),

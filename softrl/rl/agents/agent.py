@@ -45,6 +45,11 @@ class Agent(ABC):
             if getattr(self, name) <= 0:
                 raise ConfigError(f"agent.{name}={getattr(self, name):g} must be positive")
 
+    def _require_share(self, *names: str) -> None:
+        for name in names:
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise ConfigError(f"agent.{name}={getattr(self, name):g}; expected a share above 0 and at most 1")
+
 
 def learn_or_keep(model: Any, steps: int, judge: Any, best: "Best") -> None:
     """Train an agent of SB3, and judge it at the end; one that diverges leaves the best actor so far.

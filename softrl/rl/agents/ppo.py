@@ -42,6 +42,7 @@ class Ppo(Agent):
         self._require_positive(
             "hidden", "envs", "steps", "rollout", "epochs", "batch_size", "learning_rate", "judge_every"
         )
+        self._require_share("gamma")
 
     def train(self, practice: Practice, seed: int) -> Lesson:
         """Return the actor with the best validation reward."""

@@ -42,8 +42,9 @@ class Sac(Agent):
 
     def __post_init__(self) -> None:
         self._require_positive(
-            "hidden", "envs", "steps", "gradient_steps", "batch_size", "learning_rate", "judge_every"
+            "hidden", "envs", "steps", "gradient_steps", "batch_size", "buffer_size", "learning_rate", "judge_every"
         )
+        self._require_share("gamma", "tau")
 
     def train(self, practice: Practice, seed: int) -> Lesson:
         """Return the actor with the best validation reward."""

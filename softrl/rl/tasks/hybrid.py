@@ -22,10 +22,10 @@ class Hybrid(ContactTask):
     def evaluation_goals(self, curve: str, space: Workspace) -> Goals:
         """Return circle, star or figure-eight laid flat on the slope, the force swinging about its mean."""
         shape = CURVES[curve](self.lap_steps) * [1.0, 1.0, 0.0] @ self.frame().T
-        size = self.radius_share * space.largest(shape, space.centre)
+        position = space.fitted(shape, space.centre, self.radius_share, curve)
         swing = 0.5 + 0.25 * np.sin(4.0 * np.pi * np.arange(self.lap_steps) / self.lap_steps)
         force = self.force_min_n + (self.force_max_n - self.force_min_n) * swing
-        return Goals((space.centre + size * shape)[None], force[None])
+        return Goals(position[None], force[None])
 
     def training_goals(self, count: int, space: Workspace, rng: np.random.Generator) -> Goals:
         """Return random Fourier curves in the slope with random forces."""

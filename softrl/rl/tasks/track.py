@@ -20,8 +20,8 @@ class Track(Task):
     def evaluation_goals(self, curve: str, space: Workspace) -> Goals:
         """Return circle, star or the 3-D figure-eight about the workspace's centre."""
         shape = CURVES[curve](self.lap_steps)
-        size = self.radius_share * space.largest(shape, space.centre)
-        return Goals((space.centre + size * shape)[None], np.zeros((1, self.lap_steps)))
+        position = space.fitted(shape, space.centre, self.radius_share, curve)
+        return Goals(position[None], np.zeros((1, self.lap_steps)))
 
     def training_goals(self, count: int, space: Workspace, rng: np.random.Generator) -> Goals:
         """Return the tip's paths under random Fourier pressures: reachable by themselves, out to the workspace's edge."""

@@ -48,12 +48,7 @@ class WireDriver:
     """
 
     def __init__(
-        self,
-        robot: Robot,
-        connect: Callable[[], Transport],
-        watchdog_s: float,
-        link_timeout_s: float,
-        vent_s: float,
+        self, robot: Robot, connect: Callable[[], Transport], watchdog_s: float, link_timeout_s: float, vent_s: float,
         start_timeout_s: float,
     ) -> None:
         for name, value in (("watchdog_s", watchdog_s), ("link_timeout_s", link_timeout_s), ("vent_s", vent_s)):
@@ -336,15 +331,8 @@ class _OnWire(WireDriver):
     """A wire driver that may own the rig at its far end."""
 
     def __init__(
-        self,
-        robot: Robot,
-        medium: str,
-        address: str | None,
-        rig: WiredRig | None,
-        open_at: Callable[[str], Transport],
-        watchdog_s: float,
-        link_timeout_s: float,
-        vent_s: float,
+        self, robot: Robot, medium: str, address: str | None, rig: WiredRig | None,
+        open_at: Callable[[str], Transport], watchdog_s: float, link_timeout_s: float, vent_s: float,
         start_timeout_s: float,
     ) -> None:
         if (address is None) == (rig is None):

@@ -1,0 +1,26 @@
+"""An interrupt stops the command even where it falls into code that swallows exceptions."""
+
+import subprocess
+import sys
+
+SWALLOWED = """
+import _thread, sys, time
+from softrl.__main__ import _repeat_interrupt
+sys.unraisablehook = _repeat_interrupt
+
+class Part:
+    def __del__(self):
+        _thread.interrupt_main()
+        time.sleep(0.05)
+
+try:
+    Part()
+    time.sleep(20.0)
+except KeyboardInterrupt:
+    print("stopped")
+"""
+
+
+def test_an_interrupt_that_a_destructor_swallows_comes_again() -> None:
+    done = subprocess.run([sys.executable, "-c", SWALLOWED], capture_output=True, text=True, check=False, timeout=60)
+    assert done.stdout.strip() == "stopped" and "Exception ignored" not in done.stderr
