@@ -12,7 +12,8 @@ def fit_map(
 ) -> np.ndarray:
     """Return coefficients (columns, monomials) of polynomials from ``points`` (S, r) to ``targets`` (S, columns).
 
-    ``weight`` (S,) is that of each sample's squares; ``ridge`` is relative to their sum. ``through_origin`` leaves out the constant term: the map of rest is zero.
+    ``weight`` (S,) is that of each sample's squares; ``ridge`` is relative to their sum. ``through_origin`` leaves out
+    the constant term: the map of rest is zero.
     """
     spread = np.sqrt(multinomials(points.shape[1], degree))
     skip = 1 if through_origin else 0
