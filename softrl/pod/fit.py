@@ -24,6 +24,7 @@ from softrl.robots.robot import Robot
 log = logging.getLogger(__name__)
 LOST = 0.1  # of the rms motion: an equilibrium farther off counts as lost, however far it is
 THROW_STEPS, THROW_STEP = 40, 0.4  # under each load, in radians of the slowest motion at rest
+ROOT_RIDGE, MAP_RIDGE = 1e-8, 1e-12  # roots near the identity go on tamely beyond the samples; maps are exact
 LAG_FLOOR = 0.005  # of the viscosity lags everywhere: keeps the root smooth at rest, where nothing else does
 
 
@@ -280,6 +281,7 @@ class Targets(NamedTuple):
     weight: np.ndarray
     degree_max: int
     through_origin: bool
+    ridge: float
 
 
 def _fit_maps(
@@ -300,11 +302,11 @@ def _fit_maps(
         for name, goal in goals.items():
             values = goal.values[rows]
             found = best_degree(
-                points[rows], values / goal.weight, weight, folds[rows], own, goal.degree_max, goal.through_origin
+                points[rows], values / goal.weight, weight, folds[rows], own, goal.degree_max, goal.through_origin, goal.ridge
             )
             if found.error < least.get(name, np.inf):
                 least[name] = found.error
-                maps[name] = fit_map(points[rows], values, weight, found.degree, goal.through_origin)
+                maps[name] = fit_map(points[rows], values, weight, found.degree, goal.through_origin, goal.ridge)
                 log.debug("%s of degree %d with images of weight %g", name, found.degree, image_weight)
     return maps
 
@@ -323,17 +325,17 @@ def _targets(settings: FitSettings, images: Equilibria, frame: np.ndarray, ratio
     inverse = np.linalg.inv(factor)
     weight = np.tile(np.sqrt(np.diag((elastic + viscous).mean(axis=0))), len(frame))
     roots = symmetric_roots(inverse @ mass @ inverse.T) @ factor.T
-    goals = {"mass_root": Targets(roots.reshape(len(mass), -1), weight, settings.root_degree_max, False)}
+    goals = {"mass_root": Targets(roots.reshape(len(mass), -1), weight, settings.root_degree_max, False, ROOT_RIDGE)}
     apart = np.linalg.inv(elastic_factors(elastic))
     for name, matrices in (("stiffness_root", viscous - lagging), ("lag_root", lagging)):
         roots = symmetric_roots(apart @ matrices @ apart.transpose(0, 2, 1)).reshape(len(mass), -1)
-        goals[name] = Targets(roots, np.ones(roots.shape[1]), settings.root_degree_max, False)
+        goals[name] = Targets(roots, np.ones(roots.shape[1]), settings.root_degree_max, False, ROOT_RIDGE)
     for name, values in (
         ("centre_of_mass", images.centre_of_mass),
         ("rotation", images.rotation),
         ("lag_rotation", (images.lag_spin @ frame).reshape(len(images.load), -1)),
     ):
-        goals[name] = Targets(values, np.ones(values.shape[1]), settings.map_degree_max, True)
+        goals[name] = Targets(values, np.ones(values.shape[1]), settings.map_degree_max, True, MAP_RIDGE)
     return goals
 
 
