@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.stats.qmc import Sobol
 
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
@@ -23,6 +24,7 @@ from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
 LOST = 0.1  # of the rms motion: an equilibrium farther off counts as lost, however far it is
+PRESSURES = 128  # all over their range, at which the body has to stand
 THROW_STEPS, THROW_STEP = 40, 0.4  # under each load, in radians of the slowest motion at rest
 ROOT_RIDGE, MAP_RIDGE = 1e-8, 1e-12  # roots near the identity go on tamely beyond the samples; maps are exact
 LAG_FLOOR = 0.005  # of the viscosity lags everywhere: keeps the root smooth at rest, where nothing else does
@@ -235,19 +237,27 @@ def _first_that_settles(
 
 
 def _settles(model: ReducedModel, samples: Equilibria) -> bool:
-    """Return whether the body, thrown from load to load and well damped, comes to rest where statics says."""
+    """Return whether the body, thrown from load to load under its weight and well damped, comes to rest where statics says.
+
+    Loads are those of the samples and pressures all over their range.
+    """
     if not _stands(model):
         return False
     root = np.linalg.inv(np.linalg.cholesky(elastic_hessian_at_rest(model)))
     mass = model.mass_root[:, 0].reshape(model.order, model.order)
     slowest = 1.0 / np.sqrt(np.linalg.eigvalsh(root @ mass.T @ mass @ root.T)[-1])
     damped = replace(model, rayleigh_mass_per_s=max(model.rayleigh_mass_per_s, slowest))
-    tables, held = tables_of(damped, np.zeros(3)), np.repeat(samples.load, THROW_STEPS, axis=0)
+    span = model.pressure_max_pa - model.pressure_min_pa
+    pressures = np.zeros((PRESSURES, model.order))
+    pressures[:, : model.chambers] = model.pressure_min_pa + span * Sobol(model.chambers, seed=0).random(PRESSURES)
+    loads = np.concatenate([samples.load, pressures])
+    tables, held = tables_of(damped), np.repeat(loads, THROW_STEPS, axis=0)
     path = np.empty_like(held)
-    run_kernel(*np.zeros((4, model.order)), THROW_STEP / slowest, held, tables, no_hooks(), path, *EMPTY)
-    points, _ = static_points(tables, samples.load)
+    failed, _ = run_kernel(*np.zeros((4, model.order)), THROW_STEP / slowest, held, tables, no_hooks(), path, *EMPTY)
+    points, lost = static_points(tables, loads)
     apart = np.linalg.norm(((path[THROW_STEPS - 1 :: THROW_STEPS] - points) @ model.frame.T)[:, -3:], axis=1)
-    return bool((apart < LOST * np.sqrt((samples.coordinate[:, -3:] ** 2).sum(axis=1).mean())).all())
+    near = LOST * np.sqrt((samples.coordinate[:, -3:] ** 2).sum(axis=1).mean())
+    return not lost.any() and failed == 0 and bool((apart < near).all())
 
 
 def _squared_tip_errors(model: ReducedModel, samples: Equilibria) -> np.ndarray:
