@@ -14,8 +14,8 @@ from softrl.diagnosis.flexible import (
     static_features,
 )
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, starts
-from softrl.diagnosis.hypothesise import Search, fit_trials
 from softrl.diagnosis.problem import Problem, Registration
+from softrl.diagnosis.trial import Search, fit_trials
 
 
 def one_lag(training: Problem, tuned_point: np.ndarray, search: Search) -> Model | None:

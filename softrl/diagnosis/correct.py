@@ -1,6 +1,5 @@
 """Errors of the competitors from command to motion, at every sample, on training and held-out runs."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -67,8 +66,3 @@ def share_closed(heldout: dict[str, float]) -> float | None:
     floor = heldout["noise_floor"] ** 2
     whole, left = (max(heldout[name] ** 2 - floor, 0.0) for name in ("nominal", "corrected"))
     return 1.0 - left / whole if whole > floor else None
-
-
-def runs_by_name(runs: Sequence[Recording]) -> list[str]:
-    """Return the names of the runs."""
-    return [run.name for run in runs]

@@ -11,7 +11,7 @@ from scipy import stats
 from softrl.core.errors import SolverError
 from softrl.diagnosis.flexible import correction, pressures
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes
-from softrl.diagnosis.hypothesise import Path, Search, Trial, drop, fit_trials, forward, join, raced
+from softrl.diagnosis.hypothesise import Path, forward
 from softrl.diagnosis.judge import Gap, Judge, Thresholds
 from softrl.diagnosis.locate import corrected, locate
 from softrl.diagnosis.problem import Problem, Residual
@@ -25,6 +25,7 @@ from softrl.diagnosis.statistics import (
     unlike_noise,
     whiteness,
 )
+from softrl.diagnosis.trial import Search, Trial, drop, fit_trials, join, raced
 from softrl.recordings.recording import Recording
 
 log = logging.getLogger(__name__)

@@ -8,10 +8,10 @@ import numpy as np
 from softrl.core.errors import SolverError
 from softrl.diagnosis.examine import Finding, Named, by_effect, intervals
 from softrl.diagnosis.hypothesis import Hypothesis
-from softrl.diagnosis.hypothesise import Search, Trial
 from softrl.diagnosis.judge import Thresholds
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.search import least_squares
+from softrl.diagnosis.trial import Search, Trial
 
 
 def joined(training: Problem, findings: Sequence[Finding], search: Search, thresholds: Thresholds) -> list[Finding]:

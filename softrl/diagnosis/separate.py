@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from softrl.core.errors import SolverError
-from softrl.diagnosis.hypothesise import Trial
 from softrl.diagnosis.problem import Problem
+from softrl.diagnosis.trial import Trial
 from softrl.excite.block import blocks
 from softrl.excite.rival import Rival
 from softrl.excite.separation import Sensing, normal, responses, tangent

@@ -11,8 +11,8 @@ from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.errors import ConfigError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
-from softrl.diagnosis.baselines import one_lag, without_physics
-from softrl.diagnosis.correct import Model, Traces, errors, in_mm, model_of, share_closed, traces
+from softrl.diagnosis.compete import add_calibrated, competitors, judged_on, with_map
+from softrl.diagnosis.correct import Model, Traces, errors, in_mm, share_closed
 from softrl.diagnosis.data import (
     OTHER_FRAME_RAD,
     TURNED_FRAME_RAD,
@@ -35,9 +35,7 @@ from softrl.diagnosis.explain import (
     verdict_of,
 )
 from softrl.diagnosis.figures import draw_all
-from softrl.diagnosis.hidden import behind, in_words, read_map
 from softrl.diagnosis.hypothesis import Hypothesis, candidates
-from softrl.diagnosis.hypothesise import Search, fit_trials
 from softrl.diagnosis.join import joined
 from softrl.diagnosis.judge import Judge, Thresholds
 from softrl.diagnosis.locate import corrected, locate
@@ -47,6 +45,7 @@ from softrl.diagnosis.quality import mixed
 from softrl.diagnosis.report import page
 from softrl.diagnosis.response import step_responses
 from softrl.diagnosis.step import suited
+from softrl.diagnosis.trial import Search
 from softrl.effects.effect import SITES
 from softrl.effects.library import names
 from softrl.pcc.simulator import PccSimulator
@@ -131,14 +130,14 @@ def run(
         return _cannot_tell(Refusal(data.check, apart), robot, simulator, tracker)
     findings = _examine(config, whole, data, found)
     findings = joined(whole.on(data.training), findings, config.search, config.thresholds)
-    models = _competitors(config, whole.on(data.training), findings)
-    judged = _judge(whole, data, models)
+    models = competitors(config.search, whole.on(data.training), findings)
+    judged = judged_on(whole, data, models)
     if calibration is not None:
-        _add_calibrated(whole, data, calibration, models["retuned"], judged, config)
+        add_calibrated(whole, data, calibration, models["retuned"], judged, config.search)
     located = [f for part in findings for f in _locate(part)]
     diagnosis = _conclude(config, data, whole, findings, models, judged, corrected(located))
     if calibration is not None:
-        diagnosis = _with_map(diagnosis, calibration)
+        diagnosis = with_map(diagnosis, calibration)
     _report(diagnosis, config, data, whole, findings, judged, tracker)
     return diagnosis
 
@@ -199,9 +198,7 @@ def _examine(config: Config, whole: Problem, data: Data, full: Data) -> list[Fin
 def _examine_valve(config: Config, whole: Problem, data: Data) -> Finding:
     steps = whole.numerics
     finer = replace(steps, dt_s=steps.dt_s / VALVE_STEPS, rough_dt_s=steps.rough_dt_s / VALVE_STEPS)
-    problem = replace(
-        whole, target="pressure", register=False, orientation=False, runs=data.training, numerics=finer
-    )
+    problem = replace(whole, target="pressure", register=False, orientation=False, runs=data.training, numerics=finer)
     choices = candidates(config.effects, ("valve",), whole.robot, data.check.excited)
     floor = _floor_in_bin(data.pressure_noise, data, config)
     part = Part("command to measured pressure", problem, data.heldout, floor, data.pressure_travel,
@@ -234,73 +231,6 @@ def _without_bias(runs: tuple[Any, ...], valve: Finding, whole: Problem) -> tupl
         bias = (run.pressure_meas - made.pressure_meas).mean(axis=0)
         shifted.append(replace(run, pressure_meas=run.pressure_meas - bias))
     return tuple(shifted)
-
-
-def _competitors(config: Config, training: Problem, findings: list[Finding]) -> dict[str, Model]:
-    """Return nominal, retuned and corrected, all from command to motion."""
-    empty = Hypothesis((), ())
-    tuned = tuple(training.simulator.parameters)
-    motion = findings[-1]
-    start = motion.base.fit.point
-    retuned = fit_trials(training, None, [(Hypothesis((), tuned), [start])], config.search)[0]
-    parts = [finding.final for finding in findings]
-    effects = tuple(choice for trial in parts for choice in trial.hypothesis.effects)
-    point = np.concatenate([trial.fit.point for trial in parts])
-    if not effects:
-        point = retuned.fit.point
-    elif motion.joint is not None:
-        point = motion.joint
-    lag = one_lag(training, retuned.fit.point, config.search)
-    return {
-        "nominal": model_of(training, empty, np.zeros(0)),
-        "retuned": model_of(training, retuned.hypothesis, retuned.fit.point),
-        "corrected": model_of(training, Hypothesis(effects, tuned), point),
-    } | ({"one_lag": lag} if lag else {})
-
-
-def _judge(whole: Problem, data: Data, models: dict[str, Model]) -> dict[str, dict[str, Traces]]:
-    """Return what every competitor predicts, with physics and without: split -> name -> traces."""
-    splits = {split: whole.on(runs) for split, runs in data.splits.items()}
-    plain = without_physics(whole.on(data.training), splits, models["corrected"].placed)
-    return {
-        split: {name: traces(problem, model) for name, model in models.items()} | plain[split]
-        for split, problem in splits.items()
-    }
-
-
-def _add_calibrated(
-    whole: Problem,
-    data: Data,
-    calibration: Calibration,
-    retuned: Model,
-    judged: dict[str, dict[str, Traces]],
-    config: Config,
-) -> None:
-    """Add what the retuned simulator behind the calibrated map predicts to ``judged``."""
-    training = behind(whole.on(data.training), calibration)
-    fitted = fit_trials(training, None, [(retuned.hypothesis, [retuned.point])], config.search)
-    if fitted:
-        model = model_of(training, retuned.hypothesis, fitted[0].fit.point)
-        for split, runs in data.splits.items():
-            judged[split]["calibrated"] = traces(behind(whole.on(runs), calibration), model)
-
-
-def _with_map(diagnosis: Diagnosis, calibration: Calibration) -> Diagnosis:
-    """Return the diagnosis with what the calibrated map has absorbed, and whether physics replaces it."""
-    rows, held = read_map(calibration), diagnosis.errors_mm["heldout"]
-    lines = in_words(rows)
-    if "calibrated" in held:
-        replaces = bool(diagnosis.effects) and held["corrected"] <= held["calibrated"]
-        lines.append(
-            f"Behind the calibrated map the retuned simulator errs by {held['calibrated']:.3g} mm on held-out runs; "
-            + (
-                f"the physics named here, without the map, by {held['corrected']:.3g} mm, and replaces it."
-                if replaces
-                else f"without it the corrected one by {held['corrected']:.3g} mm: the map stays."
-            )
-        )
-    data = diagnosis.data | {"calibrated_map": rows}
-    return replace(diagnosis, sentences=[*diagnosis.sentences, *lines], data=data)
 
 
 def _locate(finding: Finding) -> list[Any]:

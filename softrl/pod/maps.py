@@ -6,7 +6,7 @@ import numpy as np
 
 from softrl.pod.polynomial import basis, count, degree_of, multinomials
 
-RIDGE = 1e-9
+RIDGE = 1e-12
 
 
 def fit_map(

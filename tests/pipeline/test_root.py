@@ -10,6 +10,7 @@ from softrl.artifacts.policy import Policy
 from softrl.assembly import Assembly
 from softrl.core.errors import ArtifactError, ConfigError
 from softrl.loop import _compose
+from softrl.pipeline import _own_folder
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
 
@@ -52,3 +53,12 @@ def test_the_latest_policy_is_that_of_the_task() -> None:
     with pytest.raises(ArtifactError, match=r"there is one with another task; run stage=rl task=force"):
         assembly._locate(Policy, "policy")
     assert asked[0]["task"] == "force"
+
+
+def test_out_touches_no_folder_of_another_kind(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    for taken in (tmp_path, tmp_path / "notes.txt"):
+        with pytest.raises(ConfigError, match="holds something else than a stage's results"):
+            _own_folder(str(taken))
+    (tmp_path / "result.json").write_text("{}")
+    assert _own_folder(str(tmp_path)) == tmp_path and _own_folder(str(tmp_path / "new")) == tmp_path / "new"

@@ -1,0 +1,257 @@
+"""Every effect of the library fitted roughly beside a trial, so that only the promising ones are fitted in full."""
+
+import logging
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from softrl.core.errors import SolverError
+from softrl.diagnosis.hypothesis import Choice, effect_axes, neutral, starts
+from softrl.diagnosis.problem import Problem
+from softrl.diagnosis.search import Fit, jacobian_at, refine
+from softrl.diagnosis.trial import Search, Trial, join, parallel, squares_left_out
+
+log = logging.getLogger(__name__)
+MIN_AMPLITUDE = 0.25  # a search begins at least at this share of an effect's typical size
+ROUGH_STARTS = 2  # of every effect that are followed
+LOOK_SHARE = 0.2  # of the best effect's gain, along straight lines, which another needs to be fitted at all
+SECOND_LOOK = 0.5  # of an effect's best begin's gain, which another begin of it needs to be followed
+ROUGH_DIFFERENCE = 0.02  # scaled step of differences
+FAR = 0.5  # a parameter retuned by more than this factor, in logarithms, is no longer near nominal
+
+
+class Lead(NamedTuple):
+    """An effect fitted roughly: its scaled parameters with those of the simulator, and the squared error left out.
+
+    ``gain`` is the share of the squared error, of runs left out of the fit, that it saves.
+    """
+
+    choice: Choice
+    point: np.ndarray
+    gain: float
+
+
+def rank(fitting: Problem, current: Trial, choices: Sequence[Choice], search: Search) -> list[Lead]:
+    """Return all ``choices`` fitted roughly beside ``current``, the one that predicts runs left out best first.
+
+    A look along straight lines comes first; what could explain little beside the best is not followed further. All others
+    are fitted nonlinearly, first for all chambers, then in each chamber alone from the shapes found so.
+    """
+    fitting = fitting.rough
+    bases = _bases(fitting, current, search.rough_steps)
+    for_all = [choice for choice in choices if choice.chamber < 0]
+    leads, reach = _leads(fitting, bases, [(c, starts(c)) for c in for_all], 0.0, search)
+    shapes = {lead.choice.name: lead.point[: len(effect_axes(lead.choice))] for lead in leads}
+    alone = [choice for choice in choices if choice.chamber >= 0]
+    tasks = [(c, [_plain(c, shapes.get(c.name)), starts(c)[0]]) for c in alone]
+    leads += _leads(fitting, bases, tasks, reach, search)[0]
+    return sorted(leads, key=lambda lead: -lead.gain)
+
+
+def _leads(
+    fitting: Problem, bases: list["_Base"], tasks: list[tuple[Choice, list[np.ndarray]]], reach: float, search: Search
+) -> tuple[list[Lead], float]:
+    """Return the leads of ``tasks`` (choice, starting points), and the best look; ``reach`` is the best of others."""
+    looks = parallel(_look, [(fitting, bases, choice, points) for choice, points in tasks], search.workers)
+    reach = max([reach, *(look[0].share for look in looks if look)])
+    followed = [bool(look) and look[0].share >= LOOK_SHARE * reach for look in looks]
+    jobs = [
+        (fitting, bases, choice, look, search.rough_steps)
+        for (choice, _), look, kept in zip(tasks, looks, followed, strict=True)
+        if kept
+    ]
+    fitted = iter(parallel(_rough_fit, jobs, search.workers))
+    leads = [
+        next(fitted) if kept else _left_behind(bases, choice, points, look)
+        for (choice, points), look, kept in zip(tasks, looks, followed, strict=True)
+    ]
+    return leads, reach
+
+
+class _Base(NamedTuple):
+    """Where rough fits begin: a trial, and an orthonormal basis (rows, p) of what its free parameters can do."""
+
+    trial: Trial
+    basis: np.ndarray
+
+    @property
+    def left(self) -> np.ndarray:
+        """The residual (rows,) that the free parameters cannot remove, to first order."""
+        return np.asarray(self.trial.fit.residual - self.basis @ (self.basis.T @ self.trial.fit.residual))
+
+
+def _bases(fitting: Problem, current: Trial, steps: int) -> list[_Base]:
+    """Return ``current``, and if the simulator's parameters went far, the same with them back at nominal.
+
+    Parameters that were retuned in an effect's place lead to wherever they hide it best, often to a bound, from where
+    a few steps do not come back.
+    """
+    trials = [_settled(fitting, current, steps)]
+    free = len(current.hypothesis.tuned)
+    if free and np.abs(trials[0].fit.point[-free:]).max() > FAR:
+        point = trials[0].fit.point.copy()
+        point[-free:] = 0.0
+        low, high = fitting.space(current.hypothesis).bounds
+        try:
+            value = fitting.residual(current.hypothesis, point).flat
+            jacobian = jacobian_at(
+                lambda u: fitting.residual(current.hypothesis, u).flat, point, value, low, high, ROUGH_DIFFERENCE
+            )
+            fit = Fit(point, value, jacobian, 0.5 * float(value @ value), 0)
+            trials.append(trials[0]._replace(fit=fit))
+        except SolverError:
+            log.debug("%s does not run with nominal parameters", current.hypothesis.label())
+    return [
+        _Base(trial, np.linalg.qr(trial.fit.jacobian)[0] if trial.fit.jacobian.size else trial.fit.jacobian)
+        for trial in trials
+    ]
+
+
+def _settled(fitting: Problem, trial: Trial, steps: int) -> Trial:
+    """Return ``trial`` refitted roughly on a problem of other steps."""
+    low, high = fitting.space(trial.hypothesis).bounds
+    none = np.zeros(0, dtype=int)
+    fit = refine(
+        lambda u: fitting.residual(trial.hypothesis, u).flat,
+        trial.fit.point,
+        trial.fit.jacobian,
+        none,
+        low,
+        high,
+        steps,
+    )
+    return trial._replace(fit=fit, squares=squares_left_out(fitting, fit, low, high))
+
+
+def _plain(choice: Choice, shape: np.ndarray | None) -> np.ndarray:
+    """Return the fitted ``shape`` of an effect, or its typical one where the fit left it nearly neutral."""
+    typical, zero = starts(choice)[0], neutral(choice)
+    if shape is None or np.abs(shape - zero).max() < MIN_AMPLITUDE * np.abs(typical - zero).max():
+        return typical
+    return shape
+
+
+class _Begin(NamedTuple):
+    """Where a rough fit may begin: number of the base, scaled parameters, share of the squared error it seems to save."""
+
+    base: int
+    point: np.ndarray
+    share: float
+
+
+def _look(fitting: Problem, bases: list[_Base], choice: Choice, points: list[np.ndarray]) -> list[_Begin]:
+    """Return the best begins of one effect from every base, the best of all first."""
+    cost = float(np.sum(bases[0].left ** 2))
+    found = [
+        _Begin(k, begin, 1.0 - rest / max(cost, 1e-300))
+        for k, base in enumerate(bases)
+        for rest, begin in _begins(fitting, base, choice, points)[:ROUGH_STARTS]
+    ]
+    return sorted(found, key=lambda begin: -begin.share)
+
+
+def _left_behind(bases: list[_Base], choice: Choice, points: list[np.ndarray], look: list[_Begin]) -> Lead:
+    """Return an effect that is not followed, with what it seems to save."""
+    begin = look[0] if look else _Begin(0, points[0], -np.inf)
+    return Lead(choice, np.r_[begin.point, bases[begin.base].trial.fit.point], begin.share)
+
+
+def _rough_fit(fitting: Problem, bases: list[_Base], choice: Choice, look: list[_Begin], steps: int) -> Lead:
+    """Return one effect, fitted in few steps from where it was seen: its own derivatives anew, others kept."""
+    current = bases[0].trial
+    hypothesis = current.hypothesis.with_effect(choice)
+    low, high = fitting.space(hypothesis).bounds
+    before = current.mean_square
+
+    def residual(u: np.ndarray) -> np.ndarray:
+        return fitting.residual(hypothesis, u).flat
+
+    first = len(current.fit.point) - len(current.hypothesis.tuned)
+    own = np.arange(first, first + len(effect_axes(choice)))
+    found = []
+    for base, begin, share in look:
+        if share < SECOND_LOOK * look[0].share:
+            continue
+        trial = bases[base].trial
+        known = np.insert(trial.fit.jacobian, [first] * len(own), 0.0, axis=1)
+        try:
+            fit = refine(residual, join(trial, begin), known, own, low, high, steps)
+        except SolverError:
+            continue
+        left = float(squares_left_out(fitting, fit, low, high).mean())
+        found.append((left, np.r_[fit.point[own], np.delete(fit.point, own)]))
+    if not found:
+        return Lead(choice, np.r_[look[0].point, current.fit.point], -np.inf)
+    left, point = min(found, key=lambda pair: pair[0])
+    return Lead(choice, point, 1.0 - left / max(before, 1e-300))
+
+
+def _begins(fitting: Problem, base: _Base, choice: Choice, points: list[np.ndarray]) -> list[tuple[float, np.ndarray]]:
+    """Return (cost that would be left, starting point) of one effect, best first, as far as straight lines tell.
+
+    The effect is simulated at a few sizes beside ``current``; the differences, less what the free parameters can do,
+    are fitted to the residual within the effect's bounds.
+    """
+    current, basis, residual = base.trial, base.basis, base.left
+    hypothesis, zero = current.hypothesis.with_effect(choice), neutral(choice)
+    cost = float(residual @ residual)
+    log_axis = np.array([axis.log for axis in effect_axes(choice)])
+
+    def direction(point: np.ndarray) -> np.ndarray | None:
+        try:
+            moved = fitting.residual(hypothesis, join(current, point)).flat - current.fit.residual
+        except SolverError:
+            return None
+        moved = moved - basis @ (basis.T @ moved)
+        return moved if moved @ moved > 1e-12 * cost else None
+
+    def left(moved: np.ndarray) -> float:
+        return float(np.sum((residual + moved) ** 2))
+
+    found: list[tuple[float, np.ndarray]] = []
+    for point in points:
+        along = direction(point)
+        if along is not None:
+            share = float(np.clip(-(along @ residual) / (along @ along), 0.0, 2.0))
+            begin = np.where(log_axis, point, zero + max(share, MIN_AMPLITUDE) * (point - zero))
+            shorter = direction(begin)
+            if shorter is None or left(along) < left(shorter):  # a wall out of reach does nothing
+                begin, shorter = point, along
+            found.append((min(left(share * along), left(shorter)), begin))
+    if not log_axis[0]:
+        found += _jointly(direction, points[0], zero, log_axis, residual, choice)
+    return sorted(found, key=lambda pair: pair[0])
+
+
+def _jointly(
+    direction: Callable[[np.ndarray], np.ndarray | None],
+    typical: np.ndarray,
+    zero: np.ndarray,
+    log_axis: np.ndarray,
+    residual: np.ndarray,
+    choice: Choice,
+) -> list[tuple[float, np.ndarray]]:
+    """Return what is left by the bounded linear combination of the effect's own parameters, each moved alone, and where.
+
+    Signs come out free.
+    """
+    columns, places = [], []
+    for k in range(len(zero)):
+        point = zero.copy()
+        point[k] = typical[k] if typical[k] != zero[k] else zero[k] + 1.0
+        along = direction(point)
+        if along is not None:
+            columns.append(along)
+            places.append((k, point[k] - zero[k]))
+    if not columns:
+        return []
+    ends = np.array([sorted((a.scaled(a.low), a.scaled(a.high))) for a in effect_axes(choice)])
+    low = np.array([min((ends[k] - zero[k]) / by) for k, by in places])
+    high = np.array([max((ends[k] - zero[k]) / by) for k, by in places])
+    solved = lsq_linear(np.stack(columns, axis=1), -residual, (low - 1e-9, high + 1e-9))
+    begin = np.where(log_axis, typical, zero)
+    for (k, by), share in zip(places, solved.x, strict=True):
+        begin[k] = zero[k] + share * by
+    return [(2.0 * float(solved.cost), begin)]

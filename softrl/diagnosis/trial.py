@@ -1,0 +1,172 @@
+"""A hypothesis fitted to the training runs and scored on each of them left out in turn."""
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import joblib
+import numpy as np
+
+from softrl.core.errors import ConfigError, SolverError
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes
+from softrl.diagnosis.problem import Problem, Registration
+from softrl.diagnosis.search import Fit, least_squares
+from softrl.diagnosis.statistics import left_out
+
+log = logging.getLogger(__name__)
+FIRST_ITERATIONS = 8  # of every start, with longer steps
+BEATEN = 9.0  # times the best squared error, after ``FIRST_ITERATIONS``: such a fit is not followed further
+
+
+@dataclass(frozen=True)
+class Search:
+    """How hard to look.
+
+    Attributes
+    ----------
+    max_effects : effects named together at most, for each stage of the pipeline
+    keep : effects fitted in full in each round, after all were fitted roughly
+    starts : starting points of each fit
+    iterations : Jacobians of each full fit at most
+    rough_steps : steps of each rough fit at most
+    rivals : alternatives to each named effect that are judged on the held-out runs
+    fit_s : seconds of motion that fits see at most; runs are cut at a common length
+    fit_lumped_s : the same for the lumped body, which is simulated much faster
+    workers : processes
+    """
+
+    max_effects: int
+    keep: int
+    starts: int
+    iterations: int
+    rough_steps: int
+    rivals: int
+    fit_s: float
+    fit_lumped_s: float
+    workers: int
+
+    def __post_init__(self) -> None:
+        for name in ("keep", "starts", "iterations", "rough_steps", "fit_s", "fit_lumped_s", "workers"):
+            if getattr(self, name) <= 0:
+                raise ConfigError(f"stage.search.{name}={getattr(self, name):g} must be positive")
+        if not 0 <= self.max_effects <= 3:
+            raise ConfigError(f"stage.search.max_effects={self.max_effects}; expected 0 to 3")
+
+
+class Trial(NamedTuple):
+    """A fitted hypothesis: its search, the placements found with it, and squared errors (bins,).
+
+    ``inside`` holds those on the fitted runs, each left out in turn; ``squares`` those that judge it: the same, or the
+    errors on runs that no fit saw.
+    """
+
+    hypothesis: Hypothesis
+    fit: Fit
+    placed: dict[str, Registration]
+    squares: np.ndarray
+    inside: np.ndarray
+
+    @property
+    def mean_square(self) -> float:
+        """Mean squared error on runs left out."""
+        return float(self.squares.mean())
+
+    @property
+    def everywhere(self) -> np.ndarray:
+        """Squared errors on all runs, none of which its fit saw."""
+        return np.concatenate([self.inside, self.squares])
+
+
+def fit_trials(
+    fitting: Problem,
+    unseen: Problem | None,
+    tasks: Sequence[tuple[Hypothesis, list[np.ndarray]]],
+    search: Search,
+) -> list[Trial]:
+    """Return the fitted hypotheses, in order; one that diverges from every start is left out.
+
+    Squared errors are those on ``unseen`` runs, or without any on the fitted runs, each left out in turn.
+    """
+    jobs = [(fitting, unseen, hypothesis, points, search.iterations) for hypothesis, points in tasks]
+    return [trial for trial in parallel(_fit_trial, jobs, search.workers) if trial is not None]
+
+
+def _fit_trial(
+    fitting: Problem, unseen: Problem | None, hypothesis: Hypothesis, points: list[np.ndarray], iterations: int
+) -> Trial | None:
+    low, high = fitting.space(hypothesis).bounds
+    found = []
+    for start in points or [np.zeros(len(low))]:
+        try:
+            found.append(least_squares(lambda u: fitting.residual(hypothesis, u).flat, start, low, high, iterations))
+        except SolverError as error:
+            log.debug("%s does not run from its start: %s", hypothesis.label(), error)
+    if not found:
+        return None
+    fit = min(found, key=lambda one: one.cost)
+    try:
+        placed = fitting.residual(hypothesis, fit.point).registrations
+        squares = inside = squares_left_out(fitting, fit, low, high)
+        if unseen is not None:
+            squares = unseen.residual(hypothesis, fit.point, placed).squares
+    except SolverError as error:
+        log.info("%s diverges on runs left out and is dropped: %s", hypothesis.label(), error)
+        return None
+    return Trial(hypothesis, fit, placed, squares, inside)
+
+
+def squares_left_out(fitting: Problem, fit: Fit, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return squared errors (bins,) of every run as predicted by a fit to the others."""
+    folds, bins = fitting.folds, len(fitting.run_of_bin)
+    rows = len(fit.residual) // bins
+    error = left_out(fit.jacobian, fit.residual, np.repeat(folds, rows), low - fit.point, high - fit.point)
+    return np.asarray(np.sum(error.reshape(bins, rows) ** 2, axis=1))
+
+
+def raced(
+    fitting: Problem,
+    unseen: Problem | None,
+    tasks: Sequence[tuple[Hypothesis, list[np.ndarray]]],
+    search: Search,
+    best: float = np.inf,
+) -> list[Trial]:
+    """Return the fitted hypotheses, in order; those that are beaten after a few iterations are not fitted to the end.
+
+    ``best`` is the mean squared error, on runs left out, of a trial that they have to compete with.
+    """
+    first = replace(search, iterations=FIRST_ITERATIONS)
+    heat = {trial.hypothesis: trial for trial in fit_trials(fitting.rough, unseen, tasks, first)}
+    best = min([best, *(float(trial.inside.mean()) for trial in heat.values())])
+    going = [(h, [t.fit.point]) for h, t in heat.items() if t.inside.mean() <= BEATEN * best]
+    finished = {trial.hypothesis: trial for trial in fit_trials(fitting, unseen, going, search)}
+    return list((heat | finished).values())
+
+
+def join(current: Trial, point: np.ndarray) -> np.ndarray:
+    """Return the point of ``current`` with the scaled parameters of one more effect put after its effects'."""
+    count = len(current.fit.point) - len(current.hypothesis.tuned)
+    return np.concatenate([current.fit.point[:count], point, current.fit.point[count:]])
+
+
+def drop(trial: Trial, choice: Choice) -> np.ndarray:
+    """Return the point of ``trial`` without the parameters of one of its effects."""
+    return np.delete(trial.fit.point, columns_of(trial, choice))
+
+
+def columns_of(trial: Trial, choice: Choice) -> np.ndarray:
+    """Return the places of one effect's parameters in the point of ``trial``."""
+    first = 0
+    for effect in trial.hypothesis.effects:
+        size = len(effect_axes(effect))
+        if effect == choice:
+            return np.arange(first, first + size)
+        first += size
+    raise ValueError(f"{choice.label()} is not part of {trial.hypothesis.label()}")
+
+
+def parallel(task: Callable[..., Any], jobs: Sequence[tuple[Any, ...]], workers: int) -> list[Any]:
+    """Return ``task(*job)`` of every job, in order, in ``workers`` processes."""
+    if workers == 1 or len(jobs) < 2:
+        return [task(*job) for job in jobs]
+    return list(joblib.Parallel(n_jobs=workers, inner_max_num_threads=1)(joblib.delayed(task)(*job) for job in jobs))
