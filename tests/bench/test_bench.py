@@ -17,15 +17,15 @@ from tests.bench.full import full_simulator
 from tests.fem.bodies import NEWTON, box_robot, hollow_box, model_of
 
 BOX = hollow_box(chambers=2)
-SIMULATOR = full_simulator(
-    box_robot(2), BOX, rayleigh_mass_per_s=1.0, rayleigh_stiffness_s=0.01, tolerance_m=1e-9
-)
+SIMULATOR = full_simulator(box_robot(2), BOX, rayleigh_mass_per_s=1.0, rayleigh_stiffness_s=0.01, tolerance_m=1e-9)
 BENCH = FemBench(SIMULATOR, 5e3, 0.005, 1, (), 1, ())
 
 
 def test_the_reference_makes_the_same_step() -> None:
     pytest.importorskip("skfem")
-    model = model_of(BOX, rayleigh_mass_per_s=2.0, rayleigh_stiffness_s=0.01, gravity_m_s2=(0.0, 1.0, -9.81), newton=NEWTON)
+    model = model_of(
+        BOX, rayleigh_mass_per_s=2.0, rayleigh_stiffness_s=0.01, gravity_m_s2=(0.0, 1.0, -9.81), newton=NEWTON
+    )
     load, state = np.array([6e3, -2e3, 0.2, 0.1, -0.3]), model.state()
     for _ in range(2):
         state = model.step(state, load, 0.004).state

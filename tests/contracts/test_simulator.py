@@ -53,9 +53,21 @@ SIMULATORS: dict[str, Callable[[], tuple[Robot, Simulator]]] = {
 def _fem() -> tuple[Robot, Simulator]:
     robot, box = replace(box_robot(2), pressure_max_pa=3e4), hollow_box(chambers=2)
     return robot, FemSimulator(
-        robot=robot, mesh=box, law="stable_neo_hookean", moduli_pa=(2.7e4,), poisson=0.45, element_order=2,
-        mean_dilatation=True, rayleigh_mass_per_s=0.0, rayleigh_stiffness_s=0.02, tolerance_m=1e-10, max_iterations=40,
-        reuse_below=0.3, youngs_modulus_scale=1.0, damping_scale=1.0, mass_scale=1.0,
+        robot=robot,
+        mesh=box,
+        law="stable_neo_hookean",
+        moduli_pa=(2.7e4,),
+        poisson=0.45,
+        element_order=2,
+        mean_dilatation=True,
+        rayleigh_mass_per_s=0.0,
+        rayleigh_stiffness_s=0.02,
+        tolerance_m=1e-10,
+        max_iterations=40,
+        reuse_below=0.3,
+        youngs_modulus_scale=1.0,
+        damping_scale=1.0,
+        mass_scale=1.0,
     )
 
 
@@ -204,6 +216,4 @@ def test_it_travels_to_another_process(case: tuple[Robot, Simulator]) -> None:
     robot, simulator = case
     time, pressure = program(robot, 20)
     twin = pickle.loads(pickle.dumps(simulator))
-    np.testing.assert_array_equal(
-        twin.simulate(time, pressure).position, simulator.simulate(time, pressure).position
-    )
+    np.testing.assert_array_equal(twin.simulate(time, pressure).position, simulator.simulate(time, pressure).position)

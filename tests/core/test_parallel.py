@@ -53,7 +53,16 @@ def test_processes_do_not_change_a_result() -> None:
 def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
     """Yield the address of a Dask scheduler on this machine and its two workers."""
     pytest.importorskip("distributed")
-    words = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+    words = [
+        sys.executable,
+        "-m",
+        "distributed.cli.dask_scheduler",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        "0",
+        "--no-dashboard",
+    ]
     words += ["--scheduler-file", str(tmp_path / "scheduler.json")]
     settings = os.environ | {
         "PYTHONPATH": str(ROOT), "DASK_DISTRIBUTED__ADMIN__SYSTEM_MONITOR__DISK": "false", "OMP_NUM_THREADS": "1",

@@ -45,9 +45,7 @@ def test_stored_windows_are_those_of_memory(recipe: Recipe, tmp_path: Path) -> N
     np.testing.assert_allclose(piecewise.spread, whole.spread, rtol=1e-9)
 
 
-def test_processes_and_kills_change_nothing(
-    recipe: Recipe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_processes_and_kills_change_nothing(recipe: Recipe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = made(recipe, tmp_path / "whole", processes=2)
     calls = []
 

@@ -43,9 +43,7 @@ def boundary(tetrahedra: np.ndarray) -> np.ndarray:
     return faces[first[count == 1]]
 
 
-def hollow_box(
-    cells: int = 3, width: float = 0.03, height: float = 0.05, chambers: int = 1, walls: int = 1
-) -> Mesh:
+def hollow_box(cells: int = 3, width: float = 0.03, height: float = 0.05, chambers: int = 1, walls: int = 1) -> Mesh:
     """Return a box on its base with ``chambers`` closed cavities side by side and a rigid plate on top.
 
     One box is ``cells`` wide with walls of ``walls`` cells; the plate is a layer of ``walls`` more on top.
@@ -113,9 +111,20 @@ def model_of(mesh: Mesh, material: Material | None = None, **changes: object) ->
 def box_robot(chambers: int) -> Robot:
     """Return a robot whose limits suit ``hollow_box``."""
     return Robot(
-        name="box", chamber_angle_deg=tuple(360.0 / chambers * k for k in range(chambers)), chamber_radius_m=0.01,
-        chamber_area_m2=1e-4, length_m=0.05, mass_kg=0.04, pressure_min_pa=-5e3, pressure_max_pa=1e4,
-        slew_pa_per_s=1e6, tip_force_max_n=0.5, axis="+z", output="tip_pose", command="pressure", command_to_pa=1.0,
+        name="box",
+        chamber_angle_deg=tuple(360.0 / chambers * k for k in range(chambers)),
+        chamber_radius_m=0.01,
+        chamber_area_m2=1e-4,
+        length_m=0.05,
+        mass_kg=0.04,
+        pressure_min_pa=-5e3,
+        pressure_max_pa=1e4,
+        slew_pa_per_s=1e6,
+        tip_force_max_n=0.5,
+        axis="+z",
+        output="tip_pose",
+        command="pressure",
+        command_to_pa=1.0,
         gravity_m_s2=(0.0, 0.0, -9.81),
     )
 
@@ -163,8 +172,17 @@ def solved_inside(cells: int, exact, material, size=0.02, element_order: int = 2
         gradient = np.zeros_like(pose.position)
         blocks = np.zeros((len(pairs.first), 3, 3))
         energy = ASSEMBLERS[q.elements.shape[1]](
-            type(material).kernel, parameters, bulk, pose.position, q.elements, q.gradients, q.weights, order,
-            pairs.element_slots, gradient, blocks,
+            type(material).kernel,
+            parameters,
+            bulk,
+            pose.position,
+            q.elements,
+            q.gradients,
+            q.weights,
+            order,
+            pairs.element_slots,
+            gradient,
+            blocks,
         )
         return Value(energy, gradient, blocks if order >= TANGENT else None)
 
@@ -184,9 +202,17 @@ def error_norms(found: np.ndarray, exact, gradient, solid: Solid) -> tuple[float
             shape, slope = share, barycentric
         else:
             shape = np.r_[share * (2 * share - 1), 4 * share[EDGES[:, 0]] * share[EDGES[:, 1]]]
-            slope = np.concatenate([(4 * share - 1)[:, None] * barycentric, 4 * (
-                share[EDGES[:, 0], None] * barycentric[:, EDGES[:, 1]]
-                + share[EDGES[:, 1], None] * barycentric[:, EDGES[:, 0]])], axis=1)
+            slope = np.concatenate(
+                [
+                    (4 * share - 1)[:, None] * barycentric,
+                    4
+                    * (
+                        share[EDGES[:, 0], None] * barycentric[:, EDGES[:, 1]]
+                        + share[EDGES[:, 1], None] * barycentric[:, EDGES[:, 0]]
+                    ),
+                ],
+                axis=1,
+            )
         where, nodal = np.einsum("c,eci->ei", share, corner), found[solid.elements]
         apart += float((volume * weight) @ ((np.einsum("a,eai->ei", shape, nodal) - exact(where)) ** 2).sum(axis=1))
         miss = np.einsum("eai,eaj->eij", nodal, slope) - gradient(where)

@@ -81,8 +81,9 @@ def test_gradient_and_hessian_in_the_unknowns(model: FemModel, coupling: Couplin
         values = [potential(p, STRESS) for p in (above, below)]
         slope = (values[0].energy - values[1].energy) / (2 * step)
         assert slope == pytest.approx(gradient @ along, rel=1e-6)
-        bend = sum(s * coupling.reduce(v.gradient, p) @ along
-                   for s, v, p in zip((1, -1), values, (above, below), strict=True)) / (2 * step)
+        bend = sum(
+            s * coupling.reduce(v.gradient, p) @ along for s, v, p in zip((1, -1), values, (above, below), strict=True)
+        ) / (2 * step)
         assert bend == pytest.approx(along @ (hessian @ along), rel=1e-6)
 
 

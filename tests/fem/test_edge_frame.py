@@ -45,8 +45,13 @@ def reference(folder: Path) -> Mesh:
         cavities = [data[f"cavity{k}_triangles"][:, ::-1] for k in (1, 2, 3)]
         tetrahedra = data["tets"]
         return Mesh(
-            1e-3 * data["points_mm"], tetrahedra, data["region"], np.zeros(len(tetrahedra), int),
-            np.concatenate(cavities), np.repeat(np.arange(3), [len(c) for c in cavities]), "sofa",
+            1e-3 * data["points_mm"],
+            tetrahedra,
+            data["region"],
+            np.zeros(len(tetrahedra), int),
+            np.concatenate(cavities),
+            np.repeat(np.arange(3), [len(c) for c in cavities]),
+            "sofa",
         )
 
 
@@ -101,9 +106,9 @@ def test_the_energy_model_with_linear_tetrahedra_differs_from_sofa_by_its_frame_
         mesh, Corotational(MODULUS_PA, POISSON), density, 0.0, DAMPING_S, NewtonSettings(1e-8, 40, 0.3), element_order=1
     )
     plate, chosen = mesh.node_region == PLATE, [1, 3, 4, 6, 20, 22, 24, 27, 31, 34]
-    moved = np.array([
-        model.static(np.r_[row, np.zeros(3)]).pose.position[plate].mean(axis=0) - tip[0] for row in pressure[chosen]
-    ])
+    moved = np.array(
+        [model.static(np.r_[row, np.zeros(3)]).pose.position[plate].mean(axis=0) - tip[0] for row in pressure[chosen]]
+    )
     wanted = tip[chosen] - tip[0]
     share = np.sqrt(((moved - wanted) ** 2).sum() / (wanted**2).sum())
     assert share < 0.01, f"{100 * share:.2f} % of the motion"

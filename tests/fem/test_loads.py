@@ -28,9 +28,7 @@ def volumes(solid: Solid, x: np.ndarray) -> np.ndarray:
 
 def force(solid: Solid, x: np.ndarray) -> np.ndarray:
     total = np.zeros_like(x)
-    add_volume_gradient(
-        x, solid.cavity_triangles, solid.cavity_of_triangle, USED_TRIPLES, WEIGHTS, PRESSURE, total
-    )
+    add_volume_gradient(x, solid.cavity_triangles, solid.cavity_of_triangle, USED_TRIPLES, WEIGHTS, PRESSURE, total)
     return total
 
 
@@ -58,7 +56,13 @@ def test_force_is_the_gradient_and_stiffness_the_hessian(solid: Solid) -> None:
     pairs = node_pairs(len(x), solid.elements, solid.cavity_triangles)
     blocks = np.zeros((len(pairs.first), 3, 3))
     add_volume_stiffness(
-        x, solid.cavity_triangles, solid.cavity_of_triangle, USED_TRIPLES, WEIGHTS, PRESSURE, pairs.triangle_slots,
+        x,
+        solid.cavity_triangles,
+        solid.cavity_of_triangle,
+        USED_TRIPLES,
+        WEIGHTS,
+        PRESSURE,
+        pairs.triangle_slots,
         blocks,
     )
     numeric = -(force(solid, x + step * along) - force(solid, x - step * along)) / (2 * step)

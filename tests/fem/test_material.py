@@ -20,8 +20,11 @@ from softrl.fem.material import (
 )
 
 MATERIALS = [
-    StableNeoHookean(1.2e6, 0.45), StVenantKirchhoff(1.2e6, 0.4), Yeoh(2e5, 4e4, 1e4, 0.45),
-    MooneyRivlin(1.5e5, 6e4, 0.45), Corotational(1.2e6, 0.45),
+    StableNeoHookean(1.2e6, 0.45),
+    StVenantKirchhoff(1.2e6, 0.4),
+    Yeoh(2e5, 4e4, 1e4, 0.45),
+    MooneyRivlin(1.5e5, 6e4, 0.45),
+    Corotational(1.2e6, 0.45),
 ]
 all_laws = pytest.mark.parametrize("material", MATERIALS, ids=lambda m: type(m).__name__)
 

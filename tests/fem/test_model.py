@@ -36,12 +36,16 @@ def test_patch_a_pure_bending_is_exact_for_quadratic_elements() -> None:
     assert np.abs(found - wanted).max() < 1e-5 * bent
 
 
-@pytest.mark.parametrize(("element_order", "mean", "cells", "least"), [
-    (1, False, (4, 8), (1.6, 0.75)), (2, False, (2, 4), (2.6, 1.75)),
-    # one volume condition an element costs an order, and buys that nothing locks
-    pytest.param(2, True, (4, 8), (1.8, 0.9), marks=pytest.mark.slow),
-    pytest.param(2, False, (4, 8), (2.8, 1.85), marks=pytest.mark.slow),
-])
+@pytest.mark.parametrize(
+    ("element_order", "mean", "cells", "least"),
+    [
+        (1, False, (4, 8), (1.6, 0.75)),
+        (2, False, (2, 4), (2.6, 1.75)),
+        # one volume condition an element costs an order, and buys that nothing locks
+        pytest.param(2, True, (4, 8), (1.8, 0.9), marks=pytest.mark.slow),
+        pytest.param(2, False, (4, 8), (2.8, 1.85), marks=pytest.mark.slow),
+    ],
+)
 def test_manufactured_solution_converges_with_the_order_of_the_element(
     element_order: int, mean: bool, cells: tuple[int, int], least: tuple[float, float]
 ) -> None:

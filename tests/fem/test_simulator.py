@@ -19,9 +19,21 @@ DT_S = 2e-3
 @pytest.fixture(scope="module")
 def simulator(box: Mesh) -> FemSimulator:
     return FemSimulator(
-        robot=box_robot(2), mesh=box, law="stable_neo_hookean", moduli_pa=(2e5,), poisson=0.45, element_order=2,
-        mean_dilatation=True, rayleigh_mass_per_s=0.0, rayleigh_stiffness_s=0.01, tolerance_m=1e-9,
-        max_iterations=40, reuse_below=0.3, youngs_modulus_scale=1.0, damping_scale=1.0, mass_scale=1.0,
+        robot=box_robot(2),
+        mesh=box,
+        law="stable_neo_hookean",
+        moduli_pa=(2e5,),
+        poisson=0.45,
+        element_order=2,
+        mean_dilatation=True,
+        rayleigh_mass_per_s=0.0,
+        rayleigh_stiffness_s=0.01,
+        tolerance_m=1e-9,
+        max_iterations=40,
+        reuse_below=0.3,
+        youngs_modulus_scale=1.0,
+        damping_scale=1.0,
+        mass_scale=1.0,
     )
 
 

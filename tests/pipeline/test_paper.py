@@ -64,11 +64,15 @@ def test_seeds_share_a_body_and_a_failure_costs_its_own_rows_only(
     stages = [stage for stage, _, _ in ran]
     assert stages[:3] == ["mesh", "pod", "calibration"]  # the snapshots are given
     assert stages.count("mesh") == 1 and stages.count("rl") == 4 and stages.count("sim2real") == 4
-    assert "16 runs for seeds [0, 1], profile=tiny (reduced sizes" in caplog.text and "2 of them are there" in caplog.text
+    assert (
+        "16 runs for seeds [0, 1], profile=tiny (reduced sizes" in caplog.text and "2 of them are there" in caplog.text
+    )
     assert all("seed=9" not in words and "stage.seeds" not in words for _, words, _ in ran)
     for task in ("track", "hybrid"):  # each rollout has the policy of its own task
         policies = [made["policy"] for stage, words, made in ran if stage == "sim2real" and f"task={task}" in words]
-        learned = [f"rl-{i + 1}" for i, (stage, words, _) in enumerate(ran) if stage == "rl" and f"task={task}" in words]
+        learned = [
+            f"rl-{i + 1}" for i, (stage, words, _) in enumerate(ran) if stage == "rl" and f"task={task}" in words
+        ]
         assert policies == [f"run:{run}" for run in learned]
     rows = {row["row"]: row for row in json.loads((tmp_path / "paper.json").read_text())}
     assert rows["rig, circle"]["seeds"] == 2 and rows["f_S, position, one step"]["ours_mean"] is None

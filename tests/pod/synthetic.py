@@ -156,7 +156,9 @@ def march(law: Law, loads: np.ndarray, dt: float, mass_damping: float, stiffness
         load = load + law.turning(z, v)
         trial = z + dt * v
         for _ in range(40):
-            residual = mass @ (trial - z - dt * v) / dt**2 + damping @ (trial - z) / dt + pull + law.gradient(trial) - load
+            residual = (
+                mass @ (trial - z - dt * v) / dt**2 + damping @ (trial - z) / dt + pull + law.gradient(trial) - load
+            )
             step = np.linalg.solve(law.hessian(trial) + mass / dt**2 + damping / dt, residual)
             trial = trial - step
             if np.abs(step[law.chambers :]).max() < 1e-15:

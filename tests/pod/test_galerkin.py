@@ -65,7 +65,9 @@ def test_forces_and_stiffness_are_derivatives_of_the_energy(snapshots: Snapshots
     gradient, hessian, scratch = np.zeros(4), np.zeros((4, 4)), np.zeros((4, 4))
 
     def energy(at: np.ndarray, order: int = STRESS) -> float:
-        return elastic(type(LAW).kernel, made.law_parameters, made.bulk_pa, made.slope, made.weight, at, order, gradient, scratch)
+        return elastic(
+            type(LAW).kernel, made.law_parameters, made.bulk_pa, made.slope, made.weight, at, order, gradient, scratch
+        )
 
     elastic(type(LAW).kernel, made.law_parameters, made.bulk_pa, made.slope, made.weight, q, TANGENT, gradient, hessian)
     forward = gradient.copy()
@@ -121,7 +123,9 @@ def test_few_elements_do_the_work_of_all() -> None:
     work = rng.standard_normal((40, 3)) @ rng.random((3, 300)) + 0.01 * rng.standard_normal((40, 300))
     found = sample_elements(work, 0.02, 100)
     assert (found.weights > 0.0).all() and len(found.elements) <= 60
-    error = np.linalg.norm(work[:, found.elements] @ found.weights - work.sum(axis=1)) / np.linalg.norm(work.sum(axis=1))
+    error = np.linalg.norm(work[:, found.elements] @ found.weights - work.sum(axis=1)) / np.linalg.norm(
+        work.sum(axis=1)
+    )
     assert error == pytest.approx(found.error) and error <= 0.02
     with pytest.raises(SolverError, match="allow more elements"):
         sample_elements(rng.standard_normal((40, 300)), 1e-9, 8)

@@ -33,8 +33,13 @@ def test_felupe_finds_the_same_equilibrium_of_the_tripod() -> None:
     body = felupe.SolidBody(felupe.NeoHooke(mu=2 * c1, bulk=kappa), field)
     held, free = np.flatnonzero(solid.region != FREE), np.flatnonzero(solid.region == FREE)
     found = felupe.newtonraphson(
-        items=[body, felupe.PointLoad(field, np.arange(len(push)), push)], dof0=unknowns(held), dof1=unknowns(free),
-        ext0=moved[held].ravel(), tol=1e-9, maxiter=30, verbose=False,
+        items=[body, felupe.PointLoad(field, np.arange(len(push)), push)],
+        dof0=unknowns(held),
+        dof1=unknowns(free),
+        ext0=moved[held].ravel(),
+        tol=1e-9,
+        maxiter=30,
+        verbose=False,
     )
     assert found.success
     apart = np.abs(field[0].values - moved).max()

@@ -55,9 +55,13 @@ def planned(route: Route, target: np.ndarray, guess: np.ndarray) -> Plan:
     return plan(route, target, guess, APPROACH, SETTINGS)
 
 
-def error_mm(controller: Any, robot: Robot, body: Simulator, noise: Noise, target: np.ndarray, *hidden: Effect) -> float:
+def error_mm(
+    controller: Any, robot: Robot, body: Simulator, noise: Noise, target: np.ndarray, *hidden: Effect
+) -> float:
     driver = BenchDriver(robot, body, noise, hidden)
-    rollout = follow(driver, robot, controller, Course.free("loop", target), Pace(PERIOD_S, 2, APPROACH), "loop", "loop")
+    rollout = follow(
+        driver, robot, controller, Course.free("loop", target), Pace(PERIOD_S, 2, APPROACH), "loop", "loop"
+    )
     return 1e3 * rollout.error_m()
 
 

@@ -43,13 +43,20 @@ class Stage:
     """The stage with its artifacts; ``run`` puts it on a rig with effects."""
 
     def __init__(
-        self, robot: Robot, body: Simulator, noise: Noise, policy: Policy, surrogate: Surrogate,
+        self,
+        robot: Robot,
+        body: Simulator,
+        noise: Noise,
+        policy: Policy,
+        surrogate: Surrogate,
         calibration: Calibration,
     ) -> None:
         self.robot, self.body, self.noise = robot, body, noise
         self.inputs = (policy, surrogate, calibration)
 
-    def run(self, config: Config, *effects: Effect, known: tuple[Effect, ...] = ()) -> tuple[RecordingSet, dict[str, float]]:
+    def run(
+        self, config: Config, *effects: Effect, known: tuple[Effect, ...] = ()
+    ) -> tuple[RecordingSet, dict[str, float]]:
         tracker = NullTracker()
         driver = BenchDriver(self.robot, self.body, self.noise, effects)
         plant = (self.body, chain_of(self.robot, known))
@@ -168,7 +175,9 @@ def test_it_refuses_what_does_not_fit(everything: Stage, config: Config) -> None
         plant = (everything.body, chain_of(everything.robot, []))
         run(config, everything.robot, pressing, surrogate, calibration, *plant, driver, tracker=NullTracker())
     with pytest.raises(ArtifactError, match="chambers"):
-        PolicyController(policy, surrogate, replace(calibration, pressure_mean=np.zeros(2)), Course.free("one", np.zeros((1, 3))))
+        PolicyController(
+            policy, surrogate, replace(calibration, pressure_mean=np.zeros(2)), Course.free("one", np.zeros((1, 3)))
+        )
     with pytest.raises(ConfigError, match="sessions=1"):
         replace(config.identification, sessions=1)
     with pytest.raises(ConfigError, match="command_rate_hz=0"):

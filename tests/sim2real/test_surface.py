@@ -83,7 +83,12 @@ def test_the_rig_feels_what_the_model_of_the_surface_says(tripod: Robot, body: S
 
 @pytest.mark.slow
 def test_a_task_on_a_slope_runs_and_feedback_mends_the_force(
-    tripod: Robot, body: Simulator, silence: Noise, surrogate: Surrogate, policy: Policy, calibration: Calibration,
+    tripod: Robot,
+    body: Simulator,
+    silence: Noise,
+    surrogate: Surrogate,
+    policy: Policy,
+    calibration: Calibration,
     config: Config,
 ) -> None:
     pressing = replace(
@@ -91,9 +96,7 @@ def test_a_task_on_a_slope_runs_and_feedback_mends_the_force(
     )
     tracker, driver = NullTracker(), BenchDriver(tripod, body, silence)
     longer = replace(config, shape_steps=10)
-    done = run(
-        longer, tripod, pressing, surrogate, calibration, body, chain_of(tripod, []), driver, tracker=tracker
-    )
+    done = run(longer, tripod, pressing, surrogate, calibration, body, chain_of(tripod, []), driver, tracker=tracker)
     for recording in done.recordings:
         assert recording.tip_force is not None, "the rig has a force sensor now"
     assert not [r for r in done.recordings if "identification" in r.name], "sessions are for free space"

@@ -248,7 +248,8 @@ def test_a_rig_that_dies_is_told(driver: SerialDriver | UdpDriver) -> None:
 def test_an_address_or_a_rig_not_both(tripod: Robot, rig: WiredRig) -> None:
     with pytest.raises(ConfigError, match="one of the two"):
         SerialDriver(tripod, None, 460800, 1.0, 0.1, 0.1, 1.0)
-    with pytest.raises(DriverError, match="cannot open serial port /dev/nothing"), SerialDriver(
-        tripod, "/dev/nothing", 460800, 1.0, 0.1, 0.1, 1.0
+    with (
+        pytest.raises(DriverError, match="cannot open serial port /dev/nothing"),
+        SerialDriver(tripod, "/dev/nothing", 460800, 1.0, 0.1, 0.1, 1.0),
     ):
         pass
