@@ -39,12 +39,13 @@ class Snapshots(Artifact):
     rest_tip : (3,) m
     rest_volume : (n,) m^3
     mass : kg
-    youngs_modulus_pa, poisson, density_kg_m3, rayleigh_mass_per_s, rayleigh_stiffness_s : the model's settings
+    law, moduli_pa, element_order, mean_dilatation, youngs_modulus_pa, poisson, density_kg_m3, rayleigh_mass_per_s,
+        rayleigh_stiffness_s : the model's settings, see ``fem.stage``
     failed : number of sampled loads whose equilibrium was not found
     robot_name : the robot
     """
 
-    schema: ClassVar[int] = 2
+    schema: ClassVar[int] = 3
     stage: ClassVar[str] = "fem"
 
     loads: np.ndarray
@@ -67,6 +68,10 @@ class Snapshots(Artifact):
     rest_tip: np.ndarray
     rest_volume: np.ndarray
     mass: float
+    law: str
+    moduli_pa: tuple[float, ...]
+    element_order: int
+    mean_dilatation: bool
     youngs_modulus_pa: float
     poisson: float
     density_kg_m3: float

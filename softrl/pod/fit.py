@@ -15,13 +15,16 @@ from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ConfigError
 from softrl.pod.basis import PodBasis
 from softrl.pod.energy import Normal, Weights, accumulate, frame_of, scale_of, solve
+from softrl.pod.kernel import run_kernel
 from softrl.pod.maps import best_degree, elastic_factors, fit_map, symmetric_roots
-from softrl.pod.rom import elastic_hessian_at_rest, static_points, tables_of
+from softrl.pod.rom import EMPTY, elastic_hessian_at_rest, no_hooks, static_points, tables_of
 from softrl.pod.symmetry import Equilibria, Symmetry, reflected, symmetries
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
 LOST = 0.1  # of the rms motion: an equilibrium farther off counts as lost, however far it is
+THROW_STEPS, THROW_STEP = 40, 0.4  # under each load, in radians of the slowest motion at rest
+ROOT_RIDGE, MAP_RIDGE = 1e-8, 1e-12  # roots near the identity go on tamely beyond the samples; maps are exact
 LAG_FLOOR = 0.005  # of the viscosity lags everywhere: keeps the root smooth at rest, where nothing else does
 
 
@@ -74,8 +77,9 @@ def fit_model(
     frame = frame_of(samples)
     draft = _draft(robot, snapshots, samples, pod, frame)
     own, images = _fold_normals(settings, robot, samples, frame, fold)
+    draft = replace(draft, **_fit_maps(settings, robot, samples, frame, fold))
     choices = _tried(settings, draft, samples, fold, (own, images))
-    best = choices[0]
+    best = _first_that_settles(draft, samples, choices, (own, images))
     energy = solve(_weighed(own, images, best.image_weight), draft.order, best.degree, best.ridge)
     if not _stands(replace(draft, energy=energy)):
         log.warning(
@@ -87,6 +91,8 @@ def fit_model(
         errors = _squared_tip_errors(replace(draft, energy=energy), samples)
         best = Choice(0.0, 2, 0.0, float(np.sqrt(errors.mean())))
         choices.insert(0, best)
+    elif not _settles(replace(draft, energy=energy), samples):
+        log.warning("every energy has wells beyond its samples, in which a fast motion may be caught: more equilibria help")
     log.info(
         "energy of degree %d, ridge %g, images of weight %g: tip %.3f mm in cross-validation over %d equilibria",
         best.degree,
@@ -95,8 +101,7 @@ def fit_model(
         1e3 * best.tip_error_m,
         len(samples.load),
     )
-    maps = _fit_maps(settings, robot, samples, frame, fold)
-    return replace(draft, energy=energy, symmetry="all" if best.image_weight else "none", **maps), choices
+    return replace(draft, energy=energy, symmetry="all" if best.image_weight else "none"), choices
 
 
 def linear_model(model: ReducedModel) -> ReducedModel:
@@ -214,6 +219,37 @@ def _tried(
     return sorted(choices, key=lambda choice: choice.tip_error_m)
 
 
+def _first_that_settles(
+    draft: ReducedModel, samples: Equilibria, choices: list[Choice], normals: tuple[list[Normal], list[Normal]]
+) -> Choice:
+    """Move the best choice whose body is at rest only where it should be to the front of ``choices``; return it.
+
+    A polynomial may have further wells beyond the samples. Statics from rest does not find them; a motion falls in.
+    """
+    for number, choice in enumerate(choices):
+        energy = solve(_weighed(*normals, choice.image_weight), draft.order, choice.degree, choice.ridge)
+        if _settles(replace(draft, energy=energy), samples):
+            choices.insert(0, choices.pop(number))
+            return choice
+    return choices[0]
+
+
+def _settles(model: ReducedModel, samples: Equilibria) -> bool:
+    """Return whether the body, thrown from load to load and well damped, comes to rest where statics says."""
+    if not _stands(model):
+        return False
+    root = np.linalg.inv(np.linalg.cholesky(elastic_hessian_at_rest(model)))
+    mass = model.mass_root[:, 0].reshape(model.order, model.order)
+    slowest = 1.0 / np.sqrt(np.linalg.eigvalsh(root @ mass.T @ mass @ root.T)[-1])
+    damped = replace(model, rayleigh_mass_per_s=max(model.rayleigh_mass_per_s, slowest))
+    tables, held = tables_of(damped, np.zeros(3)), np.repeat(samples.load, THROW_STEPS, axis=0)
+    path = np.empty_like(held)
+    run_kernel(*np.zeros((4, model.order)), THROW_STEP / slowest, held, tables, no_hooks(), path, *EMPTY)
+    points, _ = static_points(tables, samples.load)
+    apart = np.linalg.norm(((path[THROW_STEPS - 1 :: THROW_STEPS] - points) @ model.frame.T)[:, -3:], axis=1)
+    return bool((apart < LOST * np.sqrt((samples.coordinate[:, -3:] ** 2).sum(axis=1).mean())).all())
+
+
 def _squared_tip_errors(model: ReducedModel, samples: Equilibria) -> np.ndarray:
     """Return the squared tip errors (S,) m^2; an equilibrium that is not found counts as the whole motion."""
     n = model.chambers
@@ -245,6 +281,7 @@ class Targets(NamedTuple):
     weight: np.ndarray
     degree_max: int
     through_origin: bool
+    ridge: float
 
 
 def _fit_maps(
@@ -265,11 +302,11 @@ def _fit_maps(
         for name, goal in goals.items():
             values = goal.values[rows]
             found = best_degree(
-                points[rows], values / goal.weight, weight, folds[rows], own, goal.degree_max, goal.through_origin
+                points[rows], values / goal.weight, weight, folds[rows], own, goal.degree_max, goal.through_origin, goal.ridge
             )
             if found.error < least.get(name, np.inf):
                 least[name] = found.error
-                maps[name] = fit_map(points[rows], values, weight, found.degree, goal.through_origin)
+                maps[name] = fit_map(points[rows], values, weight, found.degree, goal.through_origin, goal.ridge)
                 log.debug("%s of degree %d with images of weight %g", name, found.degree, image_weight)
     return maps
 
@@ -288,17 +325,17 @@ def _targets(settings: FitSettings, images: Equilibria, frame: np.ndarray, ratio
     inverse = np.linalg.inv(factor)
     weight = np.tile(np.sqrt(np.diag((elastic + viscous).mean(axis=0))), len(frame))
     roots = symmetric_roots(inverse @ mass @ inverse.T) @ factor.T
-    goals = {"mass_root": Targets(roots.reshape(len(mass), -1), weight, settings.root_degree_max, False)}
+    goals = {"mass_root": Targets(roots.reshape(len(mass), -1), weight, settings.root_degree_max, False, ROOT_RIDGE)}
     apart = np.linalg.inv(elastic_factors(elastic))
     for name, matrices in (("stiffness_root", viscous - lagging), ("lag_root", lagging)):
         roots = symmetric_roots(apart @ matrices @ apart.transpose(0, 2, 1)).reshape(len(mass), -1)
-        goals[name] = Targets(roots, np.ones(roots.shape[1]), settings.root_degree_max, False)
+        goals[name] = Targets(roots, np.ones(roots.shape[1]), settings.root_degree_max, False, ROOT_RIDGE)
     for name, values in (
         ("centre_of_mass", images.centre_of_mass),
         ("rotation", images.rotation),
         ("lag_rotation", (images.lag_spin @ frame).reshape(len(images.load), -1)),
     ):
-        goals[name] = Targets(values, np.ones(values.shape[1]), settings.map_degree_max, True)
+        goals[name] = Targets(values, np.ones(values.shape[1]), settings.map_degree_max, True, MAP_RIDGE)
     return goals
 
 

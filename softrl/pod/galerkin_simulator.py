@@ -24,6 +24,7 @@ from softrl.pod.galerkin import GalerkinBody, build_body, elastic, full_displace
 from softrl.robots.robot import Robot
 
 TUNABLE = ("youngs_modulus_scale", "damping_scale", "mass_scale")
+MODEL = ("law", "moduli_pa", "poisson", "element_order", "mean_dilatation", "rayleigh_mass_per_s", "rayleigh_stiffness_s")
 NEWTON = NewtonSettings(tolerance_m=1e-6, max_iterations=40, reuse_below=0.3)  # of the full model in training
 QUASI_STATIC_S, LOAD_STEPS = 1e6, 4
 TOLERANCE_M, ITERATIONS, PATIENCE = 1e-7, 60, 6  # a matrix is made anew after so many steps with an old one
@@ -43,7 +44,7 @@ class GalerkinSimulator:
 
     Attributes
     ----------
-    robot, mesh, snapshots : of the same robot; ``law``, ``moduli_pa``, ``poisson`` : as the snapshots were made with
+    robot, mesh, snapshots : of the same robot; material, elements and damping are those of the snapshots
     modes : at most so many
     training_snapshots : equilibria that the basis and ECSW see
     training_motion_s, hold_s, dt_s : a motion of the full model that they see too; without it nothing can lag
@@ -60,9 +61,6 @@ class GalerkinSimulator:
     robot: Robot
     mesh: Mesh
     snapshots: Snapshots
-    law: str
-    moduli_pa: tuple[float, ...]
-    poisson: float
     modes: int
     training_snapshots: int
     training_motion_s: float
@@ -119,6 +117,7 @@ class GalerkinSimulator:
         arrays |= {f"snapshots.{name}": getattr(self.snapshots, name) for name in ("loads", "displacement")}
         skip = (*TUNABLE, "mesh", "snapshots", "robot")
         settings = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in skip}
+        settings |= {name: getattr(self.snapshots, name) for name in MODEL}
         mark = fingerprint.of_values([settings, asdict(self.robot), fingerprint.of_arrays(arrays),
                                       fingerprint.of_code("softrl.pod.galerkin")])  # fmt: skip
         kept = Kept("galerkin", mark)
@@ -130,7 +129,7 @@ class GalerkinSimulator:
         shots = self.snapshots
         model = FemModel(
             self.mesh, self._material, self.robot.mass_kg / self.mesh.volume(), shots.rayleigh_mass_per_s,
-            shots.rayleigh_stiffness_s, NEWTON,
+            shots.rayleigh_stiffness_s, NEWTON, element_order=shots.element_order, mean_dilatation=shots.mean_dilatation,
         )  # fmt: skip
         chosen = np.unique(np.linspace(0, len(shots.loads) - 1, min(self.training_snapshots, len(shots.loads))).astype(int))
         seen = [full_displacements(model, shots.loads[chosen], shots.displacement[chosen])]
@@ -145,7 +144,7 @@ class GalerkinSimulator:
 
     @cached_property
     def _material(self) -> Material:
-        return material_of(self.law, self.moduli_pa, self.poisson)
+        return material_of(self.snapshots.law, self.snapshots.moduli_pa, self.snapshots.poisson)
 
     @cached_property
     def _rest(self) -> np.ndarray:

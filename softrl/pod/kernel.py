@@ -13,13 +13,14 @@ from softrl.pod.potential import (
     fill_elastic_factor,
     fill_monomials,
     fill_potential,
-    fill_root,
+    fill_rows,
     fill_square,
     polynomial,
     to_ball,
 )
 
 TOLERANCE = 1e-9  # change of y: below a nanometre at the tip
+CLOSE = 1e-6  # likewise where the Jacobian is exact: such a step leaves an error that is far below TOLERANCE
 MAX_ITERATIONS = 60
 LONGEST_STEP = 0.5  # of y, in one iteration
 
@@ -74,95 +75,57 @@ def tip_pose(
 
 
 @nb.njit(cache=True)
-def _fill_mass(
-    y: np.ndarray, tables: Any, values: np.ndarray, point: np.ndarray, root: np.ndarray, mass: np.ndarray
-) -> float:
-    """Fill mass and its root (r, r) at ``y``; return ``|y|``."""
-    radius = to_ball(y, point)
-    few = values[: tables.mass_root.shape[1]]
-    fill_monomials(point, tables.parent, tables.variable, few)
-    fill_root(tables.mass_root, few, root)
-    fill_square(root, mass)
-    return radius
-
-
-@nb.njit(cache=True)
-def _fill_viscosity(
-    y: np.ndarray,
-    tables: Any,
-    values: np.ndarray,
-    point: np.ndarray,
-    root: np.ndarray,
-    factor: np.ndarray,
-    product: np.ndarray,
-    stiff: np.ndarray,
-    loose: np.ndarray,
-) -> None:
-    """Fill viscosity and its lagging share (r, r) at ``y``."""
-    to_ball(y, point)
-    few = values[: max(tables.elastic.shape[1], tables.stiffness_root.shape[1], tables.lag_root.shape[1])]
-    fill_monomials(point, tables.parent, tables.variable, few)
-    fill_elastic_factor(tables, few, factor)
-    fill_root(tables.stiffness_root, few, root)
-    fill_behind(root, factor, product)
-    fill_square(product, stiff)
-    if tables.lag_root.shape[1] > 0:
-        fill_root(tables.lag_root, few, root)
-        fill_behind(root, factor, product)
-        fill_square(product, loose)
-
-
-@nb.njit(cache=True)
-def _fill_turning(
-    radius: float,
-    velocity: np.ndarray,
-    tables: Any,
-    values: np.ndarray,
-    point: np.ndarray,
-    root: np.ndarray,
-    scratch: np.ndarray,
+def fill_turning(
+    radius: float, velocity: np.ndarray, point: np.ndarray, root: np.ndarray, slope: np.ndarray, scratch: np.ndarray,
     force: np.ndarray,
 ) -> None:
     """Fill ``force`` (r,) with that of inertia at constant ``velocity``: grad(v'M v) / 2 - M' v, M = R'R.
 
-    ``values`` are the monomials and ``root`` is R at ``point``, the image of a state at ``radius`` in the unit ball.
+    ``root`` (r r,) and ``slope`` (r r r,) are R and its gradient at ``point``, the image in the unit ball of a state at
+    ``radius``.
     """
     r = len(velocity)
     force[:] = 0.0
-    if tables.mass_slope.shape[1] == 0:
-        return
-    few = values[: tables.mass_slope.shape[1]]
-    outward = 0.0
-    if radius > 1.0:
-        for i in range(r):
-            outward += point[i] * velocity[i]
-    moved, changed = scratch[0], scratch[1]
+    moved, changed, turned = scratch[0], scratch[1], scratch[2]
+    beyond = radius > 1.0
+    outward = inward = 0.0
     for a in range(r):
-        moved[a] = changed[a] = 0.0
+        outward += point[a] * velocity[a] if beyond else 0.0
+        moved[a] = changed[a] = turned[a] = 0.0
         for i in range(r):
-            moved[a] += root[a, i] * velocity[i]
+            moved[a] += root[a * r + i] * velocity[i]
     for j in range(r):
-        along = velocity[j] if radius <= 1.0 else (velocity[j] - point[j] * outward) / radius
+        along = (velocity[j] - point[j] * outward) / radius if beyond else velocity[j]
         for a in range(r):
-            turned = 0.0
+            total, row = 0.0, (j * r + a) * r
             for i in range(r):
-                slope = polynomial(tables.mass_slope[(j * r + a) * r + i], few)
-                turned += slope * velocity[i]
-                force[i] -= along * slope * moved[a]
-            changed[a] += along * turned
-            scratch[2, j] = turned * moved[a] + (scratch[2, j] if a > 0 else 0.0)
-    inward = 0.0
-    if radius > 1.0:
-        for j in range(r):
-            inward += point[j] * scratch[2, j]
+                total += slope[row + i] * velocity[i]
+                force[i] -= along * moved[a] * slope[row + i]
+            changed[a] += along * total
+            turned[j] += total * moved[a]
+        inward += point[j] * turned[j] if beyond else 0.0
     for j in range(r):
-        force[j] += scratch[2, j] if radius <= 1.0 else (scratch[2, j] - point[j] * inward) / radius
+        force[j] += (turned[j] - point[j] * inward) / radius if beyond else turned[j]
         for a in range(r):
-            force[j] -= root[a, j] * changed[a]
+            force[j] -= root[a * r + j] * changed[a]
 
 
 @nb.njit(cache=True)
-def _square(matrix: np.ndarray, vector: np.ndarray) -> float:
+def fill_viscosity(
+    elastic: np.ndarray, root: np.ndarray, lag_root: np.ndarray, tables: Any, factor: np.ndarray, product: np.ndarray,
+    stiff: np.ndarray, loose: np.ndarray,
+) -> None:
+    """Fill viscosity and its lagging share (r, r) from the elastic Hessian (pairs,) and the roots (r r,)."""
+    fill_elastic_factor(elastic, tables.elastic[:, 0], factor)
+    fill_behind(root, factor, product)
+    fill_square(product, stiff)
+    if tables.lag_root.shape[1] > 0:
+        fill_behind(lag_root, factor, product)
+        fill_square(product, loose)
+
+
+@nb.njit(cache=True)
+def square_of(matrix: np.ndarray, vector: np.ndarray) -> float:
     """Return vector' matrix vector."""
     total = 0.0
     for i in range(len(vector)):
@@ -172,16 +135,112 @@ def _square(matrix: np.ndarray, vector: np.ndarray) -> float:
 
 
 @nb.njit(cache=True)
+def lag_hold(dt: float, tables: Any) -> float:
+    """Return the share of the lag that a step leaves; 0 without lag."""
+    with_lag = tables.scales[2] > 0.0 and tables.lag_root.shape[1] > 0
+    return tables.scales[4] / (tables.scales[4] + dt) if with_lag else 0.0
+
+
+@nb.njit(cache=True)
+def begin_step(
+    y: np.ndarray, velocity: np.ndarray, lag: np.ndarray, load: np.ndarray, dt: float, tables: Any, held: Any,
+    start: np.ndarray, inertia: np.ndarray, right: np.ndarray,
+) -> None:
+    """Fill what is constant in a step, ``inertia`` (r, r) y - ``right`` (r,), and move ``y`` ahead.
+
+    ``held`` are mass, viscosity, its lagging share (r, r) and the force of turning (r,).
+    """
+    mass, stiff, loose, turning = held
+    r, hold = len(y), lag_hold(dt, tables)
+    mass_scale, mass_damping, stiffness_damping = tables.scales[0], tables.scales[1], tables.scales[2]
+    for i in range(r):
+        start[i] = y[i]
+        right[i] = mass_scale * turning[i]
+        for k in range(r):
+            right[i] += tables.frame[k, i] * load[k]
+    for i in range(r):
+        for j in range(r):
+            free = mass_scale * mass[i, j] / dt**2
+            drag = (mass_damping * mass[i, j] + stiffness_damping * stiff[i, j]) / dt
+            if hold > 0.0:
+                drag += stiffness_damping * (1.0 - hold) * loose[i, j] / dt
+                right[i] -= stiffness_damping * hold * loose[i, j] * lag[j]
+            inertia[i, j] = free + drag
+            right[i] += free * (start[j] + dt * velocity[j]) + drag * start[j]
+    for i in range(r):
+        y[i] = start[i] + dt * velocity[i]
+
+
+@nb.njit(cache=True)
+def iterate(
+    y: np.ndarray, gradient: np.ndarray, jacobian: np.ndarray, inertia: np.ndarray, right: np.ndarray, tables: Any,
+    symmetric: bool, scratch: np.ndarray, direction: np.ndarray, trial: np.ndarray, progress: np.ndarray,
+) -> float:
+    """Move ``y`` by one iteration of Newton's method; return the longest change it wanted, or inf where it goes back.
+
+    ``gradient`` and ``jacobian`` are the potential's at ``y``, without inertia in the former; ``progress`` (2,) is the
+    slope along the last direction, negative in the first iteration, and the share of it that was taken.
+    """
+    r = len(y)
+    along = 0.0
+    for i in range(r):
+        gradient[i] -= right[i]
+        for j in range(r):
+            gradient[i] += inertia[i, j] * y[j]
+        along += gradient[i] * direction[i] if progress[0] >= 0.0 else 0.0
+    # the last step went too far if the slope along it has turned round: go back by half
+    if progress[0] >= 0.0 and along < -0.9 * progress[0] and progress[1] > 0.01:
+        progress[1] *= 0.5
+        for i in range(r):
+            y[i] = trial[i] - progress[1] * direction[i]
+        return np.inf
+    newton_direction(jacobian, tables.quadratic, gradient, symmetric, scratch, direction)
+    longest = slope = 0.0
+    for i in range(r):
+        longest = max(longest, abs(direction[i]))
+        slope += gradient[i] * direction[i]
+    progress[0] = abs(slope)
+    progress[1] = 1.0 if longest < LONGEST_STEP else LONGEST_STEP / longest
+    for i in range(r):
+        trial[i] = y[i]
+        y[i] -= progress[1] * direction[i]
+    return longest
+
+
+@nb.njit(cache=True)
+def end_step(
+    y: np.ndarray, velocity: np.ndarray, lag: np.ndarray, dt: float, tables: Any, held: Any, start: np.ndarray
+) -> tuple[float, float]:
+    """Bring ``velocity`` and ``lag`` up to date; return twice the kinetic energy, and what the lag stores.
+
+    Neither the force of turning nor the change of mass may alter the kinetic energy; nor may the lag's store grow as
+    the viscosity changes: ``scale_to`` sees to both where the body has arrived.
+    """
+    mass, _, loose, turning = held
+    r, hold = len(y), lag_hold(dt, tables)
+    for i in range(r):
+        velocity[i] = (y[i] - start[i]) / dt
+        lag[i] = hold * lag[i] + (1.0 - hold) * velocity[i] if hold > 0.0 else 0.0
+    kinetic = square_of(mass, velocity)
+    for i in range(r):
+        kinetic -= 2.0 * dt * turning[i] * velocity[i]
+    return max(kinetic, 0.0), square_of(loose, lag)
+
+
+@nb.njit(cache=True)
+def scale_to(vector: np.ndarray, energy: float, matrix: np.ndarray, up: bool) -> None:
+    """Scale ``vector`` until its square in ``matrix`` is ``energy``, upwards only where ``up``."""
+    now = square_of(matrix, vector)
+    if now > 0.0 and (up or now > energy):
+        share = math.sqrt(energy / now)
+        for i in range(len(vector)):
+            vector[i] *= share
+
+
+@nb.njit(cache=True)
 def _set_out(
-    y: np.ndarray,
-    velocity: np.ndarray,
-    lag: np.ndarray,
-    dt: float,
-    kinetic: float,
-    stored: float,
-    tables: Any,
-    work: Any,
-    held: Any,
+    y: np.ndarray, velocity: np.ndarray, lag: np.ndarray, dt: float, kinetic: float, stored: float, tables: Any,
+    work: Any, held: Any,
 ) -> float:
     """Fill what is held during the step from ``y``, and scale velocity and lag to their energies; return ``|y|``.
 
@@ -189,27 +248,31 @@ def _set_out(
     ----------
     kinetic : twice the kinetic energy that the velocity is scaled to; negative to leave it
     stored : the lag is scaled down where it would hold more, in the measure of ``loose``
-    work : monomials, point (r,), three matrices (r, r), a vector (r,)
-    held : mass, viscosity, its lagging share (r, r), force of turning (r,)
+    work : monomials, point (r,), two matrices (r, r), a vector (r,), rows (r r,), (r r,), (r r r,), (pairs,)
+    held : as for ``begin_step``
     """
-    values, point, root, scratch, factor, halfway = work
+    values, point, scratch, factor, halfway, root, other, slope, elastic = work
     mass, stiff, loose, turning = held
-    r = len(y)
-    radius = _fill_mass(y, tables, values, point, root, mass)
+    radius = to_ball(y, point)
+    few = values[: tables.mass_root.shape[1]]
+    fill_monomials(point, tables.parent, tables.variable, few)
+    fill_rows(tables.mass_root, few, root)
+    fill_rows(tables.mass_slope, few, slope)
+    fill_square(root, mass)
     if kinetic >= 0.0:
-        now = _square(mass, velocity)
-        share = math.sqrt(kinetic / now) if now > 0.0 else 1.0
-        for i in range(r):
-            velocity[i] *= share
-    _fill_turning(radius, velocity, tables, values, point, root, scratch, turning)
+        scale_to(velocity, kinetic, mass, True)
+    fill_turning(radius, velocity, point, root, slope, scratch, turning)
     if tables.scales[2] > 0.0:
-        for i in range(r):
+        for i in range(len(y)):
             halfway[i] = y[i] + 0.5 * dt * velocity[i]
-        _fill_viscosity(halfway, tables, values, point, root, factor, scratch, stiff, loose)
-        after = _square(loose, lag)
-        if after > stored:
-            for i in range(r):
-                lag[i] *= math.sqrt(stored / after)
+        to_ball(halfway, point)
+        few = values[: max(tables.elastic.shape[1], tables.stiffness_root.shape[1], tables.lag_root.shape[1])]
+        fill_monomials(point, tables.parent, tables.variable, few)
+        fill_rows(tables.elastic, few, elastic)
+        fill_rows(tables.stiffness_root, few, root)
+        fill_rows(tables.lag_root, few, other)
+        fill_viscosity(elastic, root, other, tables, factor, slope[: len(root)], stiff, loose)
+        scale_to(lag, stored, loose, False)
     return radius
 
 
@@ -248,44 +311,27 @@ def run_kernel(
     """
     r, n = len(y), len(y) - 3
     values, point = np.empty(len(tables.parent)), np.empty(r)
-    mass, stiff, loose, root = np.zeros((r, r)), np.zeros((r, r)), np.zeros((r, r)), np.zeros((r, r))
-    inertia, right, start = np.empty((r, r)), np.empty(r), np.empty(r)
+    mass, stiff, loose, factor = np.zeros((r, r)), np.zeros((r, r)), np.zeros((r, r)), np.zeros((r, r))
+    inertia, right, start, turning = np.empty((r, r)), np.empty(r), np.empty(r), np.empty(r)
     gradient, hessian, jacobian, scratch = np.empty(r), np.empty((r, r)), np.empty((r, r)), np.empty((r, r))
-    direction, trial, pressure = np.empty(r), np.empty(r), np.empty(n)
-    turning = np.empty(r)
+    direction, trial, progress = np.empty(r), np.empty(r), np.empty(2)
+    rows = np.empty(r * r), np.empty(r * r), np.empty(r * r * r), np.empty(len(tables.elastic))
     ports, bare = make_ports(n), np.empty(r)
     with_effects = len(hooks[0]) + len(hooks[3]) > 0
-    mass_scale, mass_damping, stiffness_damping = tables.scales[0], tables.scales[1], tables.scales[2]
-    with_lag = stiffness_damping > 0.0 and tables.lag_root.shape[1] > 0
-    hold = tables.scales[4] / (tables.scales[4] + dt) if with_lag else 0.0
-    failed, farthest = 0, 0.0
+    close = TOLERANCE if with_effects else CLOSE
+    failed = 0
     if with_effects:
         fill_potential(y, tables, values, point, gradient, hessian)
         fill_ports(y, rest, gradient, hessian, dt, load[0, :n], tables, ports, True)
         ports.strains[0], ports.tips[0] = ports.strains[1], ports.tips[1]
-    work = (values, point, root, scratch, jacobian, direction)
+    work = (values, point, scratch, factor, direction, rows[0], rows[1], rows[2], rows[3])
     held = (mass, stiff, loose, turning)
     farthest = _set_out(y, velocity, lag, dt, -1.0, np.inf, tables, work, held)
     for step in range(len(load)):
-        for i in range(n):
-            pressure[i] = load[step, i]
-        for i in range(r):
-            start[i] = y[i]
-            right[i] = mass_scale * turning[i]
-            for k in range(r):
-                right[i] += tables.frame[k, i] * load[step, k]
-        for i in range(r):
-            for j in range(r):
-                free = mass_scale * mass[i, j] / dt**2
-                drag = (mass_damping * mass[i, j] + stiffness_damping * stiff[i, j]) / dt
-                if with_lag:
-                    drag += stiffness_damping * (1.0 - hold) * loose[i, j] / dt
-                    right[i] -= stiffness_damping * hold * loose[i, j] * lag[j]
-                inertia[i, j] = free + drag
-                right[i] += free * (start[j] + dt * velocity[j]) + drag * start[j]
-        for i in range(r):
-            y[i] = start[i] + dt * velocity[i]
-        done, before, share = False, np.inf, 1.0
+        pressure = load[step, :n]
+        begin_step(y, velocity, lag, load[step], dt, tables, held, start, inertia, right)
+        progress[0] = -1.0
+        longest = np.inf
         for iteration in range(MAX_ITERATIONS):
             fill_potential(y, tables, values, point, gradient, hessian)
             for i in range(r):
@@ -296,42 +342,17 @@ def run_kernel(
                 add_effects(
                     y, rest, gradient, hessian, dt, pressure, tables, hooks, ports, values, jacobian, iteration == 0
                 )
-            along = 0.0
-            for i in range(r):
-                gradient[i] -= right[i]
-                for j in range(r):
-                    gradient[i] += inertia[i, j] * y[j]
-                along += gradient[i] * direction[i] if iteration > 0 else 0.0
-            # the last step went too far if the slope along it has turned round: go back by half
-            if iteration > 0 and along < -0.9 * before and share > 0.01:
-                share *= 0.5
-                for i in range(r):
-                    y[i] = trial[i] - share * direction[i]
-                continue
-            newton_direction(jacobian, tables.quadratic, gradient, not with_effects, scratch, direction)
-            longest = before = 0.0
-            for i in range(r):
-                longest = max(longest, abs(direction[i]))
-                before += gradient[i] * direction[i]
-            before = abs(before)
-            share = 1.0 if longest < LONGEST_STEP else LONGEST_STEP / longest
-            for i in range(r):
-                trial[i] = y[i]
-                y[i] -= share * direction[i]
-            if longest < TOLERANCE:
-                done = True
+            longest = iterate(
+                y, gradient, jacobian, inertia, right, tables, not with_effects, scratch, direction, trial, progress
+            )
+            if longest < close:
                 break
-        if not done:
+        if longest >= close:
             failed += 1
         if with_effects:  # the potential's derivatives are those a last, negligible step ago
             commit_effects(y, rest, bare, hessian, dt, pressure, tables, hooks, ports)
-        for i in range(r):
-            velocity[i] = (y[i] - start[i]) / dt
-            lag[i] = hold * lag[i] + (1.0 - hold) * velocity[i] if with_lag else 0.0
-        kinetic, stored = _square(mass, velocity), _square(loose, lag)
-        for i in range(r):
-            kinetic -= 2.0 * dt * turning[i] * velocity[i]
-        farthest = max(farthest, _set_out(y, velocity, lag, dt, max(kinetic, 0.0), stored, tables, work, held))
+        kinetic, stored = end_step(y, velocity, lag, dt, tables, held, start)
+        farthest = max(farthest, _set_out(y, velocity, lag, dt, kinetic, stored, tables, work, held))
         if len(path) > 0:
             path[step] = y
         if len(position) > 0:

@@ -6,21 +6,20 @@ import numpy as np
 
 from softrl.pod.polynomial import basis, count, degree_of, multinomials
 
-RIDGE = 1e-9
-
 
 def fit_map(
-    points: np.ndarray, targets: np.ndarray, weight: np.ndarray, degree: int, through_origin: bool
+    points: np.ndarray, targets: np.ndarray, weight: np.ndarray, degree: int, through_origin: bool, ridge: float
 ) -> np.ndarray:
     """Return coefficients (columns, monomials) of polynomials from ``points`` (S, r) to ``targets`` (S, columns).
 
-    ``weight`` (S,) is that of each sample's squares. ``through_origin`` leaves out the constant term: the map of rest is zero.
+    ``weight`` (S,) is that of each sample's squares; ``ridge`` is relative to their sum. ``through_origin`` leaves out
+    the constant term: the map of rest is zero.
     """
     spread = np.sqrt(multinomials(points.shape[1], degree))
     skip = 1 if through_origin else 0
     scaled = (basis(points.shape[1], degree).values(points) * spread)[:, skip:]
     weighed = scaled * weight[:, None]
-    normal = weighed.T @ scaled + RIDGE * weight.sum() * np.eye(scaled.shape[1])
+    normal = weighed.T @ scaled + ridge * weight.sum() * np.eye(scaled.shape[1])
     found = np.linalg.solve(normal, weighed.T @ targets) * spread[skip:, None]
     return np.pad(found.T, ((0, 0), (skip, 0)))
 
@@ -40,7 +39,7 @@ class Degree(NamedTuple):
 
 def best_degree(
     points: np.ndarray, targets: np.ndarray, weight: np.ndarray, fold: np.ndarray, judged: slice, degree_max: int,
-    through_origin: bool,
+    through_origin: bool, ridge: float,
 ) -> Degree:
     """Return the degree up to ``degree_max`` whose error over folds that the fit did not see is smallest.
 
@@ -55,7 +54,7 @@ def best_degree(
         for part in np.unique(fold):
             seen = fold != part
             left[~seen] = evaluate(
-                fit_map(points[seen], targets[seen], weight[seen], degree, through_origin), points[~seen]
+                fit_map(points[seen], targets[seen], weight[seen], degree, through_origin, ridge), points[~seen]
             )
         errors[degree] = float(((left - targets)[judged] ** 2).mean())
     best = min(errors, key=lambda degree: errors[degree])

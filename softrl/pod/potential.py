@@ -175,47 +175,44 @@ def _ray(degree: float, radius: float) -> tuple[float, float, float]:
     return 1.0 + beyond * (degree + 0.5 * bend * beyond), degree + bend * beyond, bend
 
 
-@nb.njit(cache=True, fastmath=_FAST)
-def fill_root(roots: np.ndarray, values: np.ndarray, root: np.ndarray) -> None:
-    """Fill ``root`` (r, r) from the polynomials ``roots`` (r r, k)."""
-    r = len(root)
-    for i in range(r):
-        for j in range(r):
-            root[i, j] = polynomial(roots[i * r + j], values)
+@nb.njit(cache=True)
+def fill_rows(coefficients: np.ndarray, values: np.ndarray, rows: np.ndarray) -> None:
+    """Fill ``rows`` (m,) with the polynomials ``coefficients`` (m, k) at monomials ``values``."""
+    for m in range(len(rows)):
+        rows[m] = polynomial(coefficients[m], values)
 
 
 @nb.njit(cache=True, fastmath=_FAST)
 def fill_square(root: np.ndarray, square: np.ndarray) -> None:
-    """Fill ``square`` (r, r) with R' R: never indefinite."""
-    r = len(root)
+    """Fill ``square`` (r, r) with R' R, R row by row in ``root`` (r r,): never indefinite."""
+    r = len(square)
     for i in range(r):
         for j in range(i, r):
             total = 0.0
             for k in range(r):
-                total += root[k, i] * root[k, j]
+                total += root[k * r + i] * root[k * r + j]
             square[i, j] = total
             square[j, i] = total
 
 
 @nb.njit(cache=True)
-def fill_elastic_factor(tables: Any, values: np.ndarray, factor: np.ndarray) -> None:
-    """Fill ``factor`` (r, r), upper triangular, with U U' the elastic Hessian, made positive.
+def fill_elastic_factor(hessian: np.ndarray, rest: np.ndarray, factor: np.ndarray) -> None:
+    """Fill ``factor`` (r, r), upper triangular, with U U' the elastic ``hessian`` (pairs,), made positive.
 
     Columns are eliminated from the last: the soft coordinates of the tip before the stiff ones of the volumes. Pivots
-    are held above a share of those diagonal entries at rest.
+    are held above a share of the diagonal of ``rest`` (pairs,), the Hessian at rest.
     """
     r = len(factor)
     pair = 0
     for i in range(r):
         for j in range(i, r):
-            factor[i, j] = polynomial(tables.elastic[pair], values)
-            factor[j, i] = 0.0 if j > i else factor[i, j]
+            factor[i, j] = hessian[pair]
             pair += 1
     for j in range(r - 1, -1, -1):
         pivot = factor[j, j]
         for k in range(j + 1, r):
             pivot -= factor[j, k] * factor[j, k]
-        factor[j, j] = math.sqrt(max(pivot, PIVOT * tables.elastic[_diagonal(r, j), 0]))
+        factor[j, j] = math.sqrt(max(pivot, PIVOT * rest[j * r - j * (j - 1) // 2]))
         for i in range(j):
             entry = factor[i, j]
             for k in range(j + 1, r):
@@ -223,19 +220,13 @@ def fill_elastic_factor(tables: Any, values: np.ndarray, factor: np.ndarray) -> 
             factor[i, j] = entry / factor[j, j]
 
 
-@nb.njit(cache=True)
-def _diagonal(r: int, i: int) -> int:
-    """Return where a table of Hessians keeps the entry (i, i)."""
-    return i * r - i * (i - 1) // 2
-
-
-@nb.njit(cache=True)
+@nb.njit(cache=True, fastmath=_FAST)
 def fill_behind(root: np.ndarray, factor: np.ndarray, product: np.ndarray) -> None:
-    """Fill ``product`` (r, r) with R U', U upper triangular."""
-    r = len(root)
+    """Fill ``product`` (r r,) with R U', R row by row in ``root`` (r r,), U the upper triangle of ``factor``."""
+    r = len(factor)
     for i in range(r):
         for j in range(r):
             total = 0.0
             for k in range(j, r):
-                total += root[i, k] * factor[j, k]
-            product[i, j] = total
+                total += root[i * r + k] * factor[j, k]
+            product[i * r + j] = total

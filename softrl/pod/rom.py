@@ -10,6 +10,7 @@ from numba.typed import List
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.core.errors import SolverError
 from softrl.effects.effect import PORT_KERNEL
+from softrl.pod.batch import run_batch
 from softrl.pod.inverse import solve_pressures
 from softrl.pod.kernel import run_kernel, tip_pose
 from softrl.pod.polynomial import basis, degree_of
@@ -50,6 +51,7 @@ def tables_of(
     potential[: len(model.energy)] = youngs_modulus_scale * model.energy
     potential[: len(drop)] -= drop
     gradient, hessian = basis(r, degree).derivative(potential), basis(r, degree).hessian(potential)
+    turning = gradient_of(model.mass_root, r)
     maps = (gradient, weight, *(getattr(model, name) for name in MAPS))
     full = basis(r, max(degree_of(r, table.shape[-1]) for table in maps if table.shape[-1]))
     inverse = np.linalg.inv(model.frame)
@@ -70,7 +72,7 @@ def tables_of(
                 model.mass_root,
                 model.stiffness_root,
                 model.lag_root,
-                gradient_of(model.mass_root, r).reshape(r**3, -1),
+                turning.reshape(r**3, turning.shape[-1]),
                 elastic_hessian(model),
                 mass * weight.transpose(1, 0, 2),
                 model.rotation,
@@ -138,7 +140,7 @@ def no_hooks() -> tuple[Any, ...]:
     return _NO_HOOKS[0]
 
 
-_EMPTY = (np.empty((0, 3)), np.empty((0, 4)))
+EMPTY = (np.empty((0, 3)), np.empty((0, 4)))
 
 
 def static_coordinates(model: ReducedModel, loads: np.ndarray, gravity_m_s2: np.ndarray | None = None) -> np.ndarray:
@@ -179,11 +181,11 @@ def static_points(tables: Tables, loads: np.ndarray) -> tuple[np.ndarray, np.nda
             tables,
             no_hooks(),
             path,
-            *_EMPTY,
+            *EMPTY,
         )
         again = y.copy()
         missed, _ = run_kernel(
-            again, *np.zeros((3, r)), QUASI_STATIC_S, load[None].copy(), tables, no_hooks(), path[:0], *_EMPTY
+            again, *np.zeros((3, r)), QUASI_STATIC_S, load[None].copy(), tables, no_hooks(), path[:0], *EMPTY
         )
         found[s], failed[s] = again, missed > 0 or not np.isfinite(again).all()
     return found, failed
@@ -261,9 +263,7 @@ def roll_poses(
         moving = first[b].copy(), rate[b].copy(), rate[b].copy(), np.zeros(r)
         missed, far = run_kernel(*moving, dt_s, held[b], tables, no_hooks(), path[b], position, quaternion[b])
         failed, farthest = failed + missed, max(farthest, far)
-    if failed > 0.01 * batch * steps or not np.isfinite(path).all():
-        raise SolverError(f"reduced model: {failed} of {batch * steps} steps of {dt_s:g} s did not converge")
-    warn_beyond(model, farthest)
+    _check(path, failed, farthest, model, dt_s)
     return Rolled(path @ model.frame.T, quaternion)
 
 
@@ -275,8 +275,23 @@ def roll(
     velocity: np.ndarray | None = None,
     gravity_m_s2: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return the coordinates z (B, T, n + 3) m^3 and m of ``roll_poses``."""
-    return roll_poses(model, dt_s, loads, start, velocity, gravity_m_s2).coordinate
+    """Return the coordinates z (B, T, n + 3) m^3 and m of ``roll_poses``, many trajectories at once on all cores."""
+    tables, batch = tables_of(model, gravity_m_s2), len(loads)
+    first, rate = (
+        np.zeros((batch, model.order)) if given is None else given @ tables.inverse.T for given in (start, velocity)
+    )
+    held = np.ascontiguousarray(loads, dtype=float)
+    path, failed, farthest = run_batch(first.copy(), rate.copy(), rate.copy(), dt_s, held, tables)
+    _check(path, failed, farthest, model, dt_s)
+    return np.asarray(path @ model.frame.T)
+
+
+def _check(path: np.ndarray, failed: int, farthest: float, model: ReducedModel, dt_s: float) -> None:
+    """Refuse a motion (B, T, n + 3) that is none, and warn of one beyond the samples."""
+    steps = path.shape[0] * path.shape[1]
+    if failed > 0.01 * steps or not np.isfinite(path).all():
+        raise SolverError(f"reduced model: {failed} of {steps} steps of {dt_s:g} s did not converge")
+    warn_beyond(model, farthest)
 
 
 def mechanical_energy(
@@ -312,10 +327,11 @@ def _lag_roots(model: ReducedModel, points: np.ndarray) -> np.ndarray:
     """Return R U' (S, r, r) of the viscosity that lags at ``points`` (S, r)."""
     tables, r = tables_of(model), model.order
     table = basis(r, degree_of(r, len(tables.parent)))
-    factor, product = np.empty((r, r)), np.empty((r, r))
+    factor, product = np.empty((r, r)), np.empty(r * r)
     found = []
     for row in table.values(points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1.0)):
-        fill_elastic_factor(tables, row, factor)
-        fill_behind((model.lag_root @ row[: model.lag_root.shape[1]]).reshape(r, r), factor, product)
-        found.append(product.copy())
+        elastic = tables.elastic @ row[: tables.elastic.shape[1]]
+        fill_elastic_factor(elastic, tables.elastic[:, 0], factor)
+        fill_behind(model.lag_root @ row[: model.lag_root.shape[1]], factor, product)
+        found.append(product.reshape(r, r).copy())
     return np.array(found)

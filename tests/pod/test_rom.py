@@ -59,6 +59,6 @@ def test_a_batch_is_its_rows(tripod: Body) -> None:
     _, snapshots, model = tripod
     loads = snapshots.trajectory_load
     whole = roll(model, 0.01, loads)
-    np.testing.assert_array_equal(whole[1:], roll(model, 0.01, loads[1:]))
-    resumed = roll(model, 0.01, loads[:, :1])
-    np.testing.assert_array_equal(whole[:, :1], resumed)
+    scale = np.diag(model.frame)
+    np.testing.assert_allclose(whole[1:] / scale, roll(model, 0.01, loads[1:]) / scale, atol=1e-9)
+    np.testing.assert_allclose(whole[:, :1] / scale, roll(model, 0.01, loads[:, :1]) / scale, atol=1e-9)
