@@ -31,7 +31,8 @@ def wilson(hits: int, trials: int) -> Share:
     p, z2 = hits / trials, CONFIDENCE**2
     middle, reach = p + z2 / (2 * trials), CONFIDENCE * np.sqrt(p * (1 - p) / trials + z2 / (4 * trials**2))
     low, high = ((middle + sign * reach) / (1 + z2 / trials) for sign in (-1.0, 1.0))
-    return Share(100.0 * p, 100.0 * max(float(low), 0.0), 100.0 * min(float(high), 1.0), hits, trials)
+    low, high = min(max(float(low), 0.0), p), max(min(float(high), 1.0), p)  # rounding must not put p outside
+    return Share(100.0 * p, 100.0 * low, 100.0 * high, hits, trials)
 
 
 def row_of(key: dict[str, Any], given: dict[str, Any], errors: dict[str, Any], detectable: float) -> Row:
