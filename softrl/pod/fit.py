@@ -93,7 +93,12 @@ def fit_model(
         errors = _squared_tip_errors(replace(draft, energy=energy), samples)
         best = Choice(0.0, 2, 0.0, float(np.sqrt(errors.mean())))
         choices.insert(0, best)
-    elif not _settles(replace(draft, energy=energy), samples):
+    return replace(draft, energy=energy, symmetry="all" if best.image_weight else "none"), choices
+
+
+def tell_choice(model: ReducedModel, samples: Equilibria, best: Choice) -> None:
+    """Log what was chosen, and warn of wells."""
+    if not _settles(model, samples):
         log.warning("every energy has wells beyond its samples, in which a fast motion may be caught: more equilibria help")
     log.info(
         "energy of degree %d, ridge %g, images of weight %g: tip %.3f mm in cross-validation over %d equilibria",
@@ -103,7 +108,6 @@ def fit_model(
         1e3 * best.tip_error_m,
         len(samples.load),
     )
-    return replace(draft, energy=energy, symmetry="all" if best.image_weight else "none"), choices
 
 
 def linear_model(model: ReducedModel) -> ReducedModel:

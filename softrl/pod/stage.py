@@ -13,7 +13,7 @@ from softrl.pod.basis import PodBasis, pod_basis, projection_errors
 from softrl.pod.convergence import by_equilibria, report_coordinates, report_equilibria
 from softrl.pod.energy import Weights
 from softrl.pod.figures import draw_choice, draw_convergence, draw_motion, draw_parity, draw_spectrum
-from softrl.pod.fit import FitSettings, fit_model, linear_model
+from softrl.pod.fit import FitSettings, fit_model, linear_model, tell_choice
 from softrl.pod.report import report_motions, report_speed, report_statics, report_weight, statics
 from softrl.pod.symmetry import equilibria
 from softrl.robots.robot import Robot
@@ -87,6 +87,7 @@ def run(config: Config, robot: Robot, snapshots: Snapshots, *, tracker: Tracker)
         config.folds,
     )
     model, choices = fit_model(settings, robot, snapshots, samples.rows(seen), pod, rng)
+    tell_choice(model, samples.rows(seen), choices[0])
     tracker.metric("energy_degree", choices[0].degree)
     tracker.metric("image_weight", choices[0].image_weight)
     tracker.metric("validation/static_tip_rms_mm", 1e3 * choices[0].tip_error_m)
