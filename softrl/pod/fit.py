@@ -18,13 +18,14 @@ from softrl.pod.basis import PodBasis
 from softrl.pod.energy import Normal, Weights, accumulate, frame_of, scale_of, solve
 from softrl.pod.kernel import run_kernel
 from softrl.pod.maps import best_degree, elastic_factors, fit_map, symmetric_roots
+from softrl.pod.potential import Tables, fill_potential
 from softrl.pod.rom import EMPTY, elastic_hessian_at_rest, no_hooks, static_points, tables_of
 from softrl.pod.symmetry import Equilibria, Symmetry, reflected, symmetries
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
 LOST = 0.1  # of the rms motion: an equilibrium farther off counts as lost, however far it is
-PRESSURES = 128  # all over their range, at which the body has to stand
+PRESSURES = 512  # all over their range, at which the body has to stand
 THROW_STEPS, THROW_STEP = 40, 0.4  # under each load, in radians of the slowest motion at rest
 ROOT_RIDGE, MAP_RIDGE = 1e-8, 1e-12  # roots near the identity go on tamely beyond the samples; maps are exact
 LAG_FLOOR = 0.005  # of the viscosity lags everywhere: keeps the root smooth at rest, where nothing else does
@@ -261,7 +262,18 @@ def _settles(model: ReducedModel, samples: Equilibria) -> bool:
     points, lost = static_points(tables, loads)
     apart = np.linalg.norm(((path[THROW_STEPS - 1 :: THROW_STEPS] - points) @ model.frame.T)[:, -3:], axis=1)
     near = LOST * np.sqrt((samples.coordinate[:, -3:] ** 2).sum(axis=1).mean())
-    return not lost.any() and failed == 0 and bool((apart < near).all())
+    return not lost.any() and failed == 0 and bool((apart < near).all()) and _least_stiffness(tables, points) > 0.0
+
+
+def _least_stiffness(tables: Tables, points: np.ndarray) -> float:
+    """Return the smallest eigenvalue of the potential's Hessian at ``points`` (S, r), J: negative at a saddle."""
+    r = points.shape[1]
+    values, inside, gradient, hessian = np.empty(len(tables.parent)), np.empty(r), np.empty(r), np.empty((r, r))
+    least = np.inf
+    for point in points:
+        fill_potential(point, tables, values, inside, gradient, hessian)
+        least = min(least, float(np.linalg.eigvalsh(hessian)[0]))
+    return least
 
 
 def _squared_tip_errors(model: ReducedModel, samples: Equilibria) -> np.ndarray:
