@@ -39,6 +39,7 @@ from softrl.diagnosis.hypothesis import Hypothesis, candidates
 from softrl.diagnosis.join import joined
 from softrl.diagnosis.judge import Judge, Thresholds
 from softrl.diagnosis.locate import corrected, locate
+from softrl.diagnosis.mistaken import mistaken
 from softrl.diagnosis.prelude import preludes
 from softrl.diagnosis.problem import ORIENTATION_LEVER, Numerics, Problem
 from softrl.diagnosis.quality import mixed
@@ -125,7 +126,7 @@ def run(
     data = found.shortened(seconds * longer.numerics.dt_s / config.numerics.dt_s)
     config = longer
     whole = _whole(config, robot, simulator, data)
-    apart = mixed(data.training, whole.replayed(Hypothesis((), ()), np.zeros(0)), robot)
+    apart = _contradiction(whole, found)
     if apart:
         return _cannot_tell(Refusal(data.check, apart), robot, simulator, tracker)
     findings = _examine(config, whole, data, found)
@@ -174,6 +175,13 @@ def _whole(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Pr
         np.degrees(turned),
     )
     return replace(bare, register=True, orientation=False)
+
+
+def _contradiction(whole: Problem, data: Data) -> str | None:
+    """Return why the runs cannot be what they are said to be, beside what the simulator does under their commands."""
+    runs = tuple(run for part in data.splits.values() for run in part)
+    made = whole.on(runs).replayed(Hypothesis((), ()), np.zeros(0))
+    return mistaken(runs, made, whole.robot) or mixed(data.training, made[: len(data.training)], whole.robot)
 
 
 def _examine(config: Config, whole: Problem, data: Data, full: Data) -> list[Finding]:
