@@ -13,22 +13,26 @@ from softrl.effects.effect import Effect
 from softrl.effects.library import effect_class
 from softrl.robots.robot import Robot
 
+BY_SESSION = ("stiffness_scale",)  # what may change from day to day: warmth, rest, age, another hose
 FULL_TURN_RAD = 6.0  # a parameter in rad with a wider range than this is a direction: several starts
 
 
 class Choice(NamedTuple):
     """One effect of the library; ``chamber`` is -1 for all chambers, or where the effect knows none.
 
-    ``pinned`` names the parameters that are held at their neutral values.
+    ``pinned`` names the parameters that are held at their neutral values; ``session`` the one session in which the effect
+    acts, empty for all.
     """
 
     name: str
     chamber: int = -1
     pinned: tuple[str, ...] = ()
+    session: str = ""
 
     def label(self) -> str:
-        """Return the name, with the chamber (counted from 1) if it is one alone."""
-        return self.name if self.chamber < 0 else f"{self.name} (chamber {self.chamber + 1})"
+        """Return the name, with the chamber (counted from 1) or the session if it is one alone."""
+        where = [f"chamber {self.chamber + 1}"] * (self.chamber >= 0) + [f"session {self.session}"] * bool(self.session)
+        return f"{self.name} ({', '.join(where)})" if where else self.name
 
     @property
     def site(self) -> str:
@@ -108,11 +112,13 @@ class Space:
         """Return the physical values at a scaled point (p,)."""
         return [axis.physical(float(u)) for axis, u in zip(self.axes, point, strict=True)]
 
-    def effects(self, point: np.ndarray) -> tuple[Effect, ...]:
-        """Return the effects with their parameters at a scaled point."""
+    def effects(self, point: np.ndarray, session: str = "") -> tuple[Effect, ...]:
+        """Return the effects that act in ``session``, with their parameters at a scaled point."""
         values, made = iter(self.values(point)), []
         for choice in self.hypothesis.effects:
-            made.append(build_effect(choice, [next(values) for _ in effect_axes(choice)]))
+            mine = [next(values) for _ in effect_axes(choice)]
+            if choice.session in ("", session):
+                made.append(build_effect(choice, mine))
         return tuple(made)
 
     def tuned(self, point: np.ndarray) -> dict[str, float]:
@@ -179,6 +185,18 @@ def candidates(names: Sequence[str], sites: Sequence[str], robot: Robot, excited
         if has_chamber(name) and robot.chambers > 1 and len(excited) > 1:
             found += [Choice(name, chamber) for chamber in excited]
     return found
+
+
+def in_one_session(names: Sequence[str], training: Sequence[str], heldout: Sequence[str]) -> list[Choice]:
+    """Return the effects out of ``names`` that may act in one session alone, for every session but the last.
+
+    Parameters
+    ----------
+    training, heldout : session of every run; only a session with two runs to fit and one to judge can show such an effect
+    """
+    sessions = list(dict.fromkeys(training))
+    shown = [s for s in sessions if training.count(s) > 1 and s in heldout]
+    return [Choice(name, session=s) for name in names if name in BY_SESSION for s in shown if s != sessions[-1]]
 
 
 def starts(choice: Choice) -> list[np.ndarray]:

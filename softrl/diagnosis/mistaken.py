@@ -3,15 +3,19 @@
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from softrl.recordings.check import EXCITED_SHARE
+from softrl.recordings.frame import axis_vector, rotate
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
 STEP_S = 0.05  # of the even times on which channels are compared
 MIN_SHARE = 0.1  # of the pressure range, or of the largest motion of any run: less says nothing
 FOLLOWS, FOREIGN = 0.8, 0.5  # correlation of a pressure with the command that it follows, and with one that it does not
-UNIT_FACTOR = 3.0  # by which a measured pressure may differ from the command that it follows
-EXPLAINED = 0.6  # share of the sideways motion that a mirror image must explain to be one
+UNIT_FACTOR = 3.0  # by which a measured pressure may differ from the command that it follows, and a tip from its model
+TURNED_RAD = 0.7  # a tip at rest this far off the robot's axis is told in a turned frame
+EXPLAINED = 0.5  # share of the sideways motion that a mirror image must explain to be one
 MIRROR_GAIN = 0.3  # by which it must explain more than the motion itself, in every turn of the frame
 LEAD_S = 0.2  # an effect that comes earlier than its cause by less may be a matter of clocks and filters
 LONGEST_S = 2.0  # leads and delays that are compared
@@ -28,7 +32,8 @@ def mistaken(runs: Sequence[Recording], simulated: Sequence[Recording], robot: R
     robot : whose runs they are
     """
     told = _exchanged(runs, robot) or _unlike(runs, robot)
-    return told or _early(runs, simulated, robot) or _mirrored(runs, simulated, robot)
+    told = told or _rescaled(runs, simulated, robot) or _early(runs, simulated, robot)
+    return told or _mirrored(runs, simulated, robot)
 
 
 def _exchanged(runs: Sequence[Recording], robot: Robot) -> str | None:
@@ -108,28 +113,78 @@ def _left(pairs: Sequence[tuple[np.ndarray, np.ndarray]], shift: int) -> float:
 
 
 def _mirrored(runs: Sequence[Recording], simulated: Sequence[Recording], robot: Robot) -> str | None:
-    """Return in which run the tip's sideways motion is the mirror image of what the pressures bring about.
+    """Return where the tip's sideways motion is the mirror image of what the pressures bring about.
 
-    A frame that is turned about the backbone, and a motion of another size, explain no mirror image. Exchanging two
-    chambers mirrors the motion, and so does exchanging x and y or the sign of one of them.
+    A frame that is turned, and a motion of another size, explain no mirror image. Exchanging two chambers mirrors the
+    motion, and so does exchanging two columns of the tip, or the sign of one.
     """
     if robot.output == "bend_angle" or robot.chambers < 2:
         return None
-    sideways = [
-        tuple((p[:, 0] - p[:, 0].mean()) + 1j * (p[:, 1] - p[:, 1].mean()) for p in (_motion(r, robot) for r in pair))
-        for pair in zip(runs, simulated, strict=True)
-    ]
-    largest = max(float(np.std(seen)) for seen, _ in sideways)
-    for run, (seen, made) in zip(runs, sideways, strict=True):
+    pairs = [(_sideways(run, robot), _sideways(made, robot)) for run, made in zip(runs, simulated, strict=True)]
+    largest = max(float(np.std(seen)) for seen, _ in pairs)
+    groups = {"all runs together": list(range(len(runs)))} | {f"run {run.name}": [k] for k, run in enumerate(runs)}
+    for where, mine in groups.items():
+        seen, made = (np.concatenate([pairs[k][side] for k in mine]) for side in (0, 1))
         size = float(np.sum(np.abs(seen) ** 2) * np.sum(np.abs(made) ** 2))
         if size == 0.0 or np.std(seen) < MIN_SHARE * largest:
             continue
-        itself, image = (abs(np.sum(made_ * seen)) ** 2 / size for made_ in (np.conj(made), made))
+        itself, image = (float(np.abs(np.sum(way * seen)) ** 2 / size) for way in (np.conj(made), made))
         if image > EXPLAINED and image > itself + MIRROR_GAIN:
             return (
-                f"run {run.name}: the tip moves as the mirror image of what the pressures bring about ({image:.0%} of "
-                f"its sideways motion, against {itself:.0%} unmirrored): columns of two chambers or of x and y are "
+                f"{where}: the tip moves as the mirror image of what the pressures bring about ({image:.0%} of its "
+                f"sideways motion, against {itself:.0%} unmirrored): columns of two chambers or of the tip are "
                 "exchanged, or a sign is wrong"
+            )
+    return None
+
+
+def _sideways(run: Recording, robot: Robot) -> np.ndarray:
+    """Return the tip's motion (samples,) across the backbone as complex numbers, about its mean.
+
+    Where the run shows the tip at rest somewhere else than the robot's axis leads, it is turned there the shortest way.
+    """
+    tip, axis = np.asarray(run.position), axis_vector(robot.axis)
+    rest = np.median(tip[_still(run, robot)], axis=0) if _still(run, robot).any() else robot.length_m * axis
+    length = float(np.linalg.norm(rest))
+    if 1.0 / UNIT_FACTOR < length / robot.length_m < UNIT_FACTOR and rest @ axis < np.cos(TURNED_RAD) * length:
+        tip = rotate(_shortest(rest / length, axis), tip)
+    across = rotate(_shortest(axis, np.array([0.0, 0.0, 1.0])), tip)
+    moved = across - across.mean(axis=0)
+    return np.asarray(moved[:, 0] + 1j * moved[:, 1])
+
+
+def _shortest(start: np.ndarray, end: np.ndarray) -> Rotation:
+    """Return the shortest rotation of the unit vector ``start`` onto ``end``; half a turn about x or y if opposite."""
+    normal = np.cross(start, end)
+    if np.linalg.norm(normal) < 1e-6:
+        other = np.array([1.0, 0.0, 0.0]) if abs(end[0]) < 0.5 else np.array([0.0, 1.0, 0.0])
+        return Rotation.from_rotvec(np.pi * other if start @ end < 0.0 else np.zeros(3))
+    angle = np.arctan2(np.linalg.norm(normal), start @ end)
+    return Rotation.from_rotvec(angle * normal / np.linalg.norm(normal))
+
+
+def _still(run: Recording, robot: Robot) -> np.ndarray:
+    """Return which samples (steps,) are under no pressure."""
+    span = robot.pressure_max_pa - robot.pressure_min_pa
+    return np.all(np.abs(run.pressure_cmd) < EXCITED_SHARE * span, axis=1)
+
+
+def _rescaled(runs: Sequence[Recording], simulated: Sequence[Recording], robot: Robot) -> str | None:
+    """Return by how much both the tip's place at rest and its motion are too large or too small."""
+    if robot.output == "bend_angle":
+        return None
+    rests = [np.median(np.asarray(run.position)[_still(run, robot)], axis=0) for run in runs if _still(run, robot).any()]
+    if not rests:
+        return None
+    reach = float(np.median(np.linalg.norm(rests, axis=1))) / robot.length_m
+    seen, made = (np.concatenate([np.asarray(r.position) for r in side]) for side in (runs, simulated))
+    moved = float(np.linalg.norm(seen.std(axis=0)) / max(np.linalg.norm(made.std(axis=0)), 1e-300))
+    for small, large in ((reach, moved), (1.0 / max(reach, 1e-9), 1.0 / max(moved, 1e-9))):
+        if max(small, large) < 1.0 / UNIT_FACTOR:
+            return (
+                f"at rest the tip is {1e3 * reach * robot.length_m:.3g} mm from the origin where robot {robot.name} is "
+                f"{1e3 * robot.length_m:.3g} mm long, and it moves {moved:.3g} times as far as the simulator: another unit "
+                "(m, cm, mm)?"
             )
     return None
 
