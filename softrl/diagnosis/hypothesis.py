@@ -13,7 +13,8 @@ from softrl.effects.effect import Effect
 from softrl.effects.library import effect_class
 from softrl.robots.robot import Robot
 
-BY_SESSION = ("stiffness_scale",)  # what may change from day to day: warmth, rest, age, another hose
+# what may change from one day to the next: warmth, rest and age of the wall; what it carries; how it is mounted
+BY_SESSION = ("stiffness_scale", "strain_softening", "payload", "mount_tilt")
 FULL_TURN_RAD = 6.0  # a parameter in rad with a wider range than this is a direction: several starts
 
 
