@@ -17,9 +17,9 @@ UNIT_FACTOR = 3.0  # by which a measured pressure may differ from the command th
 TURNED_RAD = 0.7  # a tip at rest this far off the robot's axis is told in a turned frame
 EXPLAINED = 0.5  # share of the sideways motion that a mirror image must explain to be one
 MIRROR_GAIN = 0.3  # by which it must explain more than the motion itself, in every turn of the frame
-LEAD_S = 0.2  # an effect that comes earlier than its cause by less may be a matter of clocks and filters
+LEAD_S = 0.1  # an effect that comes earlier than its cause by less may be a matter of clocks and filters
 LONGEST_S = 2.0  # leads and delays that are compared
-LEAD_GAIN = 0.5  # a lead must leave less than this share of what the best delay leaves
+LEAD_GAIN = 0.7  # a lead must leave less than this share of what the best delay leaves
 
 
 def mistaken(runs: Sequence[Recording], simulated: Sequence[Recording], robot: Robot) -> str | None:
