@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes, may_be_pinned, starts
+from softrl.diagnosis.flexible import pressures
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes, gated, may_be_pinned, neutral, starts
 from softrl.diagnosis.judge import Judge
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.rank import Lead, rank
@@ -44,7 +45,7 @@ def forward(
     search: Search,
     report: Callable[[str], None],
 ) -> Path:
-    """Return the hypothesis that stepwise selection leaves: add, try all others in each one's place, drop.
+    """Return the hypothesis that stepwise selection leaves: add, try all others in each one's place, drop, narrow down.
 
     Parameters
     ----------
@@ -56,7 +57,17 @@ def forward(
     """
     retuned = fit_trials(fitting, None, [(Hypothesis((), tuple(tuned)), [])], search)[0]
     path = Path(retuned, retuned)
-    for _ in range(search.max_effects):
+    _grow(fitting, judge, choices, search, path, report)
+    if _narrow(fitting, judge, choices, search, path, report):
+        _grow(fitting, judge, choices, search, path, report)
+    return path
+
+
+def _grow(
+    fitting: Problem, judge: Judge, choices: Sequence[Choice], search: Search, path: Path, report: Callable[[str], None]
+) -> None:
+    """Add effects to the best hypothesis of ``path`` while that pays."""
+    while len(path.best.hypothesis.effects) < search.max_effects:
         current = path.best
         if judge.excess(current.mean_square) < judge.material:
             report(f"{current.hypothesis.label()}: what is left is less than counts")
@@ -74,7 +85,47 @@ def forward(
         path.best = _swap(fitting, judge, added, choices, search, path)
         path.best = _prune(fitting, judge, path.best, search)
         path.best = slim(fitting, judge, path.best, search, path)
-    return path
+
+
+def _narrow(
+    fitting: Problem, judge: Judge, choices: Sequence[Choice], search: Search, path: Path, report: Callable[[str], None]
+) -> bool:
+    """Return whether an effect that acts above a pressure or from a time on only pays: one of ``path``, or a new one."""
+    narrowed = False
+    for choice in path.best.hypothesis.effects:
+        if judge.excess(path.best.mean_square) < judge.material:
+            return narrowed
+        forms = [_in_place(path.best, choice, form) for form in gated(choice, *_reach(fitting))]
+        fitted = raced(fitting, None, [(hypothesis, [point]) for hypothesis, point in forms], search)
+        best = min(fitted, key=lambda trial: trial.mean_square, default=path.best)
+        if judge.pays(path.best.squares, best.squares):
+            place = path.best.hypothesis.effects.index(choice)
+            path.tried[best.hypothesis.effects[place]] = path.tried.pop(choice, [])
+            report(f"{best.hypothesis.label()}: {judge.rms(best.squares):.4g} instead of {judge.rms(path.best.squares):.4g}")
+            path.best, narrowed = best, True
+    current = path.best
+    if len(current.hypothesis.effects) == search.max_effects or judge.excess(current.mean_square) < judge.material:
+        return narrowed
+    forms_ = [form for choice in choices if choice.chamber < 0 for form in gated(choice, *_reach(fitting))]
+    added = _addition(fitting, judge, current, forms_, search, path)
+    if added is None or not judge.pays(current.squares, added.squares):
+        return narrowed
+    report(f"{added.hypothesis.label()}: {judge.rms(added.squares):.4g} on runs left out")
+    path.best = _prune(fitting, judge, slim(fitting, judge, added, search, path), search)
+    return True
+
+
+def _reach(problem: Problem) -> tuple[float, float]:
+    """Return (median duration of the runs s, highest pressure that drives them as a share of the robot's largest)."""
+    highest = max(float(pressures(problem, k).max()) for k in range(len(problem.runs)))
+    return float(np.median([run.time[-1] - run.time[0] for run in problem.runs])), highest
+
+
+def _in_place(trial: Trial, choice: Choice, form: Choice) -> tuple[Hypothesis, np.ndarray]:
+    """Return (hypothesis, point) with ``form``, which has the parameters of ``choice`` and one more, in its place."""
+    effects = tuple(form if effect == choice else effect for effect in trial.hypothesis.effects)
+    end = int(columns_of(trial, choice)[-1]) + 1
+    return Hypothesis(effects, trial.hypothesis.tuned), np.insert(trial.fit.point, end, neutral(form)[-1])
 
 
 def _addition(
