@@ -7,7 +7,7 @@ from typing import Any
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.diagnosis.correct import Model
 from softrl.diagnosis.examine import Finding, Named
-from softrl.diagnosis.hypothesis import Choice, has_chamber, pinned_values
+from softrl.diagnosis.hypothesis import GATES, Choice, has_chamber, pinned_values
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.separate import separating_program
 from softrl.effects.library import effect_class
@@ -52,8 +52,9 @@ def _class(finding: Finding) -> list[str]:
 
 
 def effect_entries(findings: Sequence[Finding], whole: Problem) -> list[dict[str, Any]]:
-    """Return one entry a named effect, as in ``diagnosis.json``."""
-    return [_entry(finding, named) for finding in findings for named in finding.named]
+    """Return one entry a named effect, as in ``diagnosis.json``, maps without physics last."""
+    found = [(finding, named) for finding in findings for named in finding.named]
+    return [_entry(*pair) for pair in sorted(found, key=lambda pair: effect_class(pair[1].choice.name).together)]
 
 
 def _entry(finding: Finding, named: Named) -> dict[str, Any]:
@@ -82,10 +83,11 @@ def _entry(finding: Finding, named: Named) -> dict[str, Any]:
 def where(choice: Choice) -> str:
     """Return in words where an effect acts."""
     if has_chamber(choice.name):
-        return "all chambers" if choice.chamber < 0 else f"chamber {choice.chamber + 1}"
-    return {"valve": "all valves", "load": "tip", "sensor": "pose sensor", "chamber": "all chambers"}.get(
-        choice.site, "whole body"
-    )
+        place = "all chambers" if choice.chamber < 0 else f"chamber {choice.chamber + 1}"
+    else:
+        places = {"valve": "all valves", "load": "tip", "sensor": "pose sensor", "chamber": "all chambers"}
+        place = places.get(choice.site, "whole body")
+    return f"{place}, {GATES[choice.gate.field]}" if choice.gate else place
 
 
 def shown_in(finding: Finding) -> tuple[float, str]:
@@ -236,9 +238,17 @@ def _effect_sentence(effect: dict[str, Any]) -> str:
     values = ", ".join(
         f"{name} {p['value']:.3g} ({p['low']:.3g} to {p['high']:.3g}){'' if p['unit'] == '1' else ' ' + p['unit']}"
         f"{', at the end of its range' if p['at_bound'] else ''}"
-        for name, p in effect["parameters"].items()
+        for name, p in _telling(effect).items()
     )
     return f"{effect['name']} {WORDS[effect['site']]}, {effect['where']}: {values}. {effect['evidence']}."
+
+
+def _telling(effect: dict[str, Any]) -> dict[str, Any]:
+    """Return the parameters worth a word: of many that stand together, those whose interval does not hold zero."""
+    found: dict[str, Any] = effect["parameters"]
+    if not effect_class(effect["name"]).together:
+        return found
+    return {name: p for name, p in found.items() if p["low"] > 0.0 or p["high"] < 0.0}
 
 
 def _left_sentence(finding: Finding) -> str:

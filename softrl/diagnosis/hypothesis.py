@@ -172,7 +172,7 @@ def may_be_pinned(choice: Choice) -> list[str]:
     A time constant or a width with a neutral value inside its range only shapes what another parameter switches on.
     """
     found = free_fields(choice)
-    if len(found) < (3 if choice.gate else 2):
+    if len(found) < (3 if choice.gate else 2) or effect_class(choice.name).together:
         return []
     return [f.name for f in found if f.name not in GATES
             and not (f.metadata["log"] and f.metadata["low"] < f.metadata["neutral"] < f.metadata["high"])]  # fmt: skip
@@ -187,7 +187,8 @@ def candidates(names: Sequence[str], sites: Sequence[str], robot: Robot, excited
     """Return every effect out of ``names`` at ``sites``: for all chambers, and for each that was driven."""
     found = []
     for name in names:
-        if effect_class(name).site not in sites:
+        effect = effect_class(name)
+        if effect.site not in sites or not effect.suits(robot) or (effect.together and len(excited) < robot.chambers):
             continue
         found.append(Choice(name))
         if has_chamber(name) and robot.chambers > 1 and len(excited) > 1:
@@ -199,6 +200,8 @@ def starts(choice: Choice) -> list[np.ndarray]:
     """Return scaled points (p,) of an effect that is plain to see: typical values, and spread-out shapes of it."""
     fields_ = free_fields(choice)
     axes = effect_axes(choice)
+    if effect_class(choice.name).together:
+        return [neutral(choice)]
     typical = np.array([axis.scaled(field.metadata["typical"]) for axis, field in zip(axes, fields_, strict=True)])
     if choice.gate:
         typical[-1] = axes[-1].scaled(choice.gate.begin)
@@ -238,6 +241,8 @@ def gated(choice: Choice, duration_s: float, highest_share: float) -> list[Choic
     highest_share : pressure that they reach, as a share of the robot's largest
     """
     effect = effect_class(choice.name)
+    if effect.together:
+        return []
     gates = [] if effect.clock is not None else [Gate("since_s", share * duration_s) for share in SINCE]
     if effect.site in ("valve", "chamber", "body"):
         gates += [Gate("above_share", share * highest_share) for share in ABOVE]

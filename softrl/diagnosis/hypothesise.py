@@ -16,6 +16,7 @@ from softrl.diagnosis.trial import Search, Trial, columns_of, drop, fit_trials, 
 log = logging.getLogger(__name__)
 SAME_NAME = 2  # forms of one effect (all chambers, one chamber) that are fitted in full
 LEAD_SHARE = 0.3  # of the best rough fit's gain, which another needs to be fitted in full
+REFORMED = 2  # fits of a round, the best, in which older effects are tried in their other forms
 SILENT = 1e-6  # of the largest column: a parameter with less influence on the residual has none
 
 
@@ -139,7 +140,10 @@ def _addition(
     trials = fit_leads(fitting, current, leads, search)
     if not trials:
         return None
-    best = judge.simplest(trials)
+    best = judge.simplest(trials + _otherwise(fitting, trials, search, path))
+    for old, new in zip(current.hypothesis.effects, best.hypothesis.effects[:-1], strict=True):
+        if old != new:
+            path.tried[new] = path.tried.get(old, [])
     path.tried[best.hypothesis.effects[-1]] = _others(trials, best) + [
         (lead.choice, lead.point[: len(effect_axes(lead.choice))])
         for lead in leads
@@ -167,6 +171,30 @@ def _swap(fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice
             mine = instead.fit.point[end - len(effect_axes(new)) : end]
             path.tried[old] = [(new, mine), *others]
     return trial
+
+
+def _otherwise(fitting: Problem, trials: Sequence[Trial], search: Search, path: Path) -> list[Trial]:
+    """Return the best of ``trials`` with an older effect in another form (all chambers, one chamber) beside the newest.
+
+    Alone the forms may be alike; beside what else is missing only one of them fits.
+    """
+    tasks = [
+        (Hypothesis(tuple(form if e == old else e for e in trial.hypothesis.effects), trial.hypothesis.tuned), [point])
+        for trial in sorted(trials, key=lambda t: t.mean_square)[:REFORMED]
+        for old in trial.hypothesis.effects[:-1]
+        for form, point in _same_name(path, trial, old)
+    ]
+    return raced(fitting, None, tasks, search) if tasks else []
+
+
+def _same_name(path: Path, trial: Trial, old: Choice) -> list[tuple[Choice, np.ndarray]]:
+    """Return the other forms of ``old`` that were tried in its place, with a point of ``trial`` to begin at."""
+    columns = columns_of(trial, old)
+    return [
+        (form, np.insert(np.delete(trial.fit.point, columns), columns[0], mine))
+        for form, mine in path.tried.get(old, [])
+        if form.name == old.name and form != old
+    ][:SAME_NAME]
 
 
 def _others(trials: Sequence[Trial], best: Trial) -> list[tuple[Choice, np.ndarray]]:

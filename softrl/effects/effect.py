@@ -89,6 +89,7 @@ class Effect:
     site : where it acts, one of ``SITES``
     channel : of a sensor effect, what it changes: "pose", or "pressure" for the reported chamber pressures
     variant_of : name of the effect whose physics this one describes by another law, or empty
+    together : whether its parameters mean something together only, so that none is tried without the others
     clock : slot of the state that counts the seconds since the first sample, if there is one
     above_share : share of the robot's largest pressure above which it acts; ``EVERYWHERE`` for all pressures
     since_s : time of each run from which it acts, s; 0 for always
@@ -99,6 +100,7 @@ class Effect:
     kernel: ClassVar[Any]
     channel: ClassVar[str] = "pose"
     variant_of: ClassVar[str] = ""
+    together: ClassVar[bool] = False
     clock: ClassVar[int | None] = None
 
     above_share: float = dataclasses.field(default=EVERYWHERE, kw_only=True, metadata=_gate("1", EVERYWHERE, 1.0, 0.3))
@@ -136,6 +138,11 @@ class Effect:
     def neutral(cls, **fixed: Any) -> "Effect":
         """Return this effect with the parameters at which it does nothing; ``fixed`` sets the other fields."""
         return cls(**{f.name: f.metadata["neutral"] for f in cls.parameter_fields()}, **fixed)
+
+    @classmethod
+    def suits(cls, robot: Robot) -> bool:
+        """Return whether the effect makes sense for ``robot``."""
+        return True
 
     @classmethod
     def shapes(cls) -> list[dict[str, float]]:
