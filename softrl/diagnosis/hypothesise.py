@@ -16,6 +16,7 @@ from softrl.diagnosis.trial import Search, Trial, columns_of, drop, fit_trials, 
 log = logging.getLogger(__name__)
 SAME_NAME = 2  # forms of one effect (all chambers, one chamber) that are fitted in full
 LEAD_SHARE = 0.3  # of the best rough fit's gain, which another needs to be fitted in full
+PLAIN = 2.5  # times what counts: what is left by effects that act everywhere, before they are asked where alone they act
 REFORMED = 2  # fits of a round, the best, in which older effects are tried in their other forms
 SILENT = 1e-6  # of the largest column: a parameter with less influence on the residual has none
 
@@ -92,9 +93,9 @@ def _narrow(
     fitting: Problem, judge: Judge, choices: Sequence[Choice], search: Search, path: Path, report: Callable[[str], None]
 ) -> bool:
     """Return whether an effect that acts above a pressure or from a time on only pays: one of ``path``, or a new one."""
-    narrowed = False
+    narrowed, plain = False, PLAIN * judge.material
     for choice in path.best.hypothesis.effects:
-        if judge.excess(path.best.mean_square) < judge.material:
+        if judge.excess(path.best.mean_square) < plain:
             return narrowed
         forms = [_in_place(path.best, choice, form) for form in gated(choice, *_reach(fitting))]
         fitted = raced(fitting, None, [(hypothesis, [point]) for hypothesis, point in forms], search)
@@ -105,7 +106,7 @@ def _narrow(
             report(f"{best.hypothesis.label()}: {judge.rms(best.squares):.4g} instead of {judge.rms(path.best.squares):.4g}")
             path.best, narrowed = best, True
     current = path.best
-    if len(current.hypothesis.effects) == search.max_effects or judge.excess(current.mean_square) < judge.material:
+    if len(current.hypothesis.effects) == search.max_effects or judge.excess(current.mean_square) < plain:
         return narrowed
     forms_ = [form for choice in choices if choice.chamber < 0 for form in gated(choice, *_reach(fitting))]
     added = _addition(fitting, judge, current, forms_, search, path)
