@@ -67,6 +67,7 @@ def _entry(finding: Finding, named: Named) -> dict[str, Any]:
         "site": choice.site,
         "where": where(choice),
         "chamber": choice.chamber,
+        "session": choice.session,
         "parameters": {
             p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit, "at_bound": p.at_bound}
             for p in named.intervals
@@ -82,6 +83,8 @@ def _entry(finding: Finding, named: Named) -> dict[str, Any]:
 
 def where(choice: Choice) -> str:
     """Return in words where an effect acts."""
+    if choice.session:
+        return f"session {choice.session} only"
     if has_chamber(choice.name):
         place = "all chambers" if choice.chamber < 0 else f"chamber {choice.chamber + 1}"
     else:

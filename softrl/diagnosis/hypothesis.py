@@ -15,6 +15,8 @@ from softrl.robots.robot import Robot
 
 GATES = {"above_share": "above a pressure", "since_s": "from a time on"}
 SINCE, ABOVE = (0.3, 0.6), (0.3, 0.6)  # shares of the run and of its highest pressure at which searches for a gate begin
+# what may change from one day to the next: warmth, rest and age of the wall; what it carries; how it is mounted
+BY_SESSION = ("stiffness_scale", "strain_softening", "payload", "mount_tilt")
 FULL_TURN_RAD = 6.0  # a parameter in rad with a wider range than this is a direction: several starts
 
 
@@ -28,17 +30,19 @@ class Gate(NamedTuple):
 class Choice(NamedTuple):
     """One effect of the library; ``chamber`` is -1 for all chambers, or where the effect knows none.
 
-    ``pinned`` names the parameters that are held at their neutral values; ``gate`` says where alone it acts, if anywhere.
+    ``pinned`` names the parameters that are held at their neutral values; ``gate`` says above which pressure or from when on
+    alone it acts, ``session`` in which session alone, if anywhere.
     """
 
     name: str
     chamber: int = -1
     pinned: tuple[str, ...] = ()
     gate: Gate | None = None
+    session: str = ""
 
     def label(self) -> str:
-        """Return the name, with the chamber (counted from 1) if it is one alone, and the gate if there is one."""
-        where = [f"chamber {self.chamber + 1}"] * (self.chamber >= 0)
+        """Return the name, with the chamber (counted from 1), the gate and the session where it acts there alone."""
+        where = [f"chamber {self.chamber + 1}"] * (self.chamber >= 0) + [f"session {self.session}"] * bool(self.session)
         where += [GATES[self.gate.field]] if self.gate else []
         return f"{self.name} ({', '.join(where)})" if where else self.name
 
@@ -120,11 +124,13 @@ class Space:
         """Return the physical values at a scaled point (p,)."""
         return [axis.physical(float(u)) for axis, u in zip(self.axes, point, strict=True)]
 
-    def effects(self, point: np.ndarray) -> tuple[Effect, ...]:
-        """Return the effects with their parameters at a scaled point."""
+    def effects(self, point: np.ndarray, session: str = "") -> tuple[Effect, ...]:
+        """Return the effects that act in ``session``, with their parameters at a scaled point."""
         values, made = iter(self.values(point)), []
         for choice in self.hypothesis.effects:
-            made.append(build_effect(choice, [next(values) for _ in effect_axes(choice)]))
+            mine = [next(values) for _ in effect_axes(choice)]
+            if choice.session in ("", session):
+                made.append(build_effect(choice, mine))
         return tuple(made)
 
     def tuned(self, point: np.ndarray) -> dict[str, float]:
@@ -194,6 +200,18 @@ def candidates(names: Sequence[str], sites: Sequence[str], robot: Robot, excited
         if has_chamber(name) and robot.chambers > 1 and len(excited) > 1:
             found += [Choice(name, chamber) for chamber in excited]
     return found
+
+
+def in_one_session(names: Sequence[str], training: Sequence[str], heldout: Sequence[str]) -> list[Choice]:
+    """Return the effects out of ``names`` that may act in one session alone, for every session but the last.
+
+    Parameters
+    ----------
+    training, heldout : session of every run; only a session with two runs to fit and one to judge can show such an effect
+    """
+    sessions = list(dict.fromkeys(training))
+    shown = [s for s in sessions if training.count(s) > 1 and s in heldout]
+    return [Choice(name, session=s) for name in names if name in BY_SESSION for s in shown if s != sessions[-1]]
 
 
 def starts(choice: Choice) -> list[np.ndarray]:

@@ -108,7 +108,7 @@ def _narrow(
     current = path.best
     if len(current.hypothesis.effects) == search.max_effects or judge.excess(current.mean_square) < plain:
         return narrowed
-    forms_ = [form for choice in choices if choice.chamber < 0 for form in gated(choice, *_reach(fitting))]
+    forms_ = [form for choice in choices if choice.chamber < 0 and not choice.session for form in gated(choice, *_reach(fitting))]
     added = _addition(fitting, judge, current, forms_, search, path)
     if added is None or not judge.pays(current.squares, added.squares):
         return narrowed
