@@ -93,28 +93,30 @@ def _narrow(
     fitting: Problem, judge: Judge, choices: Sequence[Choice], search: Search, path: Path, report: Callable[[str], None]
 ) -> bool:
     """Return whether an effect that acts above a pressure or from a time on only pays: one of ``path``, or a new one."""
-    narrowed, plain = False, PLAIN * judge.material
-    for choice in path.best.hypothesis.effects:
-        if judge.excess(path.best.mean_square) < plain:
-            return narrowed
-        forms = [_in_place(path.best, choice, form) for form in gated(choice, *_reach(fitting))]
-        fitted = raced(fitting, None, [(hypothesis, [point]) for hypothesis, point in forms], search)
-        best = min(fitted, key=lambda trial: trial.mean_square, default=path.best)
-        if judge.pays(path.best.squares, best.squares):
-            place = path.best.hypothesis.effects.index(choice)
-            path.tried[best.hypothesis.effects[place]] = path.tried.pop(choice, [])
-            report(f"{best.hypothesis.label()}: {judge.rms(best.squares):.4g} instead of {judge.rms(path.best.squares):.4g}")
-            path.best, narrowed = best, True
-    current = path.best
-    if len(current.hypothesis.effects) == search.max_effects or judge.excess(current.mean_square) < plain:
-        return narrowed
-    forms_ = [form for choice in choices if choice.chamber < 0 and not choice.session for form in gated(choice, *_reach(fitting))]
-    added = _addition(fitting, judge, current, forms_, search, path)
-    if added is None or not judge.pays(current.squares, added.squares):
-        return narrowed
-    report(f"{added.hypothesis.label()}: {judge.rms(added.squares):.4g} on runs left out")
-    path.best = _prune(fitting, judge, slim(fitting, judge, added, search, path), search)
-    return True
+    before, plain = path.best, PLAIN * judge.material
+    for choice in before.hypothesis.effects:
+        if judge.excess(path.best.mean_square) >= plain:
+            _try_gates(fitting, judge, choice, search, path)
+    if len(before.hypothesis.effects) < search.max_effects and judge.excess(path.best.mean_square) >= plain:
+        everywhere = [choice for choice in choices if choice.chamber < 0 and not choice.session]
+        forms = [form for choice in everywhere for form in gated(choice, *_reach(fitting))]
+        added = _addition(fitting, judge, path.best, forms, search, path)
+        if added is not None and judge.pays(path.best.squares, added.squares):
+            path.best = _prune(fitting, judge, slim(fitting, judge, added, search, path), search)
+    if path.best is not before:
+        report(f"{path.best.hypothesis.label()}: {judge.rms(path.best.squares):.4g} on runs left out")
+    return path.best is not before
+
+
+def _try_gates(fitting: Problem, judge: Judge, choice: Choice, search: Search, path: Path) -> None:
+    """Let ``choice``, one of the effects of the best hypothesis, act above a pressure or from a time on only if that pays."""
+    forms = [_in_place(path.best, choice, form) for form in gated(choice, *_reach(fitting))]
+    fitted = raced(fitting, None, [(hypothesis, [point]) for hypothesis, point in forms], search)
+    best = min(fitted, key=lambda trial: trial.mean_square, default=path.best)
+    if judge.pays(path.best.squares, best.squares):
+        place = path.best.hypothesis.effects.index(choice)
+        path.tried[best.hypothesis.effects[place]] = path.tried.pop(choice, [])
+        path.best = best
 
 
 def _reach(problem: Problem) -> tuple[float, float]:
