@@ -247,11 +247,22 @@ def _effect_sentence(effect: dict[str, Any]) -> str:
 
 
 def _telling(effect: dict[str, Any]) -> dict[str, Any]:
-    """Return the parameters worth a word: of many that stand together, those whose interval does not hold zero."""
+    """Return the parameters worth a word, or all if none is.
+
+    Not those that came to rest where they do nothing, those that may be anything, and of many that stand together those
+    whose interval holds zero.
+    """
+    cls = effect_class(effect["name"])
+    known = {field.name: field.metadata for field in (*cls.parameter_fields(), *cls.gate_fields())}
+
+    def tells(name: str, p: dict[str, Any]) -> bool:
+        m = known[name]
+        idle = p["at_bound"] and p["value"] == m["neutral"]
+        anything = p["low"] <= m["low"] and p["high"] >= m["high"]
+        return not (idle or anything or (cls.together and p["low"] <= 0.0 <= p["high"]))
+
     found: dict[str, Any] = effect["parameters"]
-    if not effect_class(effect["name"]).together:
-        return found
-    return {name: p for name, p in found.items() if p["low"] > 0.0 or p["high"] < 0.0}
+    return {name: p for name, p in found.items() if tells(name, p)} or found
 
 
 def _left_sentence(finding: Finding) -> str:
