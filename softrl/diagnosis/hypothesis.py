@@ -13,26 +13,37 @@ from softrl.effects.effect import Effect
 from softrl.effects.library import effect_class
 from softrl.robots.robot import Robot
 
+GATES = {"above_share": "above a pressure", "since_s": "from a time on"}
+SINCE, ABOVE = (0.3, 0.6), (0.3, 0.6)  # shares of the run and of its highest pressure at which searches for a gate begin
 # what may change from one day to the next: warmth, rest and age of the wall; what it carries; how it is mounted
 BY_SESSION = ("stiffness_scale", "strain_softening", "payload", "mount_tilt")
 FULL_TURN_RAD = 6.0  # a parameter in rad with a wider range than this is a direction: several starts
 
 
+class Gate(NamedTuple):
+    """That an effect acts above a pressure or from a time on only: the field of the effect, and where a search begins."""
+
+    field: str
+    begin: float
+
+
 class Choice(NamedTuple):
     """One effect of the library; ``chamber`` is -1 for all chambers, or where the effect knows none.
 
-    ``pinned`` names the parameters that are held at their neutral values; ``session`` the one session in which the effect
-    acts, empty for all.
+    ``pinned`` names the parameters that are held at their neutral values; ``gate`` says above which pressure or from when on
+    alone it acts, ``session`` in which session alone, if anywhere.
     """
 
     name: str
     chamber: int = -1
     pinned: tuple[str, ...] = ()
+    gate: Gate | None = None
     session: str = ""
 
     def label(self) -> str:
-        """Return the name, with the chamber (counted from 1) or the session if it is one alone."""
+        """Return the name, with the chamber (counted from 1), the gate and the session where it acts there alone."""
         where = [f"chamber {self.chamber + 1}"] * (self.chamber >= 0) + [f"session {self.session}"] * bool(self.session)
+        where += [GATES[self.gate.field]] if self.gate else []
         return f"{self.name} ({', '.join(where)})" if where else self.name
 
     @property
@@ -129,8 +140,10 @@ class Space:
 
 
 def free_fields(choice: Choice) -> list[Any]:
-    """Return the fields of one effect's parameters that are free."""
-    return [f for f in effect_class(choice.name).parameter_fields() if f.name not in choice.pinned]
+    """Return the fields of one effect's parameters that are free, the gate's last."""
+    effect, gate = effect_class(choice.name), choice.gate
+    found = [f for f in effect.parameter_fields() if f.name not in choice.pinned]
+    return found + [f for f in effect.gate_fields() if gate and f.name == gate.field]
 
 
 def effect_axes(choice: Choice) -> list[Axis]:
@@ -165,10 +178,10 @@ def may_be_pinned(choice: Choice) -> list[str]:
     A time constant or a width with a neutral value inside its range only shapes what another parameter switches on.
     """
     found = free_fields(choice)
-    if len(found) < 2:
+    if len(found) < (3 if choice.gate else 2) or effect_class(choice.name).together:
         return []
-    return [f.name for f in found if not (f.metadata["log"] and f.metadata["low"] < f.metadata["neutral"]
-                                          < f.metadata["high"])]  # fmt: skip
+    return [f.name for f in found if f.name not in GATES
+            and not (f.metadata["log"] and f.metadata["low"] < f.metadata["neutral"] < f.metadata["high"])]  # fmt: skip
 
 
 def has_chamber(name: str) -> bool:
@@ -180,7 +193,8 @@ def candidates(names: Sequence[str], sites: Sequence[str], robot: Robot, excited
     """Return every effect out of ``names`` at ``sites``: for all chambers, and for each that was driven."""
     found = []
     for name in names:
-        if effect_class(name).site not in sites:
+        effect = effect_class(name)
+        if effect.site not in sites or not effect.suits(robot) or (effect.together and len(excited) < robot.chambers):
             continue
         found.append(Choice(name))
         if has_chamber(name) and robot.chambers > 1 and len(excited) > 1:
@@ -204,7 +218,11 @@ def starts(choice: Choice) -> list[np.ndarray]:
     """Return scaled points (p,) of an effect that is plain to see: typical values, and spread-out shapes of it."""
     fields_ = free_fields(choice)
     axes = effect_axes(choice)
+    if effect_class(choice.name).together:
+        return [neutral(choice)]
     typical = np.array([axis.scaled(field.metadata["typical"]) for axis, field in zip(axes, fields_, strict=True)])
+    if choice.gate:
+        typical[-1] = axes[-1].scaled(choice.gate.begin)
     found = [typical]
     for k, (axis, field) in enumerate(zip(axes, fields_, strict=True)):
         wide = axis.unit == "rad" and axis.high - axis.low > FULL_TURN_RAD
@@ -223,6 +241,27 @@ def starts(choice: Choice) -> list[np.ndarray]:
 
 
 def neutral(choice: Choice) -> np.ndarray:
-    """Return the scaled point (p,) at which the effect does nothing."""
-    pairs = zip(effect_axes(choice), free_fields(choice), strict=True)
-    return np.array([axis.scaled(field.metadata["neutral"]) for axis, field in pairs])
+    """Return the scaled point (p,) at which the effect does nothing; a gate stays where a search begins."""
+    axes = effect_axes(choice)
+    pairs = zip(axes, free_fields(choice), strict=True)
+    point = np.array([axis.scaled(field.metadata["neutral"]) for axis, field in pairs])
+    if choice.gate:
+        point[-1] = axes[-1].scaled(choice.gate.begin)
+    return point
+
+
+def gated(choice: Choice, duration_s: float, highest_share: float) -> list[Choice]:
+    """Return the forms of ``choice`` that act above a pressure or from a time on only, begun at several places.
+
+    Parameters
+    ----------
+    duration_s : of the runs
+    highest_share : pressure that they reach, as a share of the robot's largest
+    """
+    effect = effect_class(choice.name)
+    if effect.together:
+        return []
+    gates = [] if effect.clock is not None else [Gate("since_s", share * duration_s) for share in SINCE]
+    if effect.site in ("valve", "chamber", "body"):
+        gates += [Gate("above_share", share * highest_share) for share in ABOVE]
+    return [choice._replace(gate=gate) for gate in gates]
