@@ -232,7 +232,12 @@ def _floor_in_bin(noise: float, data: Data, config: Config) -> float:
 
 
 def _without_bias(runs: tuple[Any, ...], valve: Finding, whole: Problem) -> tuple[Any, ...]:
-    """Return the runs with the constant offset of each measured pressure taken out, as far as the valve explains it."""
+    """Return the runs with the constant offset of each measured pressure taken out, as far as the valve explains it.
+
+    A command that is no pressure, or a valve that is not understood, says nothing about a sensor's zero.
+    """
+    if whole.robot.command != "pressure" or valve.unknown:
+        return tuple(runs)
     problem = replace(valve.part.problem, runs=tuple(runs))
     supplied = problem.replayed(valve.final.hypothesis, valve.final.fit.point)
     shifted = []
