@@ -72,12 +72,13 @@ def fit_polynomial(net: ForwardNet, windows: Windows, ridges: Sequence[float], d
     def rows_of(index: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         rows, target = windows.take(index)
         near = rows[:, -net.linear_rows :]
-        return net.closed_features(net.scaled(near))[:, -1], target - net.linear_rate(near)[:, -1]
+        return net.closed_features(near, net.scaled(near))[:, -1], target - net.linear_rate(near)[:, -1]
 
+    net.step_s.fill_(dt_s)
     every = torch.arange(0, len(windows), max(len(windows) // MOST_SAMPLES, 1))
-    parts = [net.scaled(windows.take(index)[0][:, -net.linear_rows :]) for index in every.split(4096)]
-    terms = [net.terms(net.features(part)[:, -1:]) for part in parts]
-    net.polynomial.fit_range(*(torch.cat(values)[:, 0] for values in zip(*terms, strict=True)))
+    parts = [windows.take(index)[0][:, -net.linear_rows :] for index in every.split(4096)]
+    terms = [net.terms(part, net.features(net.scaled(part))) for part in parts]
+    net.polynomial.fit_range(*(torch.cat(values)[:, -1] for values in zip(*terms, strict=True)))
     linear = net.closed.clone()
 
     def drift(coefficients: torch.Tensor) -> float:

@@ -24,6 +24,7 @@ class ForwardNet(nn.Module):
     read : (inputs,) columns of a row that the network reads
     linear : (linear_rows * inputs + 1, states) SI; what is added to the rate of ``base`` by scaled rows, newest first
     closed : (linear_rows * inputs + 1 + polynomials, states) SI; the same with the polynomial of the coordinates
+    step_s : s, from a row to where the polynomial is taken
     fine : (states,) SI, rms of what the closed form leaves; the unit of the Transformer's answer and of the losses
 
     Notes
@@ -65,6 +66,7 @@ class ForwardNet(nn.Module):
         drivers = linear_rows * (len(read) - len(own))
         self.polynomial = Polynomial(len(own), drivers, degree)
         self.register_buffer("closed", torch.zeros(len(self.linear) + self.polynomial.size, states))
+        self.register_buffer("step_s", torch.zeros(()))
         self.register_buffer("fine", torch.ones(states))
         self.embed = nn.Linear(len(read), width)
         self.place = nn.Parameter(0.02 * torch.randn(window, width))
@@ -110,18 +112,23 @@ class ForwardNet(nn.Module):
             past.append(torch.cat([past[-1][:, :1], past[-1][:, :-1]], dim=1))
         return torch.cat([*past, torch.ones_like(scaled[..., :1])], dim=2)
 
-    def closed_features(self, scaled: torch.Tensor) -> torch.Tensor:
+    def closed_features(self, rows: torch.Tensor, scaled: torch.Tensor) -> torch.Tensor:
         """Return ``features`` and behind them the polynomial's, (batch, rows, len(closed))."""
         plain = self.features(scaled)
-        return torch.cat([plain, self.polynomial(*self.terms(plain))], dim=-1)
+        return torch.cat([plain, self.polynomial(*self.terms(rows, plain))], dim=-1)
 
-    def terms(self, plain: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return coordinates (batch, rows, n + 3) and drivers, the rates and loads of all rows, that lie in ``features``."""
+    def terms(self, rows: torch.Tensor, plain: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return where the linear map leads, scaled (batch, rows, n + 3), and the rates and loads of all rows in ``plain``.
+
+        The balance of forces holds where a step ends, so there its functions of the coordinates are to be taken.
+        """
         by_row = plain[..., :-1].unflatten(-1, (self.linear_rows, -1))
-        return by_row[..., 0, : self.coordinates], by_row[..., self.coordinates :].flatten(-2)
+        drivers = by_row[..., self.coordinates :].flatten(-2)
+        rate = (self.base(rows) + plain @ self.linear)[..., self.own]
+        return by_row[..., 0, : self.coordinates] + self.step_s * rate / self.row_spread[self.own], drivers
 
     def _closed_rate(self, rows: torch.Tensor, scaled: torch.Tensor) -> torch.Tensor:
-        return self.base(rows) + self.closed_features(scaled) @ self.closed
+        return self.base(rows) + self.closed_features(rows, scaled) @ self.closed
 
     def base(self, rows: torch.Tensor) -> torch.Tensor:
         """Return the rate that the rest adds to: the present one of tip and volumes, zero of the other states."""
