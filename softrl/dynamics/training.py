@@ -1,5 +1,6 @@
 """Training of f_S: first one step ahead, then over short rollouts, on data plus physics."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,6 +15,7 @@ from softrl.dynamics.physics_residual import PhysicsResidual
 from softrl.dynamics.polynomial import LEFT_OUT, MOST_SAMPLES, fit_ridge, left_out
 from softrl.dynamics.transformer import ForwardNet, advance
 
+log = logging.getLogger(__name__)
 ROLLED, ROLLED_STEPS = 128, 50  # rollouts that choose the ridge of the closed form, and their steps
 
 
@@ -180,6 +182,11 @@ def train_forward(
             losses["validation"].append(onestep_error(net, validation))
         training.done = update + 1
         checkpoint.keep(training, updates)
+    if losses["validation"][-1] > 1.0:
+        log.warning(
+            "trained, the network errs %.3g times as much as its closed form on validation runs, one step ahead: lower "
+            "stage.learning_rate or train on more runs", losses["validation"][-1] ** 0.5
+        )  # fmt: skip
     return History(**{name: np.array(values) for name, values in losses.items()})
 
 
