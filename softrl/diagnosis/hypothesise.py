@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from softrl.diagnosis.flexible import pressures
-from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes, gated, may_be_pinned, neutral, starts
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes, gated, may_be_pinned, starts
 from softrl.diagnosis.judge import Judge
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.rank import Lead, rank
 from softrl.diagnosis.trial import Search, Trial, columns_of, drop, fit_trials, join, raced
+from softrl.effects.library import effect_class
 
 log = logging.getLogger(__name__)
 SAME_NAME = 2  # forms of one effect (all chambers, one chamber) that are fitted in full
@@ -94,13 +95,12 @@ def _narrow(
 ) -> bool:
     """Return whether an effect that acts above a pressure or from a time on only pays: one of ``path``, or a new one."""
     before, plain = path.best, PLAIN * judge.material
-    for choice in before.hypothesis.effects:
+    everywhere = [choice for choice in choices if choice.chamber < 0 and not choice.session]
+    for old in before.hypothesis.effects:
         if judge.excess(path.best.mean_square) >= plain:
-            _try_gates(fitting, judge, choice, search, path)
+            _replace(fitting, judge, old, _gated([old, *everywhere], fitting), search, path)
     if len(before.hypothesis.effects) < search.max_effects and judge.excess(path.best.mean_square) >= plain:
-        everywhere = [choice for choice in choices if choice.chamber < 0 and not choice.session]
-        forms = [form for choice in everywhere for form in gated(choice, *_reach(fitting))]
-        added = _addition(fitting, judge, path.best, forms, search, path)
+        added = _addition(fitting, judge, path.best, _gated(everywhere, fitting), search, path)
         if added is not None and judge.pays(path.best.squares, added.squares):
             path.best = _prune(fitting, judge, slim(fitting, judge, added, search, path), search)
     if path.best is not before:
@@ -108,28 +108,22 @@ def _narrow(
     return path.best is not before
 
 
-def _try_gates(fitting: Problem, judge: Judge, choice: Choice, search: Search, path: Path) -> None:
-    """Let ``choice``, one of the effects of the best hypothesis, act above a pressure or from a time on only if that pays."""
-    forms = [_in_place(path.best, choice, form) for form in gated(choice, *_reach(fitting))]
-    fitted = raced(fitting, None, [(hypothesis, [point]) for hypothesis, point in forms], search)
-    best = min(fitted, key=lambda trial: trial.mean_square, default=path.best)
-    if judge.pays(path.best.squares, best.squares):
-        place = path.best.hypothesis.effects.index(choice)
-        path.tried[best.hypothesis.effects[place]] = path.tried.pop(choice, [])
-        path.best = best
+def _replace(
+    fitting: Problem, judge: Judge, old: Choice, choices: Sequence[Choice], search: Search, path: Path
+) -> None:
+    """Put the best of ``choices`` in the place of ``old``, one of the effects of the best hypothesis, if that pays."""
+    trial = path.best
+    less = fit_trials(fitting, None, [(trial.hypothesis.without(old), [drop(trial, old)])], search)
+    instead = _addition(fitting, judge, less[0], choices, search, path) if less else None
+    if instead is not None and judge.pays(trial.squares, instead.squares):
+        path.best = slim(fitting, judge, instead, search, path)
 
 
-def _reach(problem: Problem) -> tuple[float, float]:
-    """Return (median duration of the runs s, highest pressure that drives them as a share of the robot's largest)."""
+def _gated(choices: Sequence[Choice], problem: Problem) -> list[Choice]:
+    """Return the forms of ``choices`` that act above a pressure or from a time on only."""
+    duration = float(np.median([run.time[-1] - run.time[0] for run in problem.runs]))
     highest = max(float(pressures(problem, k).max()) for k in range(len(problem.runs)))
-    return float(np.median([run.time[-1] - run.time[0] for run in problem.runs])), highest
-
-
-def _in_place(trial: Trial, choice: Choice, form: Choice) -> tuple[Hypothesis, np.ndarray]:
-    """Return (hypothesis, point) with ``form``, which has the parameters of ``choice`` and one more, in its place."""
-    effects = tuple(form if effect == choice else effect for effect in trial.hypothesis.effects)
-    end = int(columns_of(trial, choice)[-1]) + 1
-    return Hypothesis(effects, trial.hypothesis.tuned), np.insert(trial.fit.point, end, neutral(form)[-1])
+    return [form for choice in dict.fromkeys(choices) for form in gated(choice, duration, highest)]
 
 
 def _addition(
@@ -156,7 +150,10 @@ def _addition(
 
 
 def _swap(fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice], search: Search, path: Path) -> Trial:
-    """Return ``trial`` after each of its older effects was put to the test against all others in its place."""
+    """Return ``trial`` after each of its older effects was put to the test against all others in its place.
+
+    A map without physics has to pay against them, see ``Judge.simplest``; any other effect stays unless one is better.
+    """
     for old in trial.hypothesis.effects[:-1]:
         less = fit_trials(fitting, None, [(trial.hypothesis.without(old), [drop(trial, old)])], search)
         if not less:
@@ -165,7 +162,7 @@ def _swap(fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice
         if instead is None:
             continue
         new = instead.hypothesis.effects[-1]
-        if new != old and judge.tells(trial.squares, instead.squares):
+        if new != old and (effect_class(old.name).together or judge.tells(trial.squares, instead.squares)):
             log.info("%s takes the place of %s", new.label(), old.label())
             trial = instead
         elif new != old:
