@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes, may_be_pinned, starts
+from softrl.diagnosis.flexible import pressures
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes, gated, may_be_pinned, neutral, starts
 from softrl.diagnosis.judge import Judge
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.rank import Lead, rank
@@ -15,6 +16,8 @@ from softrl.diagnosis.trial import Search, Trial, columns_of, drop, fit_trials, 
 log = logging.getLogger(__name__)
 SAME_NAME = 2  # forms of one effect (all chambers, one chamber) that are fitted in full
 LEAD_SHARE = 0.3  # of the best rough fit's gain, which another needs to be fitted in full
+PLAIN = 2.5  # times what counts: what is left by effects that act everywhere, before they are asked where alone they act
+REFORMED = 2  # fits of a round, the best, in which older effects are tried in their other forms
 SILENT = 1e-6  # of the largest column: a parameter with less influence on the residual has none
 
 
@@ -44,7 +47,7 @@ def forward(
     search: Search,
     report: Callable[[str], None],
 ) -> Path:
-    """Return the hypothesis that stepwise selection leaves: add, try all others in each one's place, drop.
+    """Return the hypothesis that stepwise selection leaves: add, try all others in each one's place, drop, narrow down.
 
     Parameters
     ----------
@@ -56,7 +59,17 @@ def forward(
     """
     retuned = fit_trials(fitting, None, [(Hypothesis((), tuple(tuned)), [])], search)[0]
     path = Path(retuned, retuned)
-    for _ in range(search.max_effects):
+    _grow(fitting, judge, choices, search, path, report)
+    if _narrow(fitting, judge, choices, search, path, report):
+        _grow(fitting, judge, choices, search, path, report)
+    return path
+
+
+def _grow(
+    fitting: Problem, judge: Judge, choices: Sequence[Choice], search: Search, path: Path, report: Callable[[str], None]
+) -> None:
+    """Add effects to the best hypothesis of ``path`` while that pays."""
+    while len(path.best.hypothesis.effects) < search.max_effects:
         current = path.best
         if judge.excess(current.mean_square) < judge.material:
             report(f"{current.hypothesis.label()}: what is left is less than counts")
@@ -74,7 +87,49 @@ def forward(
         path.best = _swap(fitting, judge, added, choices, search, path)
         path.best = _prune(fitting, judge, path.best, search)
         path.best = slim(fitting, judge, path.best, search, path)
-    return path
+
+
+def _narrow(
+    fitting: Problem, judge: Judge, choices: Sequence[Choice], search: Search, path: Path, report: Callable[[str], None]
+) -> bool:
+    """Return whether an effect that acts above a pressure or from a time on only pays: one of ``path``, or a new one."""
+    before, plain = path.best, PLAIN * judge.material
+    for choice in before.hypothesis.effects:
+        if judge.excess(path.best.mean_square) >= plain:
+            _try_gates(fitting, judge, choice, search, path)
+    if len(before.hypothesis.effects) < search.max_effects and judge.excess(path.best.mean_square) >= plain:
+        everywhere = [choice for choice in choices if choice.chamber < 0 and not choice.session]
+        forms = [form for choice in everywhere for form in gated(choice, *_reach(fitting))]
+        added = _addition(fitting, judge, path.best, forms, search, path)
+        if added is not None and judge.pays(path.best.squares, added.squares):
+            path.best = _prune(fitting, judge, slim(fitting, judge, added, search, path), search)
+    if path.best is not before:
+        report(f"{path.best.hypothesis.label()}: {judge.rms(path.best.squares):.4g} on runs left out")
+    return path.best is not before
+
+
+def _try_gates(fitting: Problem, judge: Judge, choice: Choice, search: Search, path: Path) -> None:
+    """Let ``choice``, one of the effects of the best hypothesis, act above a pressure or from a time on only if that pays."""
+    forms = [_in_place(path.best, choice, form) for form in gated(choice, *_reach(fitting))]
+    fitted = raced(fitting, None, [(hypothesis, [point]) for hypothesis, point in forms], search)
+    best = min(fitted, key=lambda trial: trial.mean_square, default=path.best)
+    if judge.pays(path.best.squares, best.squares):
+        place = path.best.hypothesis.effects.index(choice)
+        path.tried[best.hypothesis.effects[place]] = path.tried.pop(choice, [])
+        path.best = best
+
+
+def _reach(problem: Problem) -> tuple[float, float]:
+    """Return (median duration of the runs s, highest pressure that drives them as a share of the robot's largest)."""
+    highest = max(float(pressures(problem, k).max()) for k in range(len(problem.runs)))
+    return float(np.median([run.time[-1] - run.time[0] for run in problem.runs])), highest
+
+
+def _in_place(trial: Trial, choice: Choice, form: Choice) -> tuple[Hypothesis, np.ndarray]:
+    """Return (hypothesis, point) with ``form``, which has the parameters of ``choice`` and one more, in its place."""
+    effects = tuple(form if effect == choice else effect for effect in trial.hypothesis.effects)
+    end = int(columns_of(trial, choice)[-1]) + 1
+    return Hypothesis(effects, trial.hypothesis.tuned), np.insert(trial.fit.point, end, neutral(form)[-1])
 
 
 def _addition(
@@ -88,7 +143,10 @@ def _addition(
     trials = fit_leads(fitting, current, leads, search)
     if not trials:
         return None
-    best = judge.simplest(trials)
+    best = judge.simplest(trials + _otherwise(fitting, trials, search, path))
+    for old, new in zip(current.hypothesis.effects, best.hypothesis.effects[:-1], strict=True):
+        if old != new:
+            path.tried[new] = path.tried.get(old, [])
     path.tried[best.hypothesis.effects[-1]] = _others(trials, best) + [
         (lead.choice, lead.point[: len(effect_axes(lead.choice))])
         for lead in leads
@@ -116,6 +174,30 @@ def _swap(fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice
             mine = instead.fit.point[end - len(effect_axes(new)) : end]
             path.tried[old] = [(new, mine), *others]
     return trial
+
+
+def _otherwise(fitting: Problem, trials: Sequence[Trial], search: Search, path: Path) -> list[Trial]:
+    """Return the best of ``trials`` with an older effect in another form (all chambers, one chamber) beside the newest.
+
+    Alone the forms may be alike; beside what else is missing only one of them fits.
+    """
+    tasks = [
+        (Hypothesis(tuple(form if e == old else e for e in trial.hypothesis.effects), trial.hypothesis.tuned), [point])
+        for trial in sorted(trials, key=lambda t: t.mean_square)[:REFORMED]
+        for old in trial.hypothesis.effects[:-1]
+        for form, point in _same_name(path, trial, old)
+    ]
+    return raced(fitting, None, tasks, search) if tasks else []
+
+
+def _same_name(path: Path, trial: Trial, old: Choice) -> list[tuple[Choice, np.ndarray]]:
+    """Return the other forms of ``old`` that were tried in its place, with a point of ``trial`` to begin at."""
+    columns = columns_of(trial, old)
+    return [
+        (form, np.insert(np.delete(trial.fit.point, columns), columns[0], mine))
+        for form, mine in path.tried.get(old, [])
+        if form.name == old.name and form != old
+    ][:SAME_NAME]
 
 
 def _others(trials: Sequence[Trial], best: Trial) -> list[tuple[Choice, np.ndarray]]:

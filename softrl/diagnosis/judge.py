@@ -149,4 +149,4 @@ class Judge:
 
 
 def _alone(trial: Any) -> int:
-    return sum(choice.chamber >= 0 for choice in trial.hypothesis.effects)
+    return sum(choice.chamber >= 0 or bool(choice.session) for choice in trial.hypothesis.effects)
