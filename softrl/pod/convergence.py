@@ -39,7 +39,7 @@ def by_equilibria(
     seen, heldout = samples
     lean = replace(
         settings, energy_degree_max=max(choice.degree, 2), ridges=(max(choice.ridge, 1e-12),),
-        image_weights=(choice.image_weight,),
+        image_weights=(choice.image_weight,), anchor_weights=(choice.anchor_weight,),
     )  # fmt: skip
     points = []
     for share in shares:
