@@ -31,8 +31,11 @@ def by_equilibria(
     snapshots: Snapshots,
     samples: tuple[Equilibria, Equilibria],
     pod: PodBasis,
+    whole: ReducedModel,
 ) -> list[Point]:
     """Return the errors of models fitted to the first ``shares`` of the seen samples, up to the chosen degree.
+
+    ``whole`` is the one fitted to all of them.
 
     Sobol points fill the loads evenly however many are taken, so a share is what a smaller run would have seen.
     """
@@ -44,9 +47,10 @@ def by_equilibria(
     points = []
     for share in shares:
         count = max(settings.folds, round(share * len(seen.load)))
-        model, _ = fit_model(
-            lean, robot, snapshots, seen.rows(slice(0, count)), pod, np.random.default_rng(0)
-        )
+        few = seen.rows(slice(0, count))
+        model = whole
+        if count < len(seen.load):
+            model, _ = fit_model(lean, robot, snapshots, few, pod, np.random.default_rng(0))
         points.append(Point(count, *errors_of(model, snapshots, heldout)))
     return points
 

@@ -89,6 +89,7 @@ class Candidates:
         self._images = [self._equations(reflected(part, images)) for part in parts] if images else []
         self._anchors: np.ndarray | None = None
         self._low: list[np.ndarray] = []
+        self._sums: dict[float, list[Normal]] = {}
 
     def _equations(self, samples: Equilibria) -> Normal:
         return accumulate(
@@ -103,18 +104,23 @@ class Candidates:
 
     def energy(self, choice: Choice, left_out: int | None = None) -> np.ndarray:
         """Return the coefficients (monomials,) J of ``choice``, fitted to all samples but those of one fold."""
-        seen = [number for number in range(self._settings.folds) if number != left_out]
-        matrix, right = (sum(part[k] for part in (self._own[i] for i in seen)) for k in (0, 1))
-        if choice.image_weight and self._images:
-            matrix, right = (
-                total + choice.image_weight * sum(self._images[i][k] for i in seen)
-                for k, total in enumerate((matrix, right))
-            )
+        matrix, right = self._seen(choice.image_weight)[0 if left_out is None else 1 + left_out]
         if choice.anchor_weight and self._anchors is not None:
             low = self._low[0 if left_out is None else 1 + left_out][self._draft.order + 1 :]
             matrix = matrix + choice.anchor_weight * self._anchors
             right = right + choice.anchor_weight * (self._anchors[:, : len(low)] @ low)
         return solve(Normal(matrix, right), self._draft.order, choice.degree, choice.ridge)
+
+    def _seen(self, image_weight: float) -> list[Normal]:
+        """Return the equations of all samples, then of all but those of each fold, with their images'."""
+        if image_weight not in self._sums:
+            parts = [
+                Normal(*(a + image_weight * b for a, b in zip(own, images, strict=True)))
+                for own, images in zip(self._own, self._images, strict=True)
+            ] if image_weight and self._images else self._own  # fmt: skip
+            whole = Normal(*(sum(part[k] for part in parts) for k in (0, 1)))
+            self._sums[image_weight] = [whole, *(Normal(whole.matrix - p.matrix, whole.right - p.right) for p in parts)]
+        return self._sums[image_weight]
 
     def judged(self, image_weight: float, anchor_weight: float, degree: int, ridge: float) -> Choice:
         """Return a choice with its error over folds that its fits did not see."""
