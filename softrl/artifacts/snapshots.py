@@ -22,6 +22,7 @@ class Snapshots(Artifact):
     coordinate : (samples, n + 3) m^3 and m
     energy : (samples,) J, elastic energy above rest
     compliance : (samples, n + 3, n + 3) d coordinate / d load
+    compliance_slope : (samples, n + 3, n + 3, n + 3) d compliance / d load, symmetric in all three
     tangent_stiffness : (samples, n + 3, n + 3) T' K T with T = dx / d load and K what stiffness-proportional
         damping multiplies
     tangent_mass : (samples, n + 3, n + 3) T' M T with T = dx / d load
@@ -45,13 +46,14 @@ class Snapshots(Artifact):
     robot_name : the robot
     """
 
-    schema: ClassVar[int] = 3
+    schema: ClassVar[int] = 4
     stage: ClassVar[str] = "fem"
 
     loads: np.ndarray
     coordinate: np.ndarray
     energy: np.ndarray
     compliance: np.ndarray
+    compliance_slope: np.ndarray
     tangent_stiffness: np.ndarray
     tangent_mass: np.ndarray
     lag_stiffness: np.ndarray
@@ -88,6 +90,6 @@ class Snapshots(Artifact):
     def validate(self) -> None:
         """Check that every per-sample array has one row per load."""
         super().validate()
-        for name in ("coordinate", "energy", "compliance", "lag_stiffness", "tip_quaternion", "displacement"):
+        for name in ("coordinate", "energy", "compliance", "compliance_slope", "lag_stiffness", "tip_quaternion", "displacement"):
             if len(getattr(self, name)) != len(self.loads):
                 raise ArtifactError(f"Snapshots.{name} has {len(getattr(self, name))} rows for {len(self.loads)} loads")

@@ -1,24 +1,27 @@
 """bench=rom: the reduced bodies beside the full model, on motions that no fit has seen."""
 
 import logging
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from softrl.bench.figures import draw_motions
-from softrl.bench.watch import Timing, Watch, timing
+from softrl.bench.watch import Watch, timing
 from softrl.core.errors import ConfigError
 from softrl.core.progress import progress
 from softrl.core.tracking import Tracker
+from softrl.effects.chain import chain_of
+from softrl.effects.effect import Effect
 from softrl.fem.sampling import step_program
 from softrl.fem.simulator import FemSimulator
 from softrl.pod.galerkin_simulator import GalerkinSimulator
 from softrl.pod.rom import roll
 from softrl.pod.simulator import RomSimulator
+from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
+LABELS = {"rom": "energy ROM", "galerkin": "POD Galerkin"}
 STREAM = 7001  # keeps these motions apart from those that stage=fem draws with the same seed
 
 
@@ -39,6 +42,8 @@ class RomBench:
     rom, galerkin, fem : the bodies; the full model takes its damping from what the reduced model was made with;
         ``galerkin`` may be left out
     motions : unseen ones of ``duration_s`` with pressures and tip forces held ``hold_s``, on the time step ``dt_s``
+    violent : further ones, in which every pressure jumps between the robot's limits, beside the largest tip force
+    effects : on the body, whose cost in a step is told
     rate_steps : of a timed run of the ROM
     batch, batch_steps : trajectories and their steps in a timed batch
     """
@@ -47,6 +52,8 @@ class RomBench:
     galerkin: GalerkinSimulator | None
     fem: FemSimulator
     motions: int
+    violent: int
+    effects: dict[str, Effect]
     duration_s: float
     hold_s: float
     dt_s: float
@@ -58,27 +65,32 @@ class RomBench:
         for name in ("motions", "duration_s", "hold_s", "dt_s", "rate_steps", "batch", "batch_steps"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"bench.rom.{name}={getattr(self, name):g} must be positive")
+        if self.violent < 0:
+            raise ConfigError(f"bench.rom.violent={self.violent} must not be negative")
 
     def measure(self, watch: Watch, seed: int, tracker: Tracker) -> dict[str, float]:
-        """Return the metrics."""
+        """Return the metrics; those of the violent motions begin with ``violent_``."""
         rng = np.random.default_rng([seed, STREAM])
         clock = np.arange(1, round(self.duration_s / self.dt_s) + 1) * self.dt_s
         loads = [step_program(self.rom.robot, clock, self.hold_s, rng) for _ in range(self.motions)]
+        loads += [violent_program(self.rom.robot, clock, self.hold_s, rng) for _ in range(self.violent)]
         full, taken = [], []
         for load in progress(loads, "full model"):
             began = watch.now()
             full.append(self._follow(self._full_model, load))
             taken.append(watch.now() - began)
-        rom = [self._follow(self.rom, load) for load in loads]
-        metrics = errors("rom", rom, full) | timing(taken).rate("fem_steps", len(clock))
-        tips = {"energy ROM": [path.tip for path in rom]}
+        bodies = {"rom": [self._follow(self.rom, load) for load in loads]}
+        metrics = timing(taken).rate("fem_steps", len(clock))
         if self.galerkin is not None:
-            paths, more = self._galerkin(watch, loads)
-            metrics |= errors("galerkin", paths, full) | more
-            tips["POD Galerkin"] = [path.tip for path in paths]
+            bodies["galerkin"], more = self._galerkin(watch, loads)
+            metrics |= more
+        for part, rows in (("", slice(0, self.motions)), ("violent_", slice(self.motions, None))):
+            if full[rows]:
+                for name, paths in bodies.items():
+                    metrics |= errors(f"{part}{name}", paths[rows], full[rows])
+                metrics[f"{part}baseline_rest_tip_rms_mm"] = _rms_mm([path.tip - path.tip[0] for path in full[rows]])
+        tips = {LABELS[name]: [path.tip for path in paths] for name, paths in bodies.items()}
         tracker.figure("unseen_motions", draw_motions(clock, [path.tip for path in full], tips))
-        still = [np.broadcast_to(path.tip[:1], path.tip.shape) for path in full]
-        metrics["baseline_rest_tip_rms_mm"] = _rms_mm([a - b.tip for a, b in zip(still, full, strict=True)])
         return metrics | self._rates(watch, rng)
 
     def _galerkin(self, watch: Watch, loads: list[np.ndarray]) -> tuple[list[Path], dict[str, float]]:
@@ -117,11 +129,39 @@ class RomBench:
         model, robot = self.rom.reduced_model, self.rom.robot
         clock = np.arange(1, self.rate_steps + 1) * self.dt_s
         load = step_program(robot, clock, self.hold_s, rng)
-        single = _timed(watch, lambda: self.rom.simulate(clock, load[:, : robot.chambers], load[:, robot.chambers :]))
+        pressure, force = load[:, : robot.chambers], load[:, robot.chambers :]
+        chain = chain_of(robot, self.effects.values())
+
+        def alone() -> None:
+            self.rom.simulate(clock, pressure, force)
+
+        def affected() -> None:
+            self.rom.simulate(clock, pressure, force, chain.hooks("body"), chain.hooks("load"))
+
         starts = rng.integers(0, max(1, len(load) - self.batch_steps), self.batch)
         batch = np.stack([load[s : s + self.batch_steps] for s in starts])
-        many = _timed(watch, lambda: roll(model, self.dt_s, batch))
-        return single.rate("rom_steps", len(load)) | many.rate("rom_batch_steps", batch.shape[0] * batch.shape[1])
+        works = (alone, affected, lambda: roll(model, self.dt_s, batch))
+        for work in works:  # compiles
+            work()
+        single, slowed, many = watch.time(*works)
+        metrics = single.rate("rom_steps", len(load)) | many.rate("rom_batch_steps", batch.shape[0] * batch.shape[1])
+        metrics |= slowed.rate("rom_effects_steps", len(load)) | {"rom_effects_over_bare": slowed.median / single.median}
+        metrics["rom_batch_over_single"] = metrics["rom_batch_steps_per_s"] / metrics["rom_steps_per_s"]
+        return metrics
+
+
+def violent_program(robot: Robot, time: np.ndarray, hold_s: float, rng: np.random.Generator) -> np.ndarray:
+    """Return loads (steps, chambers + 3), Pa and N: every pressure at a limit of the robot, any slew, each ``hold_s``.
+
+    The largest tip force, in a random direction, acts in every second hold.
+    """
+    index = ((time - time[0] + 1e-9) // hold_s).astype(int)
+    holds = int(index.max()) + 1
+    level = rng.choice([robot.pressure_min_pa, robot.pressure_max_pa], (holds, robot.chambers))
+    force = rng.standard_normal((holds, 3))
+    force *= robot.tip_force_max_n / np.linalg.norm(force, axis=1, keepdims=True)
+    force[::2] = 0.0
+    return np.hstack([level, force])[index]
 
 
 def volumes_of(body: Any, state: Any) -> np.ndarray:
@@ -147,8 +187,3 @@ def errors(name: str, found: list[Path], full: list[Path]) -> dict[str, float]:
 
 def _rms_mm(differences: list[np.ndarray]) -> float:
     return 1e3 * float(np.sqrt((np.concatenate(differences) ** 2).sum(axis=1).mean()))
-
-
-def _timed(watch: Watch, work: Callable[[], Any]) -> Timing:
-    work()  # compiles
-    return watch.time(work)[0]

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 
 from softrl.artifacts.mesh import PLATE, Mesh
 from softrl.core.errors import ConfigError, MeshError, SolverError
@@ -188,6 +189,12 @@ class FemModel:
         self._stepping = 0.0
         if not factorise(self._potential(load)(pose, TANGENT), pose, self.coupling, self._solver):
             raise SolverError("the equilibrium is not stable: its stiffness has a negative pivot")
+
+    def stiffness(self, pose: Pose, load: np.ndarray) -> sp.csr_matrix:
+        """Return the upper triangle of the potential's Hessian in the unknowns."""
+        value = self._potential(load)(pose, TANGENT)
+        assert value.blocks is not None
+        return self.coupling.stiffness(value.blocks, value.gradient, pose)
 
     def solve(self, forces: np.ndarray) -> np.ndarray:
         """Return the answer (unknowns, k) to ``forces`` (unknowns, k) by the factors that the last solve left."""

@@ -16,6 +16,7 @@ from softrl.core.parallel import LOCAL, Parallel
 from softrl.core.progress import progress
 from softrl.core.resume import Kept, pack, unpack
 from softrl.core.tracking import Tracker
+from softrl.fem.bend import compliance_slope
 from softrl.fem.continuation import Cost, Equilibrium, Missed, follow
 from softrl.fem.figures import draw_newton, draw_shapes, draw_stretch, draw_tips, draw_trajectories
 from softrl.fem.lag import lag_at
@@ -144,6 +145,7 @@ class Row(NamedTuple):
     coordinate: np.ndarray
     energy: float
     compliance: np.ndarray
+    compliance_slope: np.ndarray
     tangent_stiffness: np.ndarray
     tangent_mass: np.ndarray
     lag_stiffness: np.ndarray
@@ -240,6 +242,7 @@ def _row(model: FemModel, equilibrium: Equilibrium) -> Row:
         coordinate=model.coordinate(pose),
         energy=model.elastic_energy(pose),
         compliance=0.5 * (tangent.compliance + tangent.compliance.T),
+        compliance_slope=compliance_slope(model, pose, equilibrium.load, tangent),
         tangent_stiffness=tangent.stiffness,
         tangent_mass=tangent.mass,
         lag_stiffness=lag.stiffness,

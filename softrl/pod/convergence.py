@@ -31,22 +31,26 @@ def by_equilibria(
     snapshots: Snapshots,
     samples: tuple[Equilibria, Equilibria],
     pod: PodBasis,
+    whole: ReducedModel,
 ) -> list[Point]:
     """Return the errors of models fitted to the first ``shares`` of the seen samples, up to the chosen degree.
+
+    ``whole`` is the one fitted to all of them.
 
     Sobol points fill the loads evenly however many are taken, so a share is what a smaller run would have seen.
     """
     seen, heldout = samples
     lean = replace(
         settings, energy_degree_max=max(choice.degree, 2), ridges=(max(choice.ridge, 1e-12),),
-        image_weights=(choice.image_weight,),
+        image_weights=(choice.image_weight,), anchor_weights=(choice.anchor_weight,),
     )  # fmt: skip
     points = []
     for share in shares:
         count = max(settings.folds, round(share * len(seen.load)))
-        model, _ = fit_model(
-            lean, robot, snapshots, seen.rows(slice(0, count)), pod, np.random.default_rng(0)
-        )
+        few = seen.rows(slice(0, count))
+        model = whole
+        if count < len(seen.load):
+            model, _ = fit_model(lean, robot, snapshots, few, pod, np.random.default_rng(0))
         points.append(Point(count, *errors_of(model, snapshots, heldout)))
     return points
 

@@ -1,10 +1,11 @@
-"""The condensed elastic energy W(z): a polynomial fitted to values, gradients and Hessians of equilibria.
+"""The condensed elastic energy W(z): a polynomial fitted to values and three derivatives at equilibria.
 
-At an equilibrium the gradient of W is the load and its Hessian is the inverse of the compliance, so one equilibrium of
-``r`` coordinates gives ``1 + r + r (r + 1) / 2`` equations.
+At an equilibrium the gradient of W is the load and its Hessian is the inverse of the compliance C; the slope of C by the
+load gives its third derivative D. With ``r`` coordinates that is one equation for each monomial of degree 3.
 """
 
 import logging
+from itertools import combinations_with_replacement, permutations
 from typing import NamedTuple
 
 import numpy as np
@@ -14,15 +15,16 @@ from softrl.pod.polynomial import basis, multinomials
 from softrl.pod.symmetry import Equilibria
 
 log = logging.getLogger(__name__)
-CHUNK = 64
+CHUNK, THIRD_CHUNK = 64, 8  # samples in memory at once
 MARGIN = 1.15  # the polynomial is trusted this much beyond the farthest sample
 
 
 class Weights(NamedTuple):
-    """Weight of an equation about a value and about a Hessian, relative to one about a gradient."""
+    """Weight of an equation about a value, a Hessian and a third derivative, relative to one about a gradient."""
 
     value: float
     hessian: float
+    third: float
 
 
 class Normal(NamedTuple):
@@ -66,8 +68,9 @@ def frame_of(samples: Equilibria) -> np.ndarray:
 def accumulate(samples: Equilibria, frame: np.ndarray, scale: Scale, degree: int, weights: Weights) -> Normal:
     """Return the normal equations of ``samples`` for W up to ``degree`` in y.
 
-    Equations are put in units of coordinates by the compliance, ``C (dW/dz - load) = 0`` and ``C W'' C - C = 0``, each
-    coordinate and each load over its scale: W is then fitted for the motion that it predicts.
+    Equations are put in units of coordinates by the compliance, ``C (dW/dz - load) = 0``, ``C W'' C - C = 0`` and
+    ``D(C, C, C) + dC/dload = 0``, each coordinate and each load over its scale: W is then fitted for the motion that it
+    predicts.
     """
     r = len(frame)
     inverse = np.linalg.inv(frame)
@@ -97,7 +100,30 @@ def accumulate(samples: Equilibria, frame: np.ndarray, scale: Scale, degree: int
             (bent * pair_weight[rows_of, columns_of, None]).reshape(-1, size),
             (part.compliance[:, rows_of, columns_of] * pair_weight[rows_of, columns_of]).ravel(),
         )
+        if weights.third > 0.0:
+            triples, triple_weight = _triples(scale, weights.third)
+            for row in range(0, len(points), THIRD_CHUNK):
+                few = slice(row, row + THIRD_CHUNK)
+                turned = table.third_rows(points[few])[..., kept]
+                for _ in range(3):  # turns the first of three axes to loads, and puts it last
+                    turned = np.einsum("sla,sabcm->sbclm", to_coordinate[few], turned, optimize=True)
+                _add(
+                    normal,
+                    (turned[:, *triples] * triple_weight[:, None]).reshape(-1, size),
+                    -(part.compliance_slope[few][:, *triples] * triple_weight).ravel(),
+                )
     return normal
+
+
+def _triples(scale: Scale, weight: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the different entries (3, k) of a tensor symmetric in three axes, and the weight (k,) of each.
+
+    An entry stands for all that equal it; a third derivative changes coordinate i by loads j and k.
+    """
+    triples = np.array(list(combinations_with_replacement(range(len(scale.load)), 3))).T
+    whole = (scale.load[:, None] * scale.load / scale.coordinate[:, None, None]) ** 2
+    equal = [sum(whole[order] for order in set(permutations(triple))) for triple in triples.T]
+    return triples, weight * np.sqrt(equal)
 
 
 def _add(normal: Normal, rows: np.ndarray, right: np.ndarray) -> None:

@@ -94,6 +94,14 @@ class Basis:
             rows[:, :, j, self.raised[j]] = inner * self.factor[j]
         return rows
 
+    def third_rows(self, points: np.ndarray) -> np.ndarray:
+        """Return (points, variables, variables, variables, monomials): the third derivatives of every monomial."""
+        inner = basis(self.variables, self.degree - 1).hessian_rows(points)
+        rows = np.zeros((*inner.shape[:3], self.variables, self.monomials))
+        for j in range(self.variables):
+            rows[:, :, :, j, self.raised[j]] = inner * self.factor[j]
+        return rows
+
 
 @lru_cache(maxsize=64)
 def basis(variables: int, degree: int) -> Basis:

@@ -92,21 +92,45 @@ def polynomial(coefficients: np.ndarray, values: np.ndarray) -> float:
     return total
 
 
+@nb.njit(cache=True, fastmath=_FAST)
+def _by_degree(coefficients: np.ndarray, values: np.ndarray, variables: int) -> tuple[float, float]:
+    """Return a polynomial at monomials ``values``, and the sum of its parts of degree m over ``m + 1``."""
+    total, shared = coefficients[0], coefficients[0]
+    degree, first, end = 1, 1, 1 + variables
+    while first < len(coefficients):
+        part = 0.0
+        for k in range(first, end):
+            part += coefficients[k] * values[k]
+        total += part
+        degree += 1
+        shared += part / degree
+        first, end = end, end * (variables + degree) // degree
+    return total, shared
+
+
 @nb.njit(cache=True)
 def fill_potential(
     y: np.ndarray, tables: Any, values: np.ndarray, point: np.ndarray, gradient: np.ndarray, hessian: np.ndarray
 ) -> float:
-    """Fill gradient (r,) and Hessian (r, r) of the potential at ``y`` in J; return ``|y|``."""
+    """Fill gradient (r,) and Hessian (r, r) of the potential at ``y`` in J; return ``|y|``.
+
+    By Euler's theorem the gradient of a part of degree d is its Hessian times ``y / (d - 1)``: one evaluation for both.
+    """
     r = len(y)
     radius = to_ball(y, point)
-    fill_monomials(point, tables.parent, tables.variable, values[: max(tables.gradient.shape[1], tables.weight.shape[2])])
+    known = tables.hessian.shape[1] if radius <= 1.0 else tables.gradient.shape[1]
+    fill_monomials(point, tables.parent, tables.variable, values[: max(known, tables.weight.shape[2])])
     for i in range(r):
-        gradient[i] = polynomial(tables.gradient[i], values)
+        gradient[i] = tables.gradient[i, 0]
     pair = 0
     for i in range(r):
         for j in range(i, r):
-            hessian[i, j] = polynomial(tables.hessian[pair], values)
-            hessian[j, i] = hessian[i, j]
+            bend, pull = _by_degree(tables.hessian[pair], values, r)
+            hessian[i, j] = bend
+            hessian[j, i] = bend
+            gradient[i] += pull * point[j]
+            if i != j:
+                gradient[j] += pull * point[i]
             pair += 1
     if radius > 1.0:
         _continue(radius, tables, values, point, gradient, hessian)
@@ -200,7 +224,8 @@ def fill_elastic_factor(hessian: np.ndarray, rest: np.ndarray, factor: np.ndarra
     """Fill ``factor`` (r, r), upper triangular, with U U' the elastic ``hessian`` (pairs,), made positive.
 
     Columns are eliminated from the last: the soft coordinates of the tip before the stiff ones of the volumes. Pivots
-    are held above a share of the diagonal of ``rest`` (pairs,), the Hessian at rest.
+    are held above a share of the diagonal of ``rest`` (pairs,), the Hessian at rest, and so large that no entry
+    exceeds the root of its row's diagonal: where the Hessian is positive it never does, where not it would run away.
     """
     r = len(factor)
     pair = 0
@@ -209,15 +234,25 @@ def fill_elastic_factor(hessian: np.ndarray, rest: np.ndarray, factor: np.ndarra
             factor[i, j] = hessian[pair]
             pair += 1
     for j in range(r - 1, -1, -1):
-        pivot = factor[j, j]
+        pivot, least = factor[j, j], PIVOT * rest[_diagonal(j, r)]
         for k in range(j + 1, r):
             pivot -= factor[j, k] * factor[j, k]
-        factor[j, j] = math.sqrt(max(pivot, PIVOT * rest[j * r - j * (j - 1) // 2]))
         for i in range(j):
             entry = factor[i, j]
             for k in range(j + 1, r):
                 entry -= factor[i, k] * factor[j, k]
-            factor[i, j] = entry / factor[j, j]
+            factor[i, j] = entry
+            row = _diagonal(i, r)
+            least = max(least, entry * entry / max(hessian[row], PIVOT * rest[row]))
+        factor[j, j] = math.sqrt(max(pivot, least))
+        for i in range(j):
+            factor[i, j] /= factor[j, j]
+
+
+@nb.njit(cache=True)
+def _diagonal(i: int, r: int) -> int:
+    """Return the position of entry (i, i) among the pairs of ``r`` rows."""
+    return i * r - i * (i - 1) // 2
 
 
 @nb.njit(cache=True, fastmath=_FAST)

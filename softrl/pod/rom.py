@@ -18,7 +18,7 @@ from softrl.pod.potential import Tables, fill_behind, fill_elastic_factor
 
 log = logging.getLogger(__name__)
 
-FAILED_SHARE = 0.05  # of the steps: more that do not converge are no motion
+FAILED_SHARE = 0.01  # of the steps: more that do not converge are no motion
 QUASI_STATIC_S = 1e6  # one implicit step of this length is an equilibrium
 LOAD_STEPS = 4  # an equilibrium is approached in this many equal steps of the load
 WALL = 3.0  # of the largest curvature at rest: what rises outside the samples

@@ -32,7 +32,9 @@ class Config:
     map_degree_max : likewise for centre of mass and rotation;  root_degree_max : for the roots of mass and stiffness
     ridges : tried for the energy, relative
     image_weights : tried for the samples' images under the robot's symmetries, beside the samples' own weight of 1
-    value_weight, hessian_weight : of the energy's values and Hessians in its fit, gradients weigh 1
+    anchor_weights : tried for the equilibria of a lower degree to which a higher one is held beyond the samples
+    value_weight, hessian_weight, third_weight : of the energy's values, Hessians and third derivatives in its fit,
+        gradients weigh 1
     folds : of the cross-validation that chooses degree, ridge and weight of images
     heldout_share : share of the equilibria that no fit and no choice sees
     convergence_shares : of the seen equilibria, to which the model is fitted once more for the convergence figure
@@ -45,8 +47,10 @@ class Config:
     root_degree_max: int
     ridges: tuple[float, ...]
     image_weights: tuple[float, ...]
+    anchor_weights: tuple[float, ...]
     value_weight: float
     hessian_weight: float
+    third_weight: float
     folds: int
     heldout_share: float
     convergence_shares: tuple[float, ...]
@@ -58,7 +62,7 @@ class Config:
         if not 0.0 < self.heldout_share < 0.9:
             raise ConfigError(f"stage.heldout_share={self.heldout_share:g}; expected a share between 0 and 0.9")
         for name, least in {"modes_max": 1, "energy_degree_max": 2, "map_degree_max": 1, "root_degree_max": 0,
-                            "value_weight": 0, "hessian_weight": 0, "folds": 2}.items():  # fmt: skip
+                            "value_weight": 0, "hessian_weight": 0, "third_weight": 0, "folds": 2}.items():  # fmt: skip
             if getattr(self, name) < least:
                 raise ConfigError(f"stage.{name}={getattr(self, name):g} must be at least {least}")
         if not all(0.0 < share <= 1.0 for share in self.convergence_shares):
@@ -67,6 +71,8 @@ class Config:
             raise ConfigError(f"stage.ridges={self.ridges}; expected one or more positive numbers")
         if not self.image_weights or not all(0.0 <= weight <= 1.0 for weight in self.image_weights):
             raise ConfigError(f"stage.image_weights={self.image_weights}; expected numbers from 0 to 1")
+        if not all(0.0 <= weight <= 1.0 for weight in self.anchor_weights):
+            raise ConfigError(f"stage.anchor_weights={self.anchor_weights}; expected numbers from 0 to 1")
 
 
 def run(config: Config, robot: Robot, snapshots: Snapshots, *, tracker: Tracker) -> ReducedModel:
@@ -83,13 +89,15 @@ def run(config: Config, robot: Robot, snapshots: Snapshots, *, tracker: Tracker)
         config.root_degree_max,
         config.ridges,
         config.image_weights,
-        Weights(config.value_weight, config.hessian_weight),
+        config.anchor_weights,
+        Weights(config.value_weight, config.hessian_weight, config.third_weight),
         config.folds,
     )
     model, choices = fit_model(settings, robot, snapshots, samples.rows(seen), pod, rng)
-    tell_choice(model, samples.rows(seen), choices[0])
+    tell_choice(model, robot, samples.rows(seen), choices[0])
     tracker.metric("energy_degree", choices[0].degree)
     tracker.metric("image_weight", choices[0].image_weight)
+    tracker.metric("anchor_weight", choices[0].anchor_weight)
     tracker.metric("validation/static_tip_rms_mm", 1e3 * choices[0].tip_error_m)
     tracker.figure("energy_choice", draw_choice(choices))
     linear = linear_model(model)
@@ -101,7 +109,7 @@ def run(config: Config, robot: Robot, snapshots: Snapshots, *, tracker: Tracker)
         tracker.figure("motion", draw_motion(snapshots.trajectory_time, moving, 0))
     parts = samples.rows(seen), samples.rows(heldout)
     report_coordinates(model, snapshots, parts[1], tracker)
-    points = by_equilibria(config.convergence_shares, settings, choices[0], robot, snapshots, parts, pod)
+    points = by_equilibria(config.convergence_shares, settings, choices[0], robot, snapshots, parts, pod, model)
     report_equilibria(points, tracker)
     tracker.figure("convergence", draw_convergence(choices, points))
     report_speed(model, snapshots, rng, tracker)

@@ -26,6 +26,7 @@ class Equilibria(NamedTuple):
     coordinate: np.ndarray
     energy: np.ndarray
     compliance: np.ndarray
+    compliance_slope: np.ndarray
     stiffness: np.ndarray
     mass: np.ndarray
     lag_stiffness: np.ndarray
@@ -48,6 +49,7 @@ def equilibria(snapshots: Snapshots) -> Equilibria:
         snapshots.coordinate,
         snapshots.energy,
         snapshots.compliance,
+        snapshots.compliance_slope,
         *on_coordinate,
         snapshots.lag_stiffness,
         snapshots.lag_viscosity,
@@ -95,6 +97,7 @@ def reflected(samples: Equilibria, operations: list[Symmetry]) -> Equilibria:
                 samples.coordinate @ g.T,
                 samples.energy,
                 g @ samples.compliance @ g.T,
+                np.einsum("ai,bj,ck,sijk->sabc", g, g, g, samples.compliance_slope, optimize=True),
                 g @ samples.stiffness @ g.T,
                 g @ samples.mass @ g.T,
                 g @ samples.lag_stiffness @ g.T,

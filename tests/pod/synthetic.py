@@ -96,6 +96,13 @@ class Law:
         hessian[range(n), range(n)] += 6.0 * self.cubic_n_per_m2 * z[:n] / STROKE_N_PER_PA**3
         return hessian
 
+    def compliance_slope(self, z: np.ndarray) -> np.ndarray:
+        """Return d compliance / d load (n + 3, n + 3, n + 3); the Hessian is quadratic, so differences are exact."""
+        compliance = np.linalg.inv(self.hessian(z))
+        steps = np.diag(np.r_[np.full(self.chambers, 1e-6), np.full(3, 1e-3)])
+        third = np.array([(self.hessian(z + e) - self.hessian(z - e)) / (2.0 * e.sum()) for e in steps])
+        return -np.einsum("ai,bj,ck,ijk->abc", compliance, compliance, compliance, third)
+
     def equilibrium(self, load: np.ndarray) -> np.ndarray:
         """Return z at rest under ``load``, by Newton along a ramp."""
         z = np.zeros(len(load))
@@ -192,6 +199,7 @@ def synthetic_snapshots(robot: Robot, samples: int, seed: int, trajectories: int
         coordinate=z,
         energy=np.array([law.energy(point) for point in z]),
         compliance=compliance,
+        compliance_slope=np.array([law.compliance_slope(point) for point in z]),
         tangent_stiffness=compliance @ stiffness @ compliance,
         tangent_mass=compliance @ masses @ compliance,
         lag_stiffness=LAG_RATIO * LAG_SHARE * stiffness,

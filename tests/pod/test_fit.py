@@ -9,7 +9,9 @@ from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ConfigError
 from softrl.pod.basis import pod_basis
-from softrl.pod.fit import fit_model, linear_model
+from softrl.pod.energy import Weights, accumulate, scale_of, solve
+from softrl.pod.fit import equilibria_of, fit_model, linear_model
+from softrl.pod.polynomial import basis
 from softrl.pod.report import motions, orientation_errors, statics
 from softrl.pod.rom import mechanical_energy
 from softrl.pod.symmetry import equilibria
@@ -57,6 +59,31 @@ def test_symmetry_spares_equilibria(tripod: Body) -> None:
     by_weight = {c.image_weight: c.tip_error_m for c in choices if c.degree == 4}
     assert by_weight[1.0] < 0.5 * by_weight[0.0], by_weight
     assert model.symmetry == "all"
+
+
+def test_third_derivatives_spare_equilibria(tripod: Body) -> None:
+    robot, law = tripod[0], law_of(tripod[0])
+    few = equilibria(synthetic_snapshots(robot, 5, seed=7, trajectories=0))  # 28 equations each, of 203 unknowns
+    unseen, error = equilibria(synthetic_snapshots(robot, 15, seed=99, trajectories=0)), []
+    frame = np.diag(2.0 * np.abs(unseen.coordinate).max(axis=0))
+    rows = basis(6, 4).gradient_rows(np.linalg.solve(frame, unseen.coordinate.T).T)
+    loads = np.array([law.gradient(z) for z in unseen.coordinate])
+    for third in (0.0, 0.1):
+        normal = accumulate(few, frame, scale_of(few), 4, Weights(0.3, 0.3, third))
+        found = rows @ solve(normal, 6, 4, 1e-13) @ np.linalg.inv(frame)
+        error.append(np.abs((found - loads) / np.abs(loads).max(axis=0)).max())
+    assert error[1] < 0.01 * error[0], error
+
+
+def test_anchors_are_the_equilibria_of_the_lower_degree(tripod: Body) -> None:
+    robot, snapshots, model = tripod
+    loads = snapshots.loads[:10]
+    anchors = equilibria_of(model, loads)
+    law = law_of(robot)
+    np.testing.assert_allclose(anchors.load, loads, atol=1e-4)
+    scale = np.abs(snapshots.compliance_slope).max(axis=0)
+    expected = np.array([law.compliance_slope(z) for z in anchors.coordinate])
+    assert (np.abs(anchors.compliance_slope - expected) < 1e-3 * scale + 1e-30).all()
 
 
 def test_too_few_equilibria_are_refused(tripod: Body) -> None:

@@ -144,6 +144,17 @@ def test_the_elastic_factor_is_that_of_the_hessian_where_it_is_positive(tripod: 
         np.testing.assert_allclose(np.triu(factor @ factor.T), hessian, atol=1e-10 * np.abs(hessian).max())
 
 
+def test_the_elastic_factor_does_not_run_away_where_the_hessian_is_indefinite() -> None:
+    rng, rows = np.random.default_rng(0), np.triu_indices(6)
+    rest, factor = np.eye(6)[rows], np.zeros((6, 6))
+    for _ in range(200):
+        hessian = rng.standard_normal((6, 6))
+        hessian = hessian + hessian.T
+        fill_elastic_factor(hessian[rows], rest, factor)
+        largest = np.abs(np.diag(hessian)).max()
+        assert np.abs(np.triu(factor)).max() <= 3.0 * np.sqrt(largest + 6.0), "as large as the Hessian, not more"
+
+
 def test_elimination_solves() -> None:
     matrix = np.random.default_rng(0).standard_normal((6, 6)) + 3.0 * np.eye(6)
     right, answer = np.arange(6.0) - 2.0, np.empty(6)
