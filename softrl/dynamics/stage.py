@@ -361,11 +361,13 @@ def report(
 
 
 def _residual_share(config: Config, net: ForwardNet, body: Body, train: Windows, heldout: Windows) -> float:
-    """Return the rms physics residual of f_S on held-out windows; 1 is that of the closed form in training."""
+    """Return the rms physics residual of f_S on held-out windows; 1 is that of the linear prediction there."""
     physics = PhysicsResidual.fit(body, net, train, config.dt_s, config.physics_samples, config.seed)
     rows, _ = heldout.take(torch.arange(len(heldout)))
     with torch.no_grad():
-        return float(physics(rows[:, -1], net.last(rows)).pow(2).mean().sqrt())
+        linear = net.linear_rate(rows[:, -net.linear_rows :])[:, -1]
+        own, plain = (physics(rows[:, -1], rate).pow(2).mean() for rate in (net.last(rows), linear))
+    return float((own / plain).sqrt())
 
 
 def _report_set(split: str, known: dict[str, Predictor], windows: Windows, config: Config, tracker: Tracker) -> None:
