@@ -157,8 +157,8 @@ class Assembly:
         """Return what to do where no run makes the artifact, and what is there instead."""
         tags = self._tags_of(kind)
         task = f" task={tags['task']}" if "task" in tags else ""
-        others = [key for key in ("task", "profile", "robot") if key in tags and self.store.find(_without(tags, key))]
-        others = ["robot, or with other numbers of this one" if key == "robot" else key for key in others]
+        said = {"task": "task", "profile": "profile", "robot": "robot, or with other numbers of this one"}
+        others = [words for key, words in said.items() if key in tags and self.store.find(_without(tags, key))]
         near = f"; there is one with another {' or '.join(others)}" if others else ""
         return (
             f"no finished {kind.stage} run of robot {self.robot.name} with profile={tags['profile']}{task} holds a "

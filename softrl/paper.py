@@ -2,6 +2,7 @@
 
 import json
 import logging
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -69,13 +70,29 @@ class Runs:
         self.results: dict[str, list[dict[str, float]]] = {}
         self.why_not: dict[str, str] = {}
         self.commands: dict[str, str] = {}
+        self._fresh_s: list[float] = []  # of the runs that were not reused
+
+    def command(self, step: Step) -> str:
+        """Return the command that repeats a step."""
+        return " ".join(["python -m softrl", f"stage={step.stage}", *self._shared, *step.words])
+
+    def left_out(self, steps: Sequence[Step], failed: set[str]) -> None:
+        """Note of steps that were left out which failed ones they stand on."""
+        for step in steps:
+            on = ", ".join(sorted(failed & set(step.needs)))
+            self.why_not.setdefault(step.name, f"seed {step.seed}: left out, since {on} failed")
+
+    def estimate(self, runs: int) -> str:
+        """Return in words how long ``runs`` more runs may take, by the mean of those that were run."""
+        if not self._fresh_s:
+            return ""
+        minutes = runs * sum(self._fresh_s) / len(self._fresh_s) / 60.0
+        return f", about {minutes:.0f} min left if the others take as long each"
 
     def go(self, step: Step, made: Made) -> str | None:
         """Run a step and return the id of its run, or None if it failed."""
-        self.commands[step.name] = " ".join(
-            ["python -m softrl", f"stage={step.stage}", *self._shared, *step.words]
-        )
         folder = self._folder / f"{step.name.replace(':', '_')}_{step.seed}"
+        began = time.monotonic()
         try:
             outcome = run_stage(step.stage, self.configuration(step), folder, made)
         except SoftrlError as error:
@@ -84,6 +101,8 @@ class Runs:
             return None
         self.results.setdefault(step.name, []).append(outcome.metrics)
         self.finished.append(outcome)
+        if not outcome.reused:
+            self._fresh_s.append(time.monotonic() - began)
         return outcome.run_id
 
     def look(self, step: Step, made: Made) -> str | None:
@@ -104,12 +123,22 @@ def run_paper(cfg: Mapping[str, Any], words: list[str], folder: Path, compose: C
     own = ("stage=", "stage.", "seed=", "task=", "out=")
     runs = Runs([w for w in words if not w.lstrip("+~").startswith(own)], folder, compose)
     body = body_steps(config, cfg["inputs"])
-    _announce(runs, config, body, cfg["profile"]["name"])
+    waiting = _announce(runs, config, body, cfg["profile"]["name"])
+
+    def go(step: Step, made: Made) -> str | None:
+        """Run a step and write the rows: what is there is there, should the next one be stopped."""
+        run_id = runs.go(step, made)
+        waiting.discard(step)
+        _write(runs, cfg, config, folder, waiting)
+        return run_id
+
     made, failed = Made(), set[str]()
-    follow(body, runs.go, made, failed)
+    follow(body, go, made, failed)
     for seed in progress(config.seeds, "seeds"):
-        follow(seed_steps(config, seed), runs.go, dict(made), set(failed))
-        _write(runs, cfg, config, folder)  # what is there is there, should the next seed be stopped
+        without = set(failed)
+        follow(seed_steps(config, seed), go, dict(made), without)
+        runs.left_out([step for step in seed_steps(config, seed) if step in waiting], without)
+    _write(runs, cfg, config, folder, set())
     return runs.finished
 
 
@@ -155,29 +184,33 @@ def follow(
     return done
 
 
-def _announce(runs: Runs, config: Config, body: list[Step], profile: str) -> None:
-    """Say what will be done, what of it is there, and how long it may take."""
+def _announce(runs: Runs, config: Config, body: list[Step], profile: str) -> set[Step]:
+    """Say what will be done, what of it is there, and how long it may take; return what is not there."""
     made, failed = Made(), set[str]()
-    there = follow(body, runs.look, made, failed)
-    count = len(body)
+    there, every = follow(body, runs.look, made, failed), list(body)
     for seed in config.seeds:
         steps = seed_steps(config, seed)
-        count += len(steps)
+        every += steps
         there += follow(steps, runs.look, dict(made), set(failed))
+    runs.commands |= {step.name: runs.command(step) for step in every}
+    count = len(every)
     size = "full size" if profile == FULL_SIZE else f"reduced sizes; the paper's take profile={FULL_SIZE} and many hours"
     log.info("paper: %d runs for seeds %s, profile=%s (%s)", count, list(config.seeds), profile, size)
     takes = "an unknown time" if config.minutes is None else f"roughly {config.minutes:g} min on two cores"
     log.info("%d of them are there and are reused; from nothing all take %s", len(there), takes)
     log.info("stop it when you like: the same command goes on with the first run that is not finished")
+    return set(every) - set(there)
 
 
-def _write(runs: Runs, cfg: Mapping[str, Any], config: Config, folder: Path) -> None:
-    rows = collect(runs.results, runs.why_not, runs.commands, cfg["profile"]["name"])
+def _write(runs: Runs, cfg: Mapping[str, Any], config: Config, folder: Path, waiting: set[Step]) -> None:
+    later = {step.name: "not run yet: the same command goes on with it" for step in waiting}
+    rows = collect(runs.results, later | runs.why_not, runs.commands, cfg["profile"]["name"])
     text = json.dumps(rows, indent=1)
     for place in (folder, *([Path(cfg["out"]).expanduser()] if cfg["out"] else [])):
         write_text(place / "paper.json", text)
         write_text(place / "paper.md", table_of(rows))
     if config.keep:
         write_text(Path(config.keep), text)
-    missing = sum(row["ours_mean"] is None for row in rows)
-    log.info("paper: %d of %d rows measured, %s", len(rows) - missing, len(rows), folder / "paper.md")
+    measured = sum(row["ours_mean"] is not None for row in rows)
+    left = f"; {len(waiting)} runs to go{runs.estimate(len(waiting))}" if waiting else ""
+    log.info("paper: %d of %d rows measured, %s%s", measured, len(rows), folder / "paper.md", left)

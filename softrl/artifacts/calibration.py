@@ -1,6 +1,6 @@
 """The material behind the robot, and the map from commanded pressures to those of the simulator."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -28,6 +28,7 @@ class Calibration(Artifact):
     inverted_by : "reduced model" or "simulator", what gave P_S
     material : law -> fitted parameters in Pa with errors; empty without a tensile curve
     robot_name : the robot
+    settled_tip : (settled, 3) m, the tips of all settled holds, those that the simulator does not reach among them
     """
 
     stage: ClassVar[str] = "calibration"
@@ -45,6 +46,7 @@ class Calibration(Artifact):
     inverted_by: str
     material: dict[str, Any]
     robot_name: str
+    settled_tip: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
 
     @property
     def chambers(self) -> int:

@@ -20,8 +20,9 @@ class Diagnosis(Artifact):
     simulator_name : class of the body that was diagnosed
     verdict : one of ``VERDICTS``
     sentences : the finding in plain words, the verdict first
-    effects : one entry a named effect: name, site, where, chamber (-1 all), parameters ({value, low, high, unit,
-        at_bound}), pinned (parameters held at the value at which they do nothing), evidence (one sentence with numbers)
+    effects : one entry a named effect: name, site, where, chamber (-1 all), session (the only one in which it acts, or
+        empty), parameters ({value, low, high, unit, at_bound}), pinned (parameters held at the value at which they do
+        nothing), evidence (one sentence with numbers)
     simulator_parameters : tunable parameter -> identified value, in the unit of its name
     retuned : tunable parameter -> {nominal, value, plausible}: the competitor that changes parameters only
     rivals : {name, score_gap, low, high, equivalent}, score gaps in mm of held-out error, best first
@@ -69,7 +70,10 @@ class Diagnosis(Artifact):
                     )
 
     def corrections(self) -> list[dict[str, Any]]:
-        """Return {name, chamber, parameters (name -> value)} of every effect, as effects are built from."""
+        """Return {name, chamber, parameters (name -> value)} of every effect, as effects are built from.
+
+        What acted in one earlier session only is history, and left out.
+        """
         return [
             {
                 "name": effect["name"],
@@ -78,6 +82,7 @@ class Diagnosis(Artifact):
                 | {name: entry["value"] for name, entry in effect["parameters"].items()},
             }
             for effect in self.effects
+            if not effect.get("session")
         ]
 
     def document(self) -> dict[str, Any]:

@@ -23,7 +23,8 @@ class ForwardDynamics(Artifact):
     weights : the state_dict of ``dynamics.transformer.ForwardNet``, scalers among them
     window : rows that the Transformer sees
     width, heads, layers, feedforward : its size
-    linear_rows : rows that the linear part reads
+    linear_rows : rows that the closed form reads
+    polynomial_degree : of the closed form in the coordinates
     dt_s : s, time step of the rows
     physics_weight : lambda of eq. 10 in training
     load_low, load_high : (n + 3,) Pa and N, range of the training loads
@@ -52,6 +53,7 @@ class ForwardDynamics(Artifact):
     axis: str
     chambers: int
     robot_name: str
+    polynomial_degree: int = 1
 
     def validate(self) -> None:
         """Check that the weights fit the window and the number of chambers."""
@@ -65,7 +67,7 @@ class ForwardDynamics(Artifact):
 
 @dataclass(frozen=True)
 class InverseDynamics(Artifact):
-    """f_S^dagger of eqs. 15-18: state, rate, tip force and wanted next rate in, chamber pressures (Pa) out.
+    """f_S^dagger of eqs. 15-18: two rows without the last pressures and the wanted next rate in, pressures (Pa) out.
 
     Attributes
     ----------
@@ -75,6 +77,7 @@ class InverseDynamics(Artifact):
     cycle_weight : beta of eq. 18 in training
     chambers : n
     robot_name : the robot
+    polynomial_degree : of its closed form in the coordinates
     """
 
     stage: ClassVar[str] = "dynamics"
@@ -85,3 +88,4 @@ class InverseDynamics(Artifact):
     cycle_weight: float
     chambers: int
     robot_name: str
+    polynomial_degree: int = 1

@@ -10,6 +10,7 @@ from softrl.core.errors import ArtifactError
 
 ACTIVATIONS = ("relu", "tanh")
 SQUASHES = ("tanh", "clip")
+TOLD_AS = ("position", "joints")
 
 
 @dataclass(frozen=True)
@@ -18,7 +19,9 @@ class Policy(Artifact):
 
     An observation row is ``[tip (3), theta (3), contact force (1), then per target of the horizon: position (3),
     force (1)]``: positions as ``(x - position_centre) / position_scale``, theta as ``-1 .. 1`` over the joint limits,
-    forces over ``force_scale``. An action in ``-1 .. 1`` spans the joint limits.
+    forces over ``force_scale``. A policy with a memory sees after these, per earlier reading, the latest first:
+    ``[tip (3), theta (3)]``. One that is told joints sees positions as the actions that lead there on the surrogate's twin
+    (centre 0, scale 1). An action in ``-1 .. 1`` spans the joint limits.
 
     Attributes
     ----------
@@ -33,6 +36,10 @@ class Policy(Artifact):
     step_s : time between two actions
     metrics : what the stage measured
     robot_name : the robot
+    told_as : how positions are told, position or joints
+    memory : number of earlier readings in an observation
+    average_window : commands in the moving average that it was trained behind
+    effects : names of the effects of the simulator that it was trained on; if any, it takes the robot's own pressures
     """
 
     stage: ClassVar[str] = "rl"
@@ -52,6 +59,10 @@ class Policy(Artifact):
     step_s: float
     metrics: dict[str, Any]
     robot_name: str
+    told_as: str = "position"
+    memory: int = 0
+    average_window: int = 1
+    effects: tuple[str, ...] = ()
 
     @property
     def layers(self) -> int:
@@ -61,7 +72,7 @@ class Policy(Artifact):
     @property
     def observation_size(self) -> int:
         """Length of an observation."""
-        return observation_size(self.horizon)
+        return observation_size(self.horizon, self.memory)
 
     def validate(self) -> None:
         """Check that the layers fit together, the observation and the action."""
@@ -70,16 +81,21 @@ class Policy(Artifact):
             raise ArtifactError(
                 f"Policy has activation={self.activation}, squash={self.squash}; expected one of {ACTIVATIONS} and {SQUASHES}"
             )
+        if self.told_as not in TOLD_AS:
+            raise ArtifactError(f"Policy has told_as={self.told_as}; expected one of {TOLD_AS}")
         size = self.observation_size
         for i in range(self.layers):
             rows, columns = self.weights[f"weight_{i}"].shape
             if columns != size or self.weights[f"bias_{i}"].shape != (rows,):
-                raise ArtifactError(f"Policy.weight_{i} has shape {(rows, columns)}; expected {size} columns; rerun stage=rl")
+                raise ArtifactError(
+                    f"Policy.weight_{i} has shape {(rows, columns)}; expected {size} columns"
+                    + (f" (horizon {self.horizon}, memory {self.memory})" if i == 0 else "") + "; rerun stage=rl"
+                )
             size = rows
         if size != 3:
             raise ArtifactError(f"Policy ends in {size} outputs; expected 3, the grouped joint command")
 
 
-def observation_size(horizon: int) -> int:
-    """Return the length of an observation that shows ``horizon`` targets."""
-    return 7 + 4 * horizon
+def observation_size(horizon: int, memory: int = 0) -> int:
+    """Return the length of an observation that shows ``horizon`` targets and ``memory`` earlier readings."""
+    return 7 + 4 * horizon + 6 * memory

@@ -97,6 +97,11 @@ class Surrogate(Artifact):
             raise ArtifactError(
                 f"surrogate of {self.robot_name}: joint limits {self.joint_low} .. {self.joint_high} are empty"
             )
+        if (self.joint_low > 0).any() or (self.joint_high < 0).any():
+            raise ArtifactError(
+                f"surrogate of {self.robot_name}: joint limits {self.joint_low} .. {self.joint_high} (rad, rad, m) exclude the "
+                "rest pose, where all joints are zero; run stage=surrogate anew"
+            )
         if (self.joint_stiffness <= 0).any():
             raise ArtifactError(
                 f"surrogate of {self.robot_name}: joint stiffness {self.joint_stiffness} is not positive"

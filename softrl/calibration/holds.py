@@ -7,12 +7,13 @@ import numpy as np
 
 from softrl.core.driver import Driver
 from softrl.core.errors import RecordingError
-from softrl.recordings.program import random_steps, record
+from softrl.recordings.program import random_steps, record, steps_and_holds
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
 COMMAND_TOLERANCE_PA = 1.0
+AGAIN = "holds_again"  # the recording that visits the first one's pressures in another order
 
 
 @dataclass(frozen=True)
@@ -41,14 +42,23 @@ class Holds:
 
 
 def record_holds(
-    driver: Driver, robot: Robot, runs: int, holds: int, hold_s: float, dt_s: float, rng: np.random.Generator
-) -> RecordingSet:
-    """Return ``runs`` recordings of ``holds`` random constant pressures each, made on the robot behind ``driver``."""
+    driver: Driver, robot: Robot, runs: int, holds: int, hold_s: float, dt_s: float, rng: np.random.Generator,
+    again: bool = False,
+) -> RecordingSet:  # fmt: skip
+    """Return ``runs`` recordings of ``holds`` random constant pressures each, made on the robot behind ``driver``.
+
+    With ``again`` one more follows, ``AGAIN``: the pressures of the first in another order.
+    """
     recordings = []
     with driver:
         for run in range(runs):
             time, pressure = random_steps(robot, holds, hold_s, dt_s, rng)
             recordings.append(record(driver, robot, time, pressure, f"holds_{run + 1}", "calibration"))
+        if again:
+            first = recordings[0]
+            rows = [last for _, last in _constant_stretches(first, 0.5 * hold_s)]
+            levels = rng.permutation(first.pressure_cmd[rows])
+            recordings.append(record(driver, robot, *steps_and_holds(robot, levels, hold_s, dt_s), AGAIN, "calibration"))
     return RecordingSet(robot.name, tuple(recordings), {"program": f"{holds} random holds of {hold_s:g} s a run"})
 
 
@@ -94,6 +104,18 @@ def moving_rows(recordings: RecordingSet, runs: np.ndarray, settle_s: float, cou
     chosen = np.unique(np.linspace(0, len(found) - 1, min(count, len(found))).round().astype(int))
     pressure, position, run_of, row_of = zip(*(found[k] for k in chosen), strict=True)
     return Holds(np.array(pressure), np.array(position), np.array(run_of), np.array(row_of))
+
+
+def revisited(pressure: np.ndarray, answer: np.ndarray) -> tuple[float, int]:
+    """Return the rms by which visits of one pressure (holds, n) Pa differ in ``answer`` (holds, n), and how many pressures.
+
+    The spread of a pressure's visits about their mean is what no static map of the pressure can tell. Every pressure that
+    was visited more than once counts alike; where there is none, the rms is nan.
+    """
+    _, group = np.unique(np.round(pressure / COMMAND_TOLERANCE_PA), axis=0, return_inverse=True)
+    visits = [answer[group.ravel() == k] for k in range(group.max() + 1)]
+    variances = [one.var(axis=0, ddof=1).mean() for one in visits if len(one) > 1]
+    return (float(np.sqrt(np.mean(variances))) if variances else np.nan), len(variances)
 
 
 def _since_change(recording: Recording) -> np.ndarray:

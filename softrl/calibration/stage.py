@@ -8,7 +8,7 @@ import numpy as np
 
 from softrl.artifacts.calibration import Calibration
 from softrl.calibration.figures import draw_pressure_map, draw_tensile
-from softrl.calibration.holds import Holds, moving_rows, record_holds, settled_holds, split_holds
+from softrl.calibration.holds import AGAIN, Holds, moving_rows, record_holds, revisited, settled_holds, split_holds
 from softrl.calibration.inversion import has_exact_inverse, pressure_by_reduced_model, pressure_by_simulator
 from softrl.calibration.material_fit import as_record, best_fit, fit_materials, held_out, in_words
 from softrl.calibration.mlp import Ensemble, EnsembleSettings, fit_ensemble
@@ -37,6 +37,8 @@ class Config:
     stretch_max : the laws are fitted below this stretch
     curve_bins : equal bins of stretch that the curve is averaged over;  curve_blocks : every second one is held out
     runs, holds_per_run, hold_s, dt_s : random holds recorded on the driver when no recordings are given
+    visit_again : whether one more run visits the pressures of the first in another order: what two visits differ by no
+        static map can tell
     hold_min_s, average_s, drift_max_mm : a hold counts from this duration on; its tip is averaged over the last
         ``average_s`` and may drift by this much meanwhile
     residual_max_mm : holds whose tip the simulator cannot reach within this distance are left out
@@ -54,6 +56,7 @@ class Config:
     holds_per_run: int
     hold_s: float
     dt_s: float
+    visit_again: bool
     hold_min_s: float
     average_s: float
     drift_max_mm: float
@@ -105,14 +108,19 @@ def run(
     rng = np.random.default_rng(config.seed)
     material = _fit_material(config, tracker) if config.material_curve else {}
     if recordings is None:
-        recordings = record_holds(driver, robot, config.runs, config.holds_per_run, config.hold_s, config.dt_s, rng)
-    holds = settled_holds(recordings, config.hold_min_s, config.average_s, 1e-3 * config.drift_max_mm)
-    holds, pressure_sim = _invert(config, robot, simulator, holds)
+        recordings = record_holds(
+            driver, robot, config.runs, config.holds_per_run, config.hold_s, config.dt_s, rng, config.visit_again
+        )
+    every = settled_holds(recordings, config.hold_min_s, config.average_s, 1e-3 * config.drift_max_mm)
+    holds, pressure_sim = _invert(config, robot, simulator, every)
+    _report_reach(holds, every, pressure_sim, tracker)
+    first = holds.run < len(recordings.recordings) - (recordings.recordings[-1].name == AGAIN)
+    holds, pressure_sim = holds.where(first), pressure_sim[first]
     heldout = split_holds(holds, config.heldout_share, rng)
     ensemble = _train(config, holds.pressure[~heldout], pressure_sim[~heldout])
     tracker.metric("train/weight_decay", ensemble.weight_decay)
     inverted_by = "reduced model" if has_exact_inverse(simulator, robot) else "simulator"
-    calibration = _assemble(robot, ensemble, holds, pressure_sim, heldout, material, inverted_by)
+    calibration = _assemble(robot, ensemble, holds, pressure_sim, heldout, material, inverted_by, every.position)
     _report_map(calibration, tracker)
     _report_moving(config, calibration, simulator, robot, recordings, holds, tracker)
     _report_replay(calibration, simulator, robot, recordings, holds, tracker)
@@ -170,6 +178,7 @@ def _assemble(
     heldout: np.ndarray,
     material: dict[str, object],
     inverted_by: str,
+    settled_tip: np.ndarray,
 ) -> Calibration:
     seen = holds.pressure[~heldout]
     return Calibration(
@@ -186,7 +195,18 @@ def _assemble(
         inverted_by=inverted_by,
         material=material,
         robot_name=robot.name,
+        settled_tip=settled_tip,
     )
+
+
+def _report_reach(holds: Holds, every: Holds, pressure_sim: np.ndarray, tracker: Tracker) -> None:
+    """Log how many of the settled tips the simulator reaches, and what visits of one pressure differ by."""
+    tracker.metric("settled_tips_reached_pct", 100.0 * len(holds) / len(every))
+    differ_pa, pressures = revisited(holds.pressure, pressure_sim)
+    tracker.metric("revisited_pressures_count", pressures)
+    if pressures:
+        tracker.metric("revisited_pressure_rms_kpa", differ_pa / 1e3)
+        log.info("visits of one pressure differ by %.3g kPa rms from their mean: no static map does better", differ_pa / 1e3)
 
 
 def _report_map(calibration: Calibration, tracker: Tracker) -> None:

@@ -14,7 +14,7 @@ from softrl.diagnosis.flexible import (
     static_features,
 )
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, starts
-from softrl.diagnosis.problem import Problem, Registration
+from softrl.diagnosis.problem import Problem, Registration, place
 from softrl.diagnosis.trial import Search, fit_trials
 
 
@@ -68,8 +68,8 @@ def _traces(problem: Problem, ridge: Ridge, features: Features, placed: dict[str
         rows = ridge.predict(features.runs[k])
         middle = problem.binned(k, run.time[:, None])[:, 0]
         motion = np.stack([np.interp(run.time, middle, column) for column in rows.T], axis=1)
-        if run.session in placed:
-            turn, shift = placed[run.session]
+        if placed:  # a session that no fit saw is placed by what is predicted, as for the models with physics
+            turn, shift = placed.get(run.session) or place(motion, seen(problem, run))
             motion = motion @ turn.T + shift
         predicted.append(motion)
         squares.append(np.sum((seen(problem, run) - motion) ** 2, axis=1))

@@ -65,6 +65,11 @@ class Data:
         parts = {"train": self.training, "heldout": self.heldout, "ood": self.outside}
         return {name: runs for name, runs in parts.items() if runs}
 
+    @property
+    def misplaced(self) -> bool:
+        """Whether any run shows the tip at rest far from where the base frame has it."""
+        return any("under no pressure the tip is at" in warning for warning in self.check.warnings)
+
     def shortened(self, fit_s: float) -> "Data":
         """Return the data with fits limited to ``fit_s`` of recordings."""
         return replace(self, training=within(self.training, fit_s))

@@ -7,7 +7,7 @@ from typing import Any
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.diagnosis.correct import Model
 from softrl.diagnosis.examine import Finding, Named
-from softrl.diagnosis.hypothesis import Choice, has_chamber, pinned_values
+from softrl.diagnosis.hypothesis import GATES, Choice, has_chamber, pinned_values
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.separate import separating_program
 from softrl.effects.library import effect_class
@@ -52,8 +52,9 @@ def _class(finding: Finding) -> list[str]:
 
 
 def effect_entries(findings: Sequence[Finding], whole: Problem) -> list[dict[str, Any]]:
-    """Return one entry a named effect, as in ``diagnosis.json``."""
-    return [_entry(finding, named) for finding in findings for named in finding.named]
+    """Return one entry a named effect, as in ``diagnosis.json``, maps without physics last."""
+    found = [(finding, named) for finding in findings for named in finding.named]
+    return [_entry(*pair) for pair in sorted(found, key=lambda pair: effect_class(pair[1].choice.name).together)]
 
 
 def _entry(finding: Finding, named: Named) -> dict[str, Any]:
@@ -66,6 +67,7 @@ def _entry(finding: Finding, named: Named) -> dict[str, Any]:
         "site": choice.site,
         "where": where(choice),
         "chamber": choice.chamber,
+        "session": choice.session,
         "parameters": {
             p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit, "at_bound": p.at_bound}
             for p in named.intervals
@@ -81,11 +83,14 @@ def _entry(finding: Finding, named: Named) -> dict[str, Any]:
 
 def where(choice: Choice) -> str:
     """Return in words where an effect acts."""
+    if choice.session:
+        return f"session {choice.session} only"
     if has_chamber(choice.name):
-        return "all chambers" if choice.chamber < 0 else f"chamber {choice.chamber + 1}"
-    return {"valve": "all valves", "load": "tip", "sensor": "pose sensor", "chamber": "all chambers"}.get(
-        choice.site, "whole body"
-    )
+        place = "all chambers" if choice.chamber < 0 else f"chamber {choice.chamber + 1}"
+    else:
+        places = {"valve": "all valves", "load": "tip", "sensor": "pose sensor", "chamber": "all chambers"}
+        place = places.get(choice.site, "whole body")
+    return f"{place}, {GATES[choice.gate.field]}" if choice.gate else place
 
 
 def shown_in(finding: Finding) -> tuple[float, str]:
@@ -236,9 +241,28 @@ def _effect_sentence(effect: dict[str, Any]) -> str:
     values = ", ".join(
         f"{name} {p['value']:.3g} ({p['low']:.3g} to {p['high']:.3g}){'' if p['unit'] == '1' else ' ' + p['unit']}"
         f"{', at the end of its range' if p['at_bound'] else ''}"
-        for name, p in effect["parameters"].items()
+        for name, p in _telling(effect).items()
     )
     return f"{effect['name']} {WORDS[effect['site']]}, {effect['where']}: {values}. {effect['evidence']}."
+
+
+def _telling(effect: dict[str, Any]) -> dict[str, Any]:
+    """Return the parameters worth a word, or all if none is.
+
+    Not those that came to rest where they do nothing, those that may be anything, and of many that stand together those
+    whose interval holds zero.
+    """
+    cls = effect_class(effect["name"])
+    known = {field.name: field.metadata for field in (*cls.parameter_fields(), *cls.gate_fields())}
+
+    def tells(name: str, p: dict[str, Any]) -> bool:
+        m = known[name]
+        idle = p["at_bound"] and p["value"] == m["neutral"]
+        anything = p["low"] <= m["low"] and p["high"] >= m["high"]
+        return not (idle or anything or (cls.together and p["low"] <= 0.0 <= p["high"]))
+
+    found: dict[str, Any] = effect["parameters"]
+    return {name: p for name, p in found.items() if tells(name, p)} or found
 
 
 def _left_sentence(finding: Finding) -> str:

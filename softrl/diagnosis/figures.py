@@ -54,8 +54,8 @@ def draw_run(heldout: Problem, judged: dict[str, Traces]) -> Figure:
     above.set_title(f"held-out run {run.name}")
     below.set_ylabel(f"error, {unit}")
     below.set_xlabel("time, s")
-    above.legend(fontsize=8, ncols=4)
-    below.legend(fontsize=8, ncols=3)
+    above.legend(loc="upper left", fontsize=8, ncols=4)
+    below.legend(loc="upper left", fontsize=8, ncols=3)
     return figure
 
 
@@ -146,7 +146,7 @@ def draw_whiteness(findings: Sequence[Finding]) -> Figure:
         ax.axhspan(-band, band, color="0.85", label="white noise, 95 %")
         ax.set_xlabel("lag, s")
         ax.set_title(finding.part.title, fontsize=9)
-        ax.legend(fontsize=8)
+        ax.legend(loc="upper right", fontsize=8)
     figure.axes[0].set_ylabel("autocorrelation of what is left")
     return figure
 
@@ -168,7 +168,7 @@ def draw_errors(diagnosis: Diagnosis) -> Figure:
         ax.bar_label(bars, fmt="%.2g", fontsize=7)
     ax.set_xticks(np.arange(len(errors)), [name.replace("_", " ") for name in errors])
     ax.set_ylabel(f"rms error, {'deg' if diagnosis.errors_deg else 'mm'}")
-    ax.legend()
+    ax.legend(loc="upper right")
     return figure
 
 

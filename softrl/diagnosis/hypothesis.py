@@ -13,22 +13,38 @@ from softrl.effects.effect import Effect
 from softrl.effects.library import effect_class
 from softrl.robots.robot import Robot
 
+GATES = {"above_share": "above a pressure", "since_s": "from a time on"}
+SINCE, ABOVE = (0.3, 0.6), (0.3, 0.6)  # shares of the run and of its highest pressure at which searches for a gate begin
+# what may change from one day to the next: warmth, rest and age of the wall; what it carries; how it is mounted
+BY_SESSION = ("stiffness_scale", "strain_softening", "payload", "mount_tilt")
 FULL_TURN_RAD = 6.0  # a parameter in rad with a wider range than this is a direction: several starts
+
+
+class Gate(NamedTuple):
+    """That an effect acts above a pressure or from a time on only: the field of the effect, and where a search begins."""
+
+    field: str
+    begin: float
 
 
 class Choice(NamedTuple):
     """One effect of the library; ``chamber`` is -1 for all chambers, or where the effect knows none.
 
-    ``pinned`` names the parameters that are held at their neutral values.
+    ``pinned`` names the parameters that are held at their neutral values; ``gate`` says above which pressure or from when on
+    alone it acts, ``session`` in which session alone, if anywhere.
     """
 
     name: str
     chamber: int = -1
     pinned: tuple[str, ...] = ()
+    gate: Gate | None = None
+    session: str = ""
 
     def label(self) -> str:
-        """Return the name, with the chamber (counted from 1) if it is one alone."""
-        return self.name if self.chamber < 0 else f"{self.name} (chamber {self.chamber + 1})"
+        """Return the name, with the chamber (counted from 1), the gate and the session where it acts there alone."""
+        where = [f"chamber {self.chamber + 1}"] * (self.chamber >= 0) + [f"session {self.session}"] * bool(self.session)
+        where += [GATES[self.gate.field]] if self.gate else []
+        return f"{self.name} ({', '.join(where)})" if where else self.name
 
     @property
     def site(self) -> str:
@@ -108,11 +124,13 @@ class Space:
         """Return the physical values at a scaled point (p,)."""
         return [axis.physical(float(u)) for axis, u in zip(self.axes, point, strict=True)]
 
-    def effects(self, point: np.ndarray) -> tuple[Effect, ...]:
-        """Return the effects with their parameters at a scaled point."""
+    def effects(self, point: np.ndarray, session: str = "") -> tuple[Effect, ...]:
+        """Return the effects that act in ``session``, with their parameters at a scaled point."""
         values, made = iter(self.values(point)), []
         for choice in self.hypothesis.effects:
-            made.append(build_effect(choice, [next(values) for _ in effect_axes(choice)]))
+            mine = [next(values) for _ in effect_axes(choice)]
+            if choice.session in ("", session):
+                made.append(build_effect(choice, mine))
         return tuple(made)
 
     def tuned(self, point: np.ndarray) -> dict[str, float]:
@@ -122,8 +140,10 @@ class Space:
 
 
 def free_fields(choice: Choice) -> list[Any]:
-    """Return the fields of one effect's parameters that are free."""
-    return [f for f in effect_class(choice.name).parameter_fields() if f.name not in choice.pinned]
+    """Return the fields of one effect's parameters that are free, the gate's last."""
+    effect, gate = effect_class(choice.name), choice.gate
+    found = [f for f in effect.parameter_fields() if f.name not in choice.pinned]
+    return found + [f for f in effect.gate_fields() if gate and f.name == gate.field]
 
 
 def effect_axes(choice: Choice) -> list[Axis]:
@@ -158,10 +178,10 @@ def may_be_pinned(choice: Choice) -> list[str]:
     A time constant or a width with a neutral value inside its range only shapes what another parameter switches on.
     """
     found = free_fields(choice)
-    if len(found) < 2:
+    if len(found) < (3 if choice.gate else 2) or effect_class(choice.name).together:
         return []
-    return [f.name for f in found if not (f.metadata["log"] and f.metadata["low"] < f.metadata["neutral"]
-                                          < f.metadata["high"])]  # fmt: skip
+    return [f.name for f in found if f.name not in GATES
+            and not (f.metadata["log"] and f.metadata["low"] < f.metadata["neutral"] < f.metadata["high"])]  # fmt: skip
 
 
 def has_chamber(name: str) -> bool:
@@ -173,7 +193,8 @@ def candidates(names: Sequence[str], sites: Sequence[str], robot: Robot, excited
     """Return every effect out of ``names`` at ``sites``: for all chambers, and for each that was driven."""
     found = []
     for name in names:
-        if effect_class(name).site not in sites:
+        effect = effect_class(name)
+        if effect.site not in sites or not effect.suits(robot) or (effect.together and len(excited) < robot.chambers):
             continue
         found.append(Choice(name))
         if has_chamber(name) and robot.chambers > 1 and len(excited) > 1:
@@ -181,11 +202,27 @@ def candidates(names: Sequence[str], sites: Sequence[str], robot: Robot, excited
     return found
 
 
+def in_one_session(names: Sequence[str], training: Sequence[str], heldout: Sequence[str]) -> list[Choice]:
+    """Return the effects out of ``names`` that may act in one session alone, for every session but the last.
+
+    Parameters
+    ----------
+    training, heldout : session of every run; only a session with two runs to fit and one to judge can show such an effect
+    """
+    sessions = list(dict.fromkeys(training))
+    shown = [s for s in sessions if training.count(s) > 1 and s in heldout]
+    return [Choice(name, session=s) for name in names if name in BY_SESSION for s in shown if s != sessions[-1]]
+
+
 def starts(choice: Choice) -> list[np.ndarray]:
     """Return scaled points (p,) of an effect that is plain to see: typical values, and spread-out shapes of it."""
     fields_ = free_fields(choice)
     axes = effect_axes(choice)
+    if effect_class(choice.name).together:
+        return [neutral(choice)]
     typical = np.array([axis.scaled(field.metadata["typical"]) for axis, field in zip(axes, fields_, strict=True)])
+    if choice.gate:
+        typical[-1] = axes[-1].scaled(choice.gate.begin)
     found = [typical]
     for k, (axis, field) in enumerate(zip(axes, fields_, strict=True)):
         wide = axis.unit == "rad" and axis.high - axis.low > FULL_TURN_RAD
@@ -204,6 +241,27 @@ def starts(choice: Choice) -> list[np.ndarray]:
 
 
 def neutral(choice: Choice) -> np.ndarray:
-    """Return the scaled point (p,) at which the effect does nothing."""
-    pairs = zip(effect_axes(choice), free_fields(choice), strict=True)
-    return np.array([axis.scaled(field.metadata["neutral"]) for axis, field in pairs])
+    """Return the scaled point (p,) at which the effect does nothing; a gate stays where a search begins."""
+    axes = effect_axes(choice)
+    pairs = zip(axes, free_fields(choice), strict=True)
+    point = np.array([axis.scaled(field.metadata["neutral"]) for axis, field in pairs])
+    if choice.gate:
+        point[-1] = axes[-1].scaled(choice.gate.begin)
+    return point
+
+
+def gated(choice: Choice, duration_s: float, highest_share: float) -> list[Choice]:
+    """Return the forms of ``choice`` that act above a pressure or from a time on only, begun at several places.
+
+    Parameters
+    ----------
+    duration_s : of the runs
+    highest_share : pressure that they reach, as a share of the robot's largest
+    """
+    effect = effect_class(choice.name)
+    if effect.together:
+        return []
+    gates = [] if effect.clock is not None else [Gate("since_s", share * duration_s) for share in SINCE]
+    if effect.site in ("valve", "chamber", "body"):
+        gates += [Gate("above_share", share * highest_share) for share in ABOVE]
+    return [choice._replace(gate=gate) for gate in gates]

@@ -6,15 +6,19 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes, may_be_pinned, starts
+from softrl.diagnosis.flexible import pressures
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes, gated, may_be_pinned, starts
 from softrl.diagnosis.judge import Judge
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.rank import Lead, rank
 from softrl.diagnosis.trial import Search, Trial, columns_of, drop, fit_trials, join, raced
+from softrl.effects.library import effect_class
 
 log = logging.getLogger(__name__)
 SAME_NAME = 2  # forms of one effect (all chambers, one chamber) that are fitted in full
 LEAD_SHARE = 0.3  # of the best rough fit's gain, which another needs to be fitted in full
+PLAIN = 2.5  # times what counts: what is left by effects that act everywhere, before they are asked where alone they act
+REFORMED = 2  # fits of a round, the best, in which older effects are tried in their other forms
 SILENT = 1e-6  # of the largest column: a parameter with less influence on the residual has none
 
 
@@ -44,7 +48,7 @@ def forward(
     search: Search,
     report: Callable[[str], None],
 ) -> Path:
-    """Return the hypothesis that stepwise selection leaves: add, try all others in each one's place, drop.
+    """Return the hypothesis that stepwise selection leaves: add, try all others in each one's place, drop, narrow down.
 
     Parameters
     ----------
@@ -56,7 +60,17 @@ def forward(
     """
     retuned = fit_trials(fitting, None, [(Hypothesis((), tuple(tuned)), [])], search)[0]
     path = Path(retuned, retuned)
-    for _ in range(search.max_effects):
+    _grow(fitting, judge, choices, search, path, report)
+    if _narrow(fitting, judge, choices, search, path, report):
+        _grow(fitting, judge, choices, search, path, report)
+    return path
+
+
+def _grow(
+    fitting: Problem, judge: Judge, choices: Sequence[Choice], search: Search, path: Path, report: Callable[[str], None]
+) -> None:
+    """Add effects to the best hypothesis of ``path`` while that pays."""
+    while len(path.best.hypothesis.effects) < search.max_effects:
         current = path.best
         if judge.excess(current.mean_square) < judge.material:
             report(f"{current.hypothesis.label()}: what is left is less than counts")
@@ -74,7 +88,42 @@ def forward(
         path.best = _swap(fitting, judge, added, choices, search, path)
         path.best = _prune(fitting, judge, path.best, search)
         path.best = slim(fitting, judge, path.best, search, path)
-    return path
+
+
+def _narrow(
+    fitting: Problem, judge: Judge, choices: Sequence[Choice], search: Search, path: Path, report: Callable[[str], None]
+) -> bool:
+    """Return whether an effect that acts above a pressure or from a time on only pays: one of ``path``, or a new one."""
+    before, plain = path.best, PLAIN * judge.material
+    everywhere = [choice for choice in choices if choice.chamber < 0 and not choice.session]
+    for old in before.hypothesis.effects:
+        if judge.excess(path.best.mean_square) >= plain:
+            _replace(fitting, judge, old, _gated([old, *everywhere], fitting), search, path)
+    if len(before.hypothesis.effects) < search.max_effects and judge.excess(path.best.mean_square) >= plain:
+        added = _addition(fitting, judge, path.best, _gated(everywhere, fitting), search, path)
+        if added is not None and judge.pays(path.best.squares, added.squares):
+            path.best = _prune(fitting, judge, slim(fitting, judge, added, search, path), search)
+    if path.best is not before:
+        report(f"{path.best.hypothesis.label()}: {judge.rms(path.best.squares):.4g} on runs left out")
+    return path.best is not before
+
+
+def _replace(
+    fitting: Problem, judge: Judge, old: Choice, choices: Sequence[Choice], search: Search, path: Path
+) -> None:
+    """Put the best of ``choices`` in the place of ``old``, one of the effects of the best hypothesis, if that pays."""
+    trial = path.best
+    less = fit_trials(fitting, None, [(trial.hypothesis.without(old), [drop(trial, old)])], search)
+    instead = _addition(fitting, judge, less[0], choices, search, path) if less else None
+    if instead is not None and judge.pays(trial.squares, instead.squares):
+        path.best = slim(fitting, judge, instead, search, path)
+
+
+def _gated(choices: Sequence[Choice], problem: Problem) -> list[Choice]:
+    """Return the forms of ``choices`` that act above a pressure or from a time on only."""
+    duration = float(np.median([run.time[-1] - run.time[0] for run in problem.runs]))
+    highest = max(float(pressures(problem, k).max()) for k in range(len(problem.runs)))
+    return [form for choice in dict.fromkeys(choices) for form in gated(choice, duration, highest)]
 
 
 def _addition(
@@ -88,7 +137,10 @@ def _addition(
     trials = fit_leads(fitting, current, leads, search)
     if not trials:
         return None
-    best = judge.simplest(trials)
+    best = judge.simplest(trials + _otherwise(fitting, trials, search, path))
+    for old, new in zip(current.hypothesis.effects, best.hypothesis.effects[:-1], strict=True):
+        if old != new:
+            path.tried[new] = path.tried.get(old, [])
     path.tried[best.hypothesis.effects[-1]] = _others(trials, best) + [
         (lead.choice, lead.point[: len(effect_axes(lead.choice))])
         for lead in leads
@@ -98,7 +150,10 @@ def _addition(
 
 
 def _swap(fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice], search: Search, path: Path) -> Trial:
-    """Return ``trial`` after each of its older effects was put to the test against all others in its place."""
+    """Return ``trial`` after each of its older effects was put to the test against all others in its place.
+
+    A map without physics has to pay against them, see ``Judge.simplest``; any other effect stays unless one is better.
+    """
     for old in trial.hypothesis.effects[:-1]:
         less = fit_trials(fitting, None, [(trial.hypothesis.without(old), [drop(trial, old)])], search)
         if not less:
@@ -107,7 +162,7 @@ def _swap(fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice
         if instead is None:
             continue
         new = instead.hypothesis.effects[-1]
-        if new != old and judge.tells(trial.squares, instead.squares):
+        if new != old and (effect_class(old.name).together or judge.tells(trial.squares, instead.squares)):
             log.info("%s takes the place of %s", new.label(), old.label())
             trial = instead
         elif new != old:
@@ -116,6 +171,30 @@ def _swap(fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice
             mine = instead.fit.point[end - len(effect_axes(new)) : end]
             path.tried[old] = [(new, mine), *others]
     return trial
+
+
+def _otherwise(fitting: Problem, trials: Sequence[Trial], search: Search, path: Path) -> list[Trial]:
+    """Return the best of ``trials`` with an older effect in another form (all chambers, one chamber) beside the newest.
+
+    Alone the forms may be alike; beside what else is missing only one of them fits.
+    """
+    tasks = [
+        (Hypothesis(tuple(form if e == old else e for e in trial.hypothesis.effects), trial.hypothesis.tuned), [point])
+        for trial in sorted(trials, key=lambda t: t.mean_square)[:REFORMED]
+        for old in trial.hypothesis.effects[:-1]
+        for form, point in _same_name(path, trial, old)
+    ]
+    return raced(fitting, None, tasks, search) if tasks else []
+
+
+def _same_name(path: Path, trial: Trial, old: Choice) -> list[tuple[Choice, np.ndarray]]:
+    """Return the other forms of ``old`` that were tried in its place, with a point of ``trial`` to begin at."""
+    columns = columns_of(trial, old)
+    return [
+        (form, np.insert(np.delete(trial.fit.point, columns), columns[0], mine))
+        for form, mine in path.tried.get(old, [])
+        if form.name == old.name and form != old
+    ][:SAME_NAME]
 
 
 def _others(trials: Sequence[Trial], best: Trial) -> list[tuple[Choice, np.ndarray]]:

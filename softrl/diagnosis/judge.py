@@ -10,6 +10,7 @@ import numpy as np
 from softrl.core.errors import ConfigError
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.statistics import MIN_BLOCKS, blocks_of, bootstrap_means, correlation_time
+from softrl.effects.library import effect_class
 from softrl.recordings.recording import Recording
 
 OVERLOOKED = 0.02  # of the noise's mean square: a difference that no data tell
@@ -131,8 +132,15 @@ class Judge:
         return bool(sure and change.mean() >= max(needed, OVERLOOKED * self.floor**2))
 
     def simplest(self, trials: Sequence[Any]) -> Any:
-        """Return the best trial, or one with fewer free parameters from which the data cannot tell it."""
+        """Return the best trial, or one with fewer free parameters from which the data cannot tell it.
+
+        A map of many parameters, which has no physics, must pay against the best of the others.
+        """
         best = min(trials, key=lambda trial: trial.mean_square)
+        physics = [trial for trial in trials if not _by_map(trial)]
+        if _by_map(best) and physics:
+            other = min(physics, key=lambda trial: trial.mean_square)
+            best = best if self.pays(other.squares, best.squares) else other
         alike = [t for t in trials if not self.tells(t.squares, best.squares)]
         return min(alike or [best], key=lambda t: (len(t.fit.point), _alone(t), t.mean_square))
 
@@ -148,5 +156,9 @@ class Judge:
         return blocks_of(self.problem.run_of_bin, max(round(self.thresholds.block_s / self.problem.numerics.bin_s), 1))
 
 
+def _by_map(trial: Any) -> bool:
+    return effect_class(trial.hypothesis.effects[-1].name).together
+
+
 def _alone(trial: Any) -> int:
-    return sum(choice.chamber >= 0 for choice in trial.hypothesis.effects)
+    return sum(choice.chamber >= 0 or bool(choice.session) for choice in trial.hypothesis.effects)

@@ -178,8 +178,10 @@ class Problem:
         space = self.space(hypothesis)
         body = StillBody() if self.target == "pressure" else self.simulator
         tuned = space.tuned(point)
-        plant = Plant(body.with_parameters(**tuned) if tuned else body, chain_of(self.robot, space.effects(point)))
-        return [self._replay(plant, run) for run in self.runs]
+        body = body.with_parameters(**tuned) if tuned else body
+        sessions = {run.session for run in self.runs}
+        plants = {s: Plant(body, chain_of(self.robot, space.effects(point, s))) for s in sessions}
+        return [self._replay(plants[run.session], run) for run in self.runs]
 
     def _replay(self, plant: Plant, run: Recording) -> Recording:
         first = run.pressure_cmd[0] if run.pressure_meas is None else run.pressure_meas[0]

@@ -103,16 +103,17 @@ def _wrong_pressure(runs: Sequence[Recording], robot: Robot) -> str | None:
 
 
 def _wrong_motion(runs: Sequence[Recording], robot: Robot) -> str | None:
-    motion = np.concatenate([_motion(run, robot) for run in runs])
-    travel = float(np.ptp(motion, axis=0).max())
+    travel = max(float(np.ptp(_motion(run, robot), axis=0).max()) for run in runs)
     if robot.output == "bend_angle":
         turn = travel / robot.length_m
+        if turn == 0.0:
+            return "the bend angle never changes: a sensor that stands still?"
         return f"the bend angle spans {turn:.3g} rad: degrees taken for rad?" if turn > MAX_TURN_RAD else None
     if MIN_TRAVEL * robot.length_m <= travel <= MAX_TRAVEL * robot.length_m:
         return None
     return (
         f"the tip travels {1e3 * travel:.3g} mm where robot {robot.name} is {1e3 * robot.length_m:.3g} mm long: "
-        "a wrong unit (m, mm or um)?"
+        f"{'a sensor that stands still?' if travel == 0.0 else 'a wrong unit (m, mm or um)?'}"
     )
 
 

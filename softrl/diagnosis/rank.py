@@ -43,11 +43,16 @@ def rank(fitting: Problem, current: Trial, choices: Sequence[Choice], search: Se
     bases = _bases(fitting, current, search.rough_steps)
     for_all = [choice for choice in choices if choice.chamber < 0]
     leads, reach = _leads(fitting, bases, [(c, starts(c)) for c in for_all], 0.0, search)
-    shapes = {lead.choice.name: lead.point[: len(effect_axes(lead.choice))] for lead in leads}
+    shapes = {_form(lead.choice): lead.point[: len(effect_axes(lead.choice))] for lead in leads}
     alone = [choice for choice in choices if choice.chamber >= 0]
-    tasks = [(c, [_plain(c, shapes.get(c.name)), starts(c)[0]]) for c in alone]
+    tasks = [(c, [_plain(c, shapes.get(_form(c))), starts(c)[0]]) for c in alone]
     leads += _leads(fitting, bases, tasks, reach, search)[0]
     return sorted(leads, key=lambda lead: -lead.gain)
+
+
+def _form(choice: Choice) -> tuple[str, tuple[str, ...], str]:
+    """Return what choices with the same parameters have in common."""
+    return choice.name, choice.pinned, choice.gate.field if choice.gate else ""
 
 
 def _leads(

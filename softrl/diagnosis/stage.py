@@ -35,10 +35,11 @@ from softrl.diagnosis.explain import (
     verdict_of,
 )
 from softrl.diagnosis.figures import draw_all
-from softrl.diagnosis.hypothesis import Hypothesis, candidates
+from softrl.diagnosis.hypothesis import Hypothesis, candidates, in_one_session
 from softrl.diagnosis.join import joined
 from softrl.diagnosis.judge import Judge, Thresholds
 from softrl.diagnosis.locate import corrected, locate
+from softrl.diagnosis.mistaken import mistaken
 from softrl.diagnosis.prelude import preludes
 from softrl.diagnosis.problem import ORIENTATION_LEVER, Numerics, Problem
 from softrl.diagnosis.quality import mixed
@@ -125,7 +126,7 @@ def run(
     data = found.shortened(seconds * longer.numerics.dt_s / config.numerics.dt_s)
     config = longer
     whole = _whole(config, robot, simulator, data)
-    apart = mixed(data.training, whole.replayed(Hypothesis((), ()), np.zeros(0)), robot)
+    apart = _contradiction(whole, found)
     if apart:
         return _cannot_tell(Refusal(data.check, apart), robot, simulator, tracker)
     findings = _examine(config, whole, data, found)
@@ -165,15 +166,22 @@ def _whole(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Pr
         return bare
     nominal = bare.replayed(Hypothesis((), ()), np.zeros(0))
     apart, turned = other_frames(nominal, data.training), turned_frame(nominal, data.training)
-    if apart < OTHER_FRAME_RAD and turned < TURNED_FRAME_RAD:
+    if apart < OTHER_FRAME_RAD and turned < TURNED_FRAME_RAD and not data.misplaced:
         return bare
     log.info(
-        "sessions use frames that turn apart by %.0f deg, and all by %.0f deg against the base frame: each is placed by "
-        "itself",
+        "sessions use frames that turn apart by %.0f deg, and all by %.0f deg against the base frame, or have another "
+        "origin: each is placed by itself",
         np.degrees(apart),
         np.degrees(turned),
     )
     return replace(bare, register=True, orientation=False)
+
+
+def _contradiction(whole: Problem, data: Data) -> str | None:
+    """Return why the runs cannot be what they are said to be, beside what the simulator does under their commands."""
+    runs = tuple(run for part in data.splits.values() for run in part)
+    made = whole.on(runs).replayed(Hypothesis((), ()), np.zeros(0))
+    return mistaken(runs, made, whole.robot) or mixed(data.training, made[: len(data.training)], whole.robot)
 
 
 def _examine(config: Config, whole: Problem, data: Data, full: Data) -> list[Finding]:
@@ -208,7 +216,8 @@ def _examine_valve(config: Config, whole: Problem, data: Data) -> Finding:
 
 def _examine_motion(config: Config, problem: Problem, data: Data, title: str, sites: tuple[str, ...]) -> Finding:
     wanted = [name for name in config.effects if not (problem.register and name == "frame")]
-    choices = candidates(wanted, sites, problem.robot, data.check.excited)
+    choices = in_one_session(wanted, *([run.session for run in side] for side in (data.training, data.heldout)))
+    choices += candidates(wanted, sites, problem.robot, data.check.excited)
     turned = ORIENTATION_LEVER * problem.robot.length_m * data.turn_noise if problem.orientation else 0.0
     floor = _floor_in_bin(float(np.hypot(data.noise, turned)), data, config)
     part = Part(title, problem.on(data.training), data.heldout, floor, data.travel,
@@ -223,7 +232,12 @@ def _floor_in_bin(noise: float, data: Data, config: Config) -> float:
 
 
 def _without_bias(runs: tuple[Any, ...], valve: Finding, whole: Problem) -> tuple[Any, ...]:
-    """Return the runs with the constant offset of each measured pressure taken out, as far as the valve explains it."""
+    """Return the runs with the constant offset of each measured pressure taken out, as far as the valve explains it.
+
+    A command that is no pressure, or a valve that is not understood, says nothing about a sensor's zero.
+    """
+    if whole.robot.command != "pressure" or valve.unknown:
+        return tuple(runs)
     problem = replace(valve.part.problem, runs=tuple(runs))
     supplied = problem.replayed(valve.final.hypothesis, valve.final.fit.point)
     shifted = []

@@ -11,6 +11,7 @@ from softrl.core.errors import SolverError
 from softrl.core.resume import Kept
 
 log = logging.getLogger(__name__)
+DIVERGED = 1e6  # times what the closed form leaves
 
 
 @dataclass
@@ -65,8 +66,8 @@ NO_CHECKPOINT = Checkpoint(None, "", 1)
 
 
 def require_finite(loss: torch.Tensor, name: str, update: int) -> None:
-    """Refuse to go on with a loss that is no number: the checkpoint before it stays."""
-    if not torch.isfinite(loss):
+    """Refuse to go on with a loss that is no number, or out of all proportion: the checkpoint before it stays."""
+    if not float(loss.detach()) < DIVERGED:
         raise SolverError(
             f"training of {name} diverged in update {update}: its loss is {loss.item()}; "
             "lower stage.learning_rate (stage.inverse_learning_rate for the inverse)"

@@ -17,15 +17,16 @@ def predictors(net: ForwardNet, body: Body, dt_s: float) -> dict[str, Predictor]
     """Return the network and the baselines by name.
 
     ``rate_stays`` and ``state_stays`` know nothing of the load, ``arx`` is the linear part of the network by
-    itself (least squares on the training windows), ``rom`` the reduced model, which gives no rate of arc
-    length, curvature, rotation.
+    itself (least squares on the training windows), ``polynomial`` its whole closed form, ``rom`` the reduced model,
+    which gives no rate of arc length, curvature, rotation.
     """
     states = net.states
     return {
-        "f_s": lambda rows: net(rows)[:, -1],
+        "f_s": net.last,
         "rate_stays": lambda rows: rows[:, -1, states : 2 * states],
         "state_stays": lambda rows: torch.zeros_like(rows[:, -1, :states]),
-        "arx": lambda rows: net.linear_rate(rows)[:, -1],
+        "arx": lambda rows: net.linear_rate(rows[:, -net.linear_rows :])[:, -1],
+        "polynomial": lambda rows: net.closed_rate(rows[:, -net.linear_rows :])[:, -1],
         "rom": lambda rows: _by_body(rows, body, states, dt_s),
     }
 

@@ -14,8 +14,8 @@ def draw_losses(history: History, inverse: np.ndarray) -> Figure:
     if np.isfinite(history.physics).all():
         forward.semilogy(_smooth(history.physics), label="physics residual")
     forward.semilogy(history.validation_update, history.validation, "k.-", lw=0.8, ms=3, label="validation, one step")
-    forward.axhline(1.0, color="0.6", lw=0.8, label="linear prediction")
-    forward.set(xlabel="update", ylabel="loss, linear prediction = 1", title="f_S")
+    forward.axhline(1.0, color="0.6", lw=0.8, label="closed form")
+    forward.set(xlabel="update", ylabel="loss, closed form = 1", title="f_S")
     backward.semilogy(_smooth(inverse[:, 0]), label="pressure")
     if inverse[:, 1].any():
         backward.semilogy(_smooth(inverse[:, 1]), label="cycle through f_S")

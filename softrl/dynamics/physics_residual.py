@@ -17,7 +17,7 @@ class PhysicsResidual:
     body : the reduced model
     flexibility : (n + 3, n + 3) change of the rate of z per residual force, through the tangent of implicit
         Euler at rest
-    scale : (n + 3,) rms of ``flexibility`` R for the linear prediction on training windows, m^3/s and m/s
+    scale : (n + 3,) rms of ``flexibility`` R for the closed form's prediction on training windows, m^3/s and m/s
     dt_s : s
 
     Notes
@@ -35,13 +35,13 @@ class PhysicsResidual:
     def fit(
         cls, body: Body, net: ForwardNet, windows: Windows, dt_s: float, samples: int, seed: int
     ) -> "PhysicsResidual":
-        """Return the residual, scaled by that of ``net``'s linear map on ``samples`` training windows."""
+        """Return the residual, scaled by that of ``net``'s closed form on ``samples`` training windows."""
         size = body.chambers + 3
         unit = cls(body, _flexibility(body, dt_s), torch.ones(size, dtype=torch.float64), dt_s)
         index = torch.randint(len(windows), (samples,), generator=torch.Generator().manual_seed(seed))
         rows = windows.take(index)[0]
         with torch.no_grad():
-            scale = unit(rows[:, -1], net.linear_rate(rows)[:, -1]).pow(2).mean(dim=0).sqrt()
+            scale = unit(rows[:, -1], net.closed_rate(rows[:, -net.linear_rows :])[:, -1]).pow(2).mean(dim=0).sqrt()
         return cls(body, unit.flexibility, torch.where(scale > 0.0, scale, 1.0), dt_s)
 
     def __call__(self, row: torch.Tensor, rate: torch.Tensor) -> torch.Tensor:

@@ -26,7 +26,7 @@ from softrl.dynamics.figures import draw_losses, draw_rollout, table
 from softrl.dynamics.generate import Recipe, StoredWindows, generate_chunks
 from softrl.dynamics.inverse import InverseNet, InverseSettings, inverse_errors, train_inverse
 from softrl.dynamics.physics_residual import PhysicsResidual
-from softrl.dynamics.training import History, TrainingSettings, fit_linear, train_forward
+from softrl.dynamics.training import History, TrainingSettings, fit_linear, fit_polynomial, train_forward
 from softrl.dynamics.transformer import ForwardNet, GruNet, weights_of
 from softrl.robots.robot import Robot
 
@@ -53,6 +53,8 @@ class Config:
         only if it is off
     window : rows that the Transformer sees;  width, heads, layers, feedforward : its size
     linear_rows, ridge : rows of its linear part, and their relative ridge (also of the inverse's linear part)
+    polynomial_degree, polynomial_ridges : of its closed form in the coordinates, 1 for the linear part alone (of the
+        inverse's too), and the ridges from which runs left out choose
     batch, onestep_updates, rollout_updates, rollout_steps, learning_rate : training; the second part predicts
         ``rollout_steps`` from its own predictions
     physics_weight : lambda of eq. 10;  physics_samples : windows that set the residual's scale
@@ -81,6 +83,8 @@ class Config:
     feedforward: int
     linear_rows: int
     ridge: float
+    polynomial_degree: int
+    polynomial_ridges: tuple[float, ...]
     batch: int
     onestep_updates: int
     rollout_updates: int
@@ -103,8 +107,8 @@ class Config:
 
     def __post_init__(self) -> None:
         positive = ("training_runs", "validation_runs", "heldout_runs", "runs_per_chunk", "processes",
-                    "run_s", "dt_s", "heads", "layers",
-                    "feedforward", "linear_rows", "ridge", "onestep_updates", "rollout_steps", "learning_rate",
+                    "run_s", "dt_s", "heads", "layers", "feedforward", "linear_rows", "ridge", "polynomial_degree",
+                    "onestep_updates", "rollout_steps", "learning_rate",
                     "physics_samples", "inverse_hidden", "inverse_updates", "inverse_learning_rate", "checkpoint_updates",
                     "outside_load_factor", "outside_speed_factor")  # fmt: skip
         for name in positive:
@@ -114,10 +118,14 @@ class Config:
             if getattr(self, name) < 0:
                 key = "lambda" if name == "physics_weight" else f"stage.{name}"
                 raise ConfigError(f"{key}={getattr(self, name):g} must not be negative")
+        if not self.polynomial_ridges or min(self.polynomial_ridges) <= 0.0:
+            raise ConfigError(f"stage.polynomial_ridges={list(self.polynomial_ridges)}; expected one or more, all positive")
         if self.width % self.heads:
             raise ConfigError(f"stage.width={self.width} is no multiple of stage.heads={self.heads}")
         if self.window < self.linear_rows:
             raise ConfigError(f"stage.window={self.window} is below stage.linear_rows={self.linear_rows}")
+        if self.window < 2:
+            raise ConfigError(f"stage.window={self.window}; expected 2 or more, the inverse reads two rows")
         longest = max(self.rollout_s, self.dt_s * (self.rollout_steps + self.window))
         if self.run_s < longest + self.dt_s:
             raise ConfigError(
@@ -172,11 +180,12 @@ def run(
     forward = ForwardDynamics(
         weights_of(net), config.window, config.width, config.heads, config.layers, config.feedforward,
         config.linear_rows, config.dt_s, config.physics_weight, low, high, np.asarray(body.rest_tip), gravity,
-        robot.axis, robot.chambers, robot.name,
+        robot.axis, robot.chambers, robot.name, config.polynomial_degree,
     )  # fmt: skip
     backward = InverseDynamics(
-        weights_of(inverse), config.inverse_hidden, config.dt_s, config.cycle_weight, robot.chambers, robot.name
-    )
+        weights_of(inverse), config.inverse_hidden, config.dt_s, config.cycle_weight, robot.chambers, robot.name,
+        config.polynomial_degree,
+    )  # fmt: skip
     weights.clear()
     kept.clear()
     return Dynamics(forward, backward)
@@ -292,9 +301,11 @@ def learn_forward(
     states, loads = sets.validation.state.shape[2], sets.validation.load.shape[2]
     torch.manual_seed(config.seed)
     net = kind(
-        states, loads, config.window, config.width, config.heads, config.layers, config.feedforward, config.linear_rows
-    )
+        states, loads, config.window, config.width, config.heads, config.layers, config.feedforward, config.linear_rows,
+        config.polynomial_degree,
+    )  # fmt: skip
     fit_linear(net, train, config.ridge)
+    fit_polynomial(net, train, config.polynomial_ridges, config.dt_s)
     physics = PhysicsResidual.fit(body, net, train, config.dt_s, config.physics_samples, config.seed)
     settings = TrainingSettings(
         config.batch, config.onestep_updates, config.rollout_updates, config.rollout_steps, config.learning_rate,
@@ -310,7 +321,7 @@ def learn_inverse(
     """Return the trained inverse and its losses (updates, 2)."""
     settings = InverseSettings(
         config.inverse_hidden, config.inverse_updates, config.inverse_batch, config.inverse_learning_rate,
-        config.cycle_weight, config.ridge, config.seed,
+        config.cycle_weight, config.ridge, config.polynomial_ridges, config.polynomial_degree, config.dt_s, config.seed,
     )  # fmt: skip
     return train_inverse(net, _windows(runs, config.window), settings, checkpoint)
 
@@ -350,11 +361,11 @@ def report(
 
 
 def _residual_share(config: Config, net: ForwardNet, body: Body, train: Windows, heldout: Windows) -> float:
-    """Return the rms physics residual of f_S on held-out windows; 1 is that of the linear prediction in training."""
+    """Return the rms physics residual of f_S on held-out windows; 1 is that of the closed form in training."""
     physics = PhysicsResidual.fit(body, net, train, config.dt_s, config.physics_samples, config.seed)
     rows, _ = heldout.take(torch.arange(len(heldout)))
     with torch.no_grad():
-        return float(physics(rows[:, -1], net(rows)[:, -1]).pow(2).mean().sqrt())
+        return float(physics(rows[:, -1], net.last(rows)).pow(2).mean().sqrt())
 
 
 def _report_set(split: str, known: dict[str, Predictor], windows: Windows, config: Config, tracker: Tracker) -> None:

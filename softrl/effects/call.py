@@ -44,7 +44,7 @@ def pack(hooks: Sequence[Hook]) -> Calls:
         at[k + 1] = at[k, 0] + len(hook.parameters), at[k, 1] + len(hook.state)
     empty = [np.zeros(0)]
     return Calls(
-        np.array([_address(hook.kernel) for hook in hooks], dtype=np.int64),
+        np.array([address_of(hook.kernel) for hook in hooks], dtype=np.int64),
         at,
         np.concatenate([hook.parameters for hook in hooks] or empty),
         np.concatenate([hook.state for hook in hooks] or empty),
@@ -60,7 +60,7 @@ def unpack(calls: Calls, hooks: Sequence[Hook]) -> None:
 _ADDRESSES: dict[int, tuple[Any, int]] = {}
 
 
-def _address(kernel: Any) -> int:
+def address_of(kernel: Any) -> int:
     """Return where the machine code of a compiled kernel stands; the kernel is kept alive with it."""
     if id(kernel) not in _ADDRESSES:
         compiled = kernel.overloads[kernel.signatures[0]]
@@ -94,8 +94,8 @@ def _call_signal_type(_: Any, address: Any, parameters: Any, state: Any, value: 
     return nb.void(nb.int64, *SIGNAL_KERNEL.args), _code(SIGNAL_KERNEL)
 
 
-_call_port: Any = intrinsic(_call_port_type)
-_call_signal: Any = intrinsic(_call_signal_type)
+call_port: Any = intrinsic(_call_port_type)
+call_signal: Any = intrinsic(_call_signal_type)
 
 
 @borrowing
@@ -104,7 +104,7 @@ def run_ports(calls: Any, port: np.ndarray, dt: float, commit: bool) -> None:
     kernels, at, parameters, states = calls
     for k in range(len(kernels)):
         mine, state = parameters[at[k, 0] : at[k + 1, 0]], states[at[k, 1] : at[k + 1, 1]]
-        _call_port(kernels[k], mine, state, port, dt, commit)
+        call_port(kernels[k], mine, state, port, dt, commit)
 
 
 @borrowing
@@ -114,4 +114,4 @@ def run_signals(calls: Any, values: np.ndarray, dt: float) -> None:
     for k in range(len(kernels)):
         mine, state = parameters[at[k, 0] : at[k + 1, 0]], states[at[k, 1] : at[k + 1, 1]]
         for step in range(len(values)):
-            _call_signal(kernels[k], mine, state, values[step], dt)
+            call_signal(kernels[k], mine, state, values[step], dt)

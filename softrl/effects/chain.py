@@ -10,6 +10,7 @@ import numpy as np
 from softrl.core.simulator import Hook, Motion, Simulator
 from softrl.effects.call import pack, run_signals
 from softrl.effects.effect import SITES, Effect
+from softrl.effects.gate import hook_of
 from softrl.robots.robot import Robot
 
 
@@ -19,6 +20,7 @@ class EffectChain:
 
     robot: Robot
     effects: tuple[Effect, ...] = ()
+    before_s: float = 0.0  # how long a run goes on before its first sample, at which the effects' clocks stand at zero
 
     @cached_property
     def ordered(self) -> tuple[Effect, ...]:
@@ -40,7 +42,7 @@ class EffectChain:
 
     def hooks(self, site: str) -> list[Hook]:
         """Return fresh hooks of the port effects at ``site``, for a body's kernel."""
-        return [Hook(type(e).kernel, e.pack(self.robot), e.reset(self.robot)) for e in self.at(site)]
+        return [hook_of(e, self.robot, self.before_s) for e in self.at(site)]
 
     def filter(self, sites: Sequence[str], values: np.ndarray, dt_s: float) -> np.ndarray:
         """Return ``values`` (steps, n), one row per ``dt_s``, after the signal effects at ``sites``, from rest."""
@@ -57,7 +59,7 @@ class SignalFilter:
         effects = [e for e in chain.at(*sites) if e.channel == "pose"]
         effects += chain.gauges if "gauge" in sites else ()
         self._empty = not effects
-        self._calls = pack([Hook(type(e).kernel, e.pack(chain.robot), e.reset(chain.robot)) for e in effects])
+        self._calls = pack([hook_of(e, chain.robot, chain.before_s) for e in effects])
 
     def advance(self, values: np.ndarray, dt_s: float) -> np.ndarray:
         """Return the filtered rows (steps, n)."""

@@ -37,6 +37,7 @@ class Drift(Effect):
     site: ClassVar[str] = "body"
     title: ClassVar[str] = "slow drift of the stiffness"
     kernel: ClassVar = drift_kernel
+    clock: ClassVar = 0
 
     rate_per_s: float = parameter("1/s", -0.01, 0.01, 0.0, typical=0.003)
     onset_s: float = parameter("s", 0.0, 600.0, 0.0, typical=0.0, default=0.0)

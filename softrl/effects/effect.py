@@ -28,6 +28,8 @@ _matrix = nb.types.Array(nb.float64, 2, "C")
 SIGNAL_KERNEL = nb.void(_vector, _vector, _vector, nb.float64)
 PORT_KERNEL = nb.void(_vector, _vector, _matrix, nb.float64, nb.boolean)
 
+EVERYWHERE = -1.0  # as ``above_share``: no pressure is below it
+
 # rows of a body port (8, chambers): one column per chamber
 STRAIN, RATE, ELASTIC, ELASTIC_SLOPE, PRESSURE, REST, ADDED, ADDED_SLOPE = range(8)
 # STRAIN         chamber elongation e_i relative to rest, dimensionless (trial value)
@@ -70,17 +72,27 @@ def parameter(
     return dataclasses.field(default=default, metadata=metadata)
 
 
+def _gate(unit: str, low: float, high: float, typical: float) -> dict[str, Any]:
+    """Return what is known of a number of the gate; it is neutral at ``low``."""
+    return {"unit": unit, "low": low, "high": high, "neutral": low, "typical": typical, "log": False, "gate": True}
+
+
 @dataclass(frozen=True)
 class Effect:
     """Base of all effects: a subclass adds parameters with ``parameter(...)``, a site, and a kernel.
 
-    Every subclass has a field ``chamber``, or none: -1 for all chambers, else one chamber's number from 0.
+    Every subclass has a field ``chamber``, or none: -1 for all chambers, else one chamber's number from 0. Every effect may
+    be told to act only above a pressure or only from a time on, see ``effects.gate``.
 
     Attributes
     ----------
     site : where it acts, one of ``SITES``
     channel : of a sensor effect, what it changes: "pose", or "pressure" for the reported chamber pressures
     variant_of : name of the effect whose physics this one describes by another law, or empty
+    together : whether its parameters mean something together only, so that none is tried without the others
+    clock : slot of the state that counts the seconds since the first sample, if there is one
+    above_share : share of the robot's largest pressure above which it acts; ``EVERYWHERE`` for all pressures
+    since_s : time of each run from which it acts, s; 0 for always
     """
 
     site: ClassVar[str]
@@ -88,9 +100,14 @@ class Effect:
     kernel: ClassVar[Any]
     channel: ClassVar[str] = "pose"
     variant_of: ClassVar[str] = ""
+    together: ClassVar[bool] = False
+    clock: ClassVar[int | None] = None
+
+    above_share: float = dataclasses.field(default=EVERYWHERE, kw_only=True, metadata=_gate("1", EVERYWHERE, 1.0, 0.3))
+    since_s: float = dataclasses.field(default=0.0, kw_only=True, metadata=_gate("s", 0.0, 600.0, 10.0))
 
     def __post_init__(self) -> None:
-        for field in self.parameter_fields():
+        for field in (*self.parameter_fields(), *self.gate_fields()):
             value, low, high = getattr(self, field.name), field.metadata["low"], field.metadata["high"]
             if not low <= value <= high:
                 raise ConfigError(
@@ -104,13 +121,28 @@ class Effect:
 
     @classmethod
     def parameter_fields(cls) -> Iterator[dataclasses.Field[Any]]:
-        """Yield the fitted fields in order."""
-        return (field for field in fields(cls) if "unit" in field.metadata)
+        """Yield the fitted fields in order, without those of the gate."""
+        return (field for field in fields(cls) if "unit" in field.metadata and "gate" not in field.metadata)
+
+    @classmethod
+    def gate_fields(cls) -> Iterator[dataclasses.Field[Any]]:
+        """Yield the fields that say above which pressure and from when on it acts."""
+        return (field for field in fields(cls) if "gate" in field.metadata)
+
+    @property
+    def gated(self) -> bool:
+        """Whether it acts above a pressure, or from a time on, only."""
+        return self.above_share > EVERYWHERE or self.since_s > 0.0
 
     @classmethod
     def neutral(cls, **fixed: Any) -> "Effect":
         """Return this effect with the parameters at which it does nothing; ``fixed`` sets the other fields."""
         return cls(**{f.name: f.metadata["neutral"] for f in cls.parameter_fields()}, **fixed)
+
+    @classmethod
+    def suits(cls, robot: Robot) -> bool:
+        """Return whether the effect makes sense for ``robot``."""
+        return True
 
     @classmethod
     def shapes(cls) -> list[dict[str, float]]:

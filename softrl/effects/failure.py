@@ -33,6 +33,7 @@ class Failure(Effect):
     site: ClassVar[str] = "chamber"
     title: ClassVar[str] = "failure of a chamber during the run"
     kernel: ClassVar = failure_kernel
+    clock: ClassVar = 0
 
     loss: float = parameter("1", 0.0, 1.0, 0.0, typical=0.4)
     onset_s: float = parameter("s", 0.0, 600.0, 5.0, typical=5.0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from softrl.core.errors import RecordingError
 from softrl.core.simulator import Motion
-from softrl.effects.chain import EffectChain, Plant, simulate_batch
+from softrl.effects.chain import Plant, simulate_batch
 from softrl.effects.effect import Effect
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
@@ -66,6 +66,8 @@ def replay_batch(
     """Return what ``replay`` returns for each of ``plants``, whose robot is the same; see ``simulate_batch``."""
     time, pressure, force = _drive_on_grid(recording, dt_s, drive, settle_s)
     past = None if before is None else np.tile(np.asarray(before, dtype=float), (round(settle_s / dt_s), 1))
+    if settle_s > 0.0:
+        plants = [replace(plant, chain=replace(plant.chain, before_s=settle_s)) for plant in plants]
     if drive == "command":
         motions = simulate_batch(plants, time, pressure, force, workers, past)
     else:
@@ -173,7 +175,7 @@ def _driving(recording: Recording, drive: str) -> np.ndarray:
 
 
 def _behind_valve(plant: Plant) -> Plant:
-    return Plant(plant.simulator, EffectChain(plant.chain.robot, plant.chain.at("chamber", "body", "load", "sensor")))
+    return replace(plant, chain=replace(plant.chain, effects=plant.chain.at("chamber", "body", "load", "sensor")))
 
 
 def _seen_by(gauges: Sequence[Effect], robot: Robot, reported: np.ndarray) -> np.ndarray:

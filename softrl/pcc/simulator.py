@@ -200,11 +200,12 @@ class PccSimulator:
     ) -> PccState:
         """Return the state after ``dt_s`` under ``pressure`` (chambers,) Pa and ``tip_force`` (3,) N.
 
-        Strains that body effects see count from the equilibrium under gravity alone.
+        Several rows of both, (steps, chambers) and (steps, 3), are held for ``dt_s`` each. Strains that body effects see
+        count from the equilibrium under gravity alone.
         """
         y, velocity = state.coordinates.copy(), state.velocity.copy()
-        force = np.zeros((1, 3)) if tip_force is None else np.array(tip_force, dtype=float).reshape(1, 3)
-        held = np.array(pressure, dtype=float).reshape(1, self.robot.chambers)
+        held = np.array(pressure, dtype=float).reshape(-1, self.robot.chambers)
+        force = np.zeros((len(held), 3)) if tip_force is None else np.array(tip_force, dtype=float).reshape(-1, 3)
         hooks = pack(body), pack(load)
         self._run(y, velocity, float(dt_s), held, force, self._model, hooks)
         unpack(hooks[0], body)

@@ -173,7 +173,8 @@ class RomSimulator:
     ) -> RomState:
         """Return the state after ``dt_s`` under ``pressure`` (n,) Pa and ``tip_force`` (3,) N.
 
-        Strains that body effects see count from the equilibrium under weight alone.
+        Several rows of both, (steps, n) and (steps, 3), are held for ``dt_s`` each. Strains that body effects see count
+        from the equilibrium under weight alone.
         """
         tables = self._tables
         y, velocity, lag = (tables.inverse @ part for part in state)

@@ -60,6 +60,19 @@ def observe(
     return np.clip(np.hstack(parts), -OBSERVATION_LIMIT, OBSERVATION_LIMIT).astype(np.float32)
 
 
+def remembered(scales: Scales, tip: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    """Return what a policy with a memory sees besides (B, 6 memory): tips (B, memory, 3) m, commands (B, memory, 3)."""
+    span = scales.joint_high - scales.joint_low
+    parts = [(tip - scales.centre) / scales.position, 2.0 * (theta - scales.joint_low) / span - 1.0]
+    seen = np.concatenate(parts, axis=2).reshape(len(tip), -1)
+    return np.clip(seen, -OBSERVATION_LIMIT, OBSERVATION_LIMIT).astype(np.float32)
+
+
+def action_of(theta: np.ndarray, joint_low: np.ndarray, joint_high: np.ndarray) -> np.ndarray:
+    """Return the actions (B, 3) in -1 .. 1 that ask for grouped commands (B, 3): the inverse of ``command_of``."""
+    return np.clip(2.0 * (theta - joint_low) / (joint_high - joint_low) - 1.0, -1.0, 1.0)
+
+
 def command_of(action: np.ndarray, joint_low: np.ndarray, joint_high: np.ndarray) -> np.ndarray:
     """Return the grouped commands (B, 3) of actions (B, 3) in -1 .. 1 (eq. 20: absolute, scaled to the limits)."""
     share = 0.5 + 0.5 * np.clip(np.asarray(action, dtype=float), -1.0, 1.0)
@@ -67,7 +80,16 @@ def command_of(action: np.ndarray, joint_low: np.ndarray, joint_high: np.ndarray
 
 
 class Batch:
-    """``size`` episodes side by side, each on a curve of its own."""
+    """``size`` episodes side by side, each on a curve of its own.
+
+    Attributes
+    ----------
+    approach : steps at the first target before an episode counts; the twin needs none
+    episode_steps : of a training episode
+    expert_columns : columns of an observation that the expert's answer depends on
+    """
+
+    approach = 0
 
     def __init__(self, task: Task, space: Workspace, goals: Goals, size: int) -> None:
         self.task, self.space, self.goals, self.size = task, space, goals, size
@@ -76,6 +98,7 @@ class Batch:
         self.theta, self.tip, self.contact_force = np.zeros((size, 3)), np.zeros((size, 3)), np.zeros(size)
         self.curve, self.phase, self.direction = (np.zeros(size, dtype=int) for _ in range(3))
         self.elapsed, self.push = np.zeros(size, dtype=int), np.zeros((size, 3))
+        self.episode_steps, self.expert_columns = task.episode_steps + self.approach, task.seen_by_expert()
 
     def start(
         self,
@@ -105,9 +128,13 @@ class Batch:
             self.task.disturbance_n * rng.uniform(-1.0, 1.0, (count, 3)),
         )  # fmt: skip
 
+    def spread(self, rng: np.random.Generator) -> None:
+        """Set the clocks so that episodes that began together do not end together."""
+        self.elapsed[:] = rng.integers(self.episode_steps, size=self.size)
+
     def targets(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the next targets: positions (B, horizon, 3) m and forces (B, horizon) N."""
-        ahead = self.elapsed[:, None] + np.arange(self.task.horizon)
+        ahead = np.maximum(self.elapsed[:, None] - self.approach + np.arange(self.task.horizon), 0)
         at = (self.phase[:, None] + self.direction[:, None] * ahead) % self.goals.position.shape[1]
         return self.goals.position[self.curve[:, None], at], self.goals.force[self.curve[:, None], at]
 
@@ -119,8 +146,7 @@ class Batch:
         """Return the model-based controller's actions (B, 3) in -1 .. 1."""
         position, force = self.targets()
         theta = self.task.answer(Seen(position[:, 0], force[:, 0], self.tip, self.theta), self.space)
-        low, high = self.scales.joint_low, self.scales.joint_high
-        return np.clip(2.0 * (theta - low) / (high - low) - 1.0, -1.0, 1.0)
+        return action_of(theta, self.scales.joint_low, self.scales.joint_high)
 
     def step(self, action: np.ndarray) -> Step:
         """Move to the equilibria under ``action`` (B, 3) and judge them against the targets they were for."""

@@ -59,7 +59,7 @@ class TwinEnv(gym.Env[np.ndarray, np.ndarray]):
         """Apply a scaled joint command; episodes end by time only."""
         step = self.batch.step(np.asarray(action)[None])
         info = {"position_error_m": float(step.position_error[0]), "force_error_n": float(step.force_error[0])}
-        done = bool(self.batch.elapsed[0] >= self.batch.task.episode_steps)
+        done = bool(self.batch.elapsed[0] >= self.batch.episode_steps)
         return step.observation[0], float(step.reward[0]), False, done, info
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]

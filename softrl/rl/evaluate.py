@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrl.rl.batch import Batch
+from softrl.rl.batch import Batch, action_of
 from softrl.rl.tasks.task import Goals, Task
 from softrl.rl.workspace import Workspace
 
@@ -35,17 +35,23 @@ class Evaluation(NamedTuple):
 def evaluate(
     controller: Controller, task: Task, space: Workspace, goals: Goals, episodes: int, push: np.ndarray | None = None
 ) -> Evaluation:
+    """Return the errors over one lap per episode on the twin, see ``lap_all``."""
+    return lap_all(controller, Batch(task, space, goals, episodes), push)
+
+
+def lap_all(controller: Controller, batch: Batch, push: np.ndarray | None = None) -> Evaluation:
     """Return the errors over one lap per episode, starts spread over the curves, both directions, from rest each time.
 
     ``push`` (episodes, 3) N acts on the tips, hidden from the controller; none by default.
     """
-    batch = Batch(task, space, goals, episodes)
-    curves, lap = goals.force.shape
+    episodes, (curves, lap) = batch.size, batch.goals.force.shape
     number = np.arange(episodes)
     phase = (number // curves) * lap // max(1, -(-episodes // curves))
     direction = np.where(number % 2 == 0, 1, -1)
-    batch.start(number, np.tile(space.rest, (episodes, 1)), number % curves, phase, direction, push)
+    batch.start(number, np.tile(batch.space.rest, (episodes, 1)), number % curves, phase, direction, push)
     rows = []
+    for _ in range(batch.approach):
+        batch.step(controller(batch))
     for _ in range(lap):
         position, force = batch.targets()
         step = batch.step(controller(batch))
@@ -63,9 +69,13 @@ def expert(batch: Batch) -> np.ndarray:
 def open_loop(batch: Batch) -> np.ndarray:
     """Act as the model's inverse, blind to where the tip is."""
     position, force = batch.targets()
-    low, high = batch.scales.joint_low, batch.scales.joint_high
     theta = batch.task.expert(position[:, 0], force[:, 0], batch.space)
-    return np.clip(2.0 * (theta - low) / (high - low) - 1.0, -1.0, 1.0)
+    return action_of(theta, batch.scales.joint_low, batch.scales.joint_high)
+
+
+def static_expert(batch: Batch) -> np.ndarray:
+    """Act as the expert of the twin, which answers to where the tip is and knows of no motion."""
+    return Batch.expert_action(batch)
 
 
 def corner_pushes(size: float, episodes: int) -> np.ndarray:
@@ -76,5 +86,5 @@ def corner_pushes(size: float, episodes: int) -> np.ndarray:
 
 def rest(batch: Batch) -> np.ndarray:
     """Hold the command of zero pressure."""
-    low, high = batch.scales.joint_low, batch.scales.joint_high
-    return np.tile(2.0 * (batch.space.rest - low) / (high - low) - 1.0, (batch.size, 1))
+    theta = np.tile(batch.space.rest, (batch.size, 1))
+    return action_of(theta, batch.scales.joint_low, batch.scales.joint_high)

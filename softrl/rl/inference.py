@@ -12,6 +12,7 @@ from softrl.calibration import pressure_map
 from softrl.calibration.pressure_map import TOLERANCE_PA, invert_pressure, refusal
 from softrl.core.errors import ArtifactError
 from softrl.rl.batch import OBSERVATION_LIMIT
+from softrl.rl.workspace import Workspace, told_as_joints
 from softrl.surrogate import maps
 from softrl.surrogate.maps import MapTables, PressureToJoints, invert_joints
 
@@ -54,15 +55,17 @@ class Inference:
 
     def __init__(self, policy: Policy, surrogate: Surrogate, calibration: Calibration | None) -> None:
         require_match(policy, surrogate, calibration)
-        self.horizon, self.chambers = policy.horizon, surrogate.chambers
+        self.horizon, self.memory, self.chambers = policy.horizon, policy.memory, surrogate.chambers
         self._actor, self._maps = actor_tables(policy), maps.tables_of(surrogate)
         self._calibration = None if calibration is None else pressure_map.tables_of(calibration)
+        self._space = Workspace(surrogate) if policy.told_as == "joints" else None
         self._rest = PressureToJoints(surrogate).joints(np.zeros((1, surrogate.chambers)))[0]
         self.reset()
 
     def reset(self) -> None:
-        """Forget the last command: the robot is vented."""
+        """Forget the last command and what was seen: the robot is vented."""
         self.theta = self._rest.copy()
+        self._past: np.ndarray | None = None
 
     def decide(
         self, tip: np.ndarray, contact_force: float, position: np.ndarray, force: np.ndarray | None = None
@@ -89,9 +92,16 @@ class Inference:
             )
         wanted = np.zeros(self.horizon) if force is None else np.ascontiguousarray(force, dtype=np.float64)
         where = np.ascontiguousarray(tip, dtype=np.float64)
+        if self._space is not None:
+            where, *rows = told_as_joints(self._space, np.vstack([where, targets]))
+            targets = np.stack(rows)
+        past = self._remembered(where)
         theta, simulated = _joints_and_pressure(
-            where, self.theta, float(contact_force), targets, wanted, self._actor, self._maps
+            where, self.theta, float(contact_force), targets, wanted, past, self._actor, self._maps
         )
+        if self.memory:
+            past[1:] = past[:-1].copy()
+            past[0, :3], past[0, 3:] = where, self.theta
         self.theta = theta
         if self._calibration is None:
             return Decision(simulated, simulated, theta)
@@ -99,6 +109,12 @@ class Inference:
         if not left < TOLERANCE_PA:
             raise refusal(simulated, left)
         return Decision(real, simulated, theta)
+
+    def _remembered(self, tip: np.ndarray) -> np.ndarray:
+        """Return the readings before (memory, 6), the latest first; at the first one the robot has long been at rest."""
+        if self._past is None:
+            self._past = np.tile(np.concatenate([tip, self.theta]), (self.memory, 1))
+        return self._past
 
     def pressure(
         self, tip: np.ndarray, contact_force: float, position: np.ndarray, force: np.ndarray | None = None
@@ -151,11 +167,12 @@ def _joints_and_pressure(
     contact_force: float,
     position: np.ndarray,
     force: np.ndarray,
+    past: np.ndarray,
     actor: ActorTables,
     tables: MapTables,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the grouped command (3,) that the policy answers, and P_S (n,) Pa that reaches it."""
-    command = _command(_observation(tip, theta, contact_force, position, force, actor), actor)
+    command = _command(_observation(tip, theta, contact_force, position, force, past, actor), actor)
     return command, invert_joints(command, tables)[0]
 
 
@@ -166,11 +183,12 @@ def _observation(
     contact_force: float,
     position: np.ndarray,
     force: np.ndarray,
+    past: np.ndarray,
     actor: ActorTables,
 ) -> np.ndarray:
     """Return the scaled observation (k,): see ``Policy`` and ``batch.observe``."""
-    horizon = len(position)
-    seen = np.empty(7 + 4 * horizon)
+    horizon, memory = position.shape[0], past.shape[0]
+    seen = np.empty(7 + 4 * horizon + 6 * memory)
     for i in range(3):
         seen[i] = (tip[i] - actor.centre[i]) / actor.position
         seen[3 + i] = 2.0 * (theta[i] - actor.low[i]) / (actor.high[i] - actor.low[i]) - 1.0
@@ -179,6 +197,11 @@ def _observation(
         for i in range(3):
             seen[7 + 4 * t + i] = (position[t, i] - actor.centre[i]) / actor.position
         seen[10 + 4 * t] = force[t] / actor.force
+    for t in range(memory):
+        first = 7 + 4 * horizon + 6 * t
+        for i in range(3):
+            seen[first + i] = (past[t, i] - actor.centre[i]) / actor.position
+            seen[first + 3 + i] = 2.0 * (past[t, 3 + i] - actor.low[i]) / (actor.high[i] - actor.low[i]) - 1.0
     return np.minimum(np.maximum(seen, -OBSERVATION_LIMIT), OBSERVATION_LIMIT)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from softrl.artifacts.policy import Policy
 from softrl.core.errors import ArtifactError
 from softrl.rl.actor import Actor, act_scaled
-from softrl.rl.batch import Scales, command_of, observe
+from softrl.rl.batch import Scales, command_of, observe, remembered
 
 Act = Callable[[np.ndarray], np.ndarray]
 
@@ -30,8 +30,8 @@ def act(policy: Policy, robot_name: str | None = None) -> Act:
         rows = np.atleast_2d(observation)
         if rows.shape[1] != policy.observation_size:
             raise ArtifactError(
-                f"the policy takes observations of length {policy.observation_size} (horizon {policy.horizon}), "
-                f"not {rows.shape[1]}; build them with softrl.rl.policy.observation"
+                f"the policy takes observations of length {policy.observation_size} (horizon {policy.horizon}, memory "
+                f"{policy.memory}), not {rows.shape[1]}; build them with softrl.rl.policy.observation"
             )
         return act_scaled(actor, rows)
 
@@ -45,17 +45,25 @@ def observation(
     contact_force: np.ndarray,
     position: np.ndarray,
     force: np.ndarray,
+    past_tip: np.ndarray | None = None,
+    past_theta: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return the observations (B, k) that ``policy`` was trained on, from SI values.
+
+    A policy that is told joints gets all positions through ``workspace.told_as_joints`` first.
 
     Parameters
     ----------
     tip : (B, 3) m;  theta : (B, 3) grouped command that acts;  contact_force : (B,) N
     position : (B, horizon, 3) m and force : (B, horizon) N of the targets, the one to reach next first
+    past_tip, past_theta : (B, memory, 3) of the readings before, the latest first; for a policy with a memory only
     """
     p = policy
     scales = Scales(p.position_centre, p.position_scale, p.force_scale, p.joint_low, p.joint_high)
-    return observe(scales, tip, theta, contact_force, position, force)
+    seen = observe(scales, tip, theta, contact_force, position, force)
+    if past_tip is None or past_theta is None:
+        return seen
+    return np.hstack([seen, remembered(scales, past_tip, past_theta)])
 
 
 def joints(policy: Policy, action: np.ndarray) -> np.ndarray:

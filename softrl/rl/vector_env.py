@@ -21,9 +21,9 @@ class TwinVecEnv(VecEnv):
         self._return = np.zeros(batch.size)
 
     def reset(self) -> np.ndarray:
-        """Start all episodes; their clocks are spread so that they do not end together."""
+        """Start all episodes."""
         self.batch.start_random(np.arange(self.num_envs), self._rng)
-        self.batch.elapsed[:] = self._rng.integers(self.batch.task.episode_steps, size=self.num_envs)
+        self.batch.spread(self._rng)
         self._return[:] = 0.0
         return self.batch.observation()
 
@@ -35,7 +35,7 @@ class TwinVecEnv(VecEnv):
         """Step all episodes; one that ends by time says so, so that its value is bootstrapped."""
         step = self.batch.step(self._action)
         self._return += step.reward
-        done = self.batch.elapsed >= self.batch.task.episode_steps
+        done = self.batch.elapsed >= self.batch.episode_steps
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         observation = step.observation
         if done.any():

@@ -81,3 +81,13 @@ class Workspace:
             middle = 0.5 * (low + high)
             low, high = (middle, high) if self.reachable(centre + middle * shape).all() else (low, middle)
         return low
+
+
+def told_as_joints(space: Workspace, tip: np.ndarray) -> np.ndarray:
+    """Return tips (..., 3) m as the actions (..., 3) in -1 .. 1 that would lead there on the twin.
+
+    Between commands and tips that are told so, a plant with a memory is nearly linear.
+    """
+    theta = space.twin.joints_for_tip(tip.reshape(-1, 3))
+    low, high = space.surrogate.joint_low, space.surrogate.joint_high
+    return np.clip(2.0 * (theta - low) / (high - low) - 1.0, -1.0, 1.0).reshape(tip.shape)

@@ -23,17 +23,18 @@ class PolicyController:
 
     Parameters
     ----------
+    calibration : left out for a policy that was trained on a simulator with effects, which takes the robot's own pressures
     course : what it follows
     """
 
     def __init__(self, policy: Policy, surrogate: Surrogate, calibration: Calibration, course: Course) -> None:
         require_chambers(surrogate, calibration)
-        self._chain, self._course = Inference(policy, surrogate, calibration), course
+        self._chain, self._course = Inference(policy, surrogate, None if policy.effects else calibration), course
 
     def pressure(self, position: np.ndarray, step: int, tip_force: np.ndarray | None = None) -> np.ndarray:
         """Return P_R (chambers,) Pa for the target of ``step``, the tip being at ``position`` (3,) m."""
         course = self._course
-        ahead = (max(step, 0) + np.arange(self._chain.horizon)) % len(course.position)
+        ahead = np.maximum(step + np.arange(self._chain.horizon), 0) % len(course.position)
         pressed = float(course.pressed(tip_force))
         return self._chain.pressure(position, pressed, course.position[ahead], course.force[ahead])
 

@@ -8,12 +8,13 @@ import numpy as np
 from softrl.artifacts.calibration import Calibration
 from softrl.artifacts.policy import Policy
 from softrl.effects.chain import EffectChain, Plant
+from softrl.rl.inversion import Plan, Route, plan
 from softrl.rl.tasks.task import Task
 from softrl.rl.workspace import Workspace
 from softrl.robots.robot import Robot
 from softrl.sim2real.controller import Calibrated, ModelController, PolicyController
 from softrl.sim2real.course import Course
-from softrl.sim2real.planning import Plan, PlannedController, Planning, Route, plan
+from softrl.sim2real.planning import PlannedController, Planning
 from softrl.sim2real.rollout import Controller, Pace
 from softrl.sim2real.surface import Surface
 

@@ -5,9 +5,9 @@ import logging
 import numpy as np
 
 from softrl.core.tracking import Tracker
+from softrl.rl.filter import moving_average
 from softrl.sim2real.bandwidth import Response
 from softrl.sim2real.disturbance import Disturbance, recovery
-from softrl.sim2real.filter import moving_average
 from softrl.sim2real.rollout import Rollout
 
 log = logging.getLogger(__name__)

@@ -12,9 +12,9 @@ from softrl.core.driver import Driver, Sample
 from softrl.core.errors import DriverError
 from softrl.recordings.program import recording_of
 from softrl.recordings.recording import Recording
+from softrl.rl.filter import MovingAverage
 from softrl.robots.robot import Robot
 from softrl.sim2real.course import Course
-from softrl.sim2real.filter import MovingAverage
 
 
 class Controller(Protocol):

@@ -101,6 +101,7 @@ def run(
     ``effects``, with the parameters of ``simulator``, are what a diagnosis found: the planned controllers invert them. The
     courses are those of the task that the policy was trained for.
     """
+    _require_pace(config, policy)
     task = task_of(policy, config.shape_steps, config.radius_share)
     models = Models(robot, policy, Workspace(surrogate), task, calibration, Plant(simulator, effects))
     trial = Trial(models, driver, config.planning, config.pace)
@@ -128,6 +129,20 @@ def run(
     return RecordingSet(
         robot_name=robot.name, recordings=tuple(recordings), notes={"run_notes": notes, "disturbed": disturbed}
     )
+
+
+def _require_pace(config: Config, policy: Policy) -> None:
+    """Refuse a policy that learnt in motion at another pace."""
+    if not policy.memory:
+        return
+    learnt, asked = (policy.step_s, policy.average_window), (config.pace.period_s, config.average_window)
+    if abs(learnt[0] - asked[0]) > 1e-9 or learnt[1] != asked[1]:
+        raise ConfigError(
+            f"the policy learnt in motion at {1.0 / learnt[0]:g} Hz behind a moving average of {learnt[1]}, but "
+            f"stage.command_rate_hz={config.command_rate_hz:g}, stage.average_window={asked[1]}; take its own, or train "
+            "with stage=rl task.step_s=.. stage.motion.average_window=.."
+        )
+    log.info("the policy learnt in motion; effects of its simulator: %s", ", ".join(policy.effects) or "none")
 
 
 def _require_fit(config: Config, robot: Robot, curves: tuple[str, ...], driver: Driver) -> None:

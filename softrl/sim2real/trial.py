@@ -9,10 +9,11 @@ import numpy as np
 
 from softrl.core.driver import Driver
 from softrl.core.errors import ConfigError
+from softrl.rl.inversion import Plan
 from softrl.sim2real.controllers import Models, controllers, prepare
 from softrl.sim2real.course import Course
 from softrl.sim2real.disturbance import Breakable, Disturbance
-from softrl.sim2real.planning import Plan, Planning
+from softrl.sim2real.planning import Planning
 from softrl.sim2real.rollout import Pace, Rollout, follow
 
 log = logging.getLogger(__name__)

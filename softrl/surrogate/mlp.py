@@ -1,13 +1,23 @@
 """Training of f_SP and of its inverse."""
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 
 
 def train_network(
-    inputs: np.ndarray, targets: np.ndarray, hidden: int, iterations: int, seed: int
+    inputs: np.ndarray,
+    targets: np.ndarray,
+    hidden: int,
+    iterations: int,
+    seed: int,
+    slope: np.ndarray | None = None,
 ) -> dict[str, np.ndarray]:
     """Return the weights of a two-layer tanh network with a linear path, fitted to scaled rows by L-BFGS.
+
+    ``slope`` (rows, m, k) is how what the targets are for changes with them, such as d tip / d joints: the error of that
+    then counts as much as the error of the targets, each in units of what the linear path leaves.
 
     Notes
     -----
@@ -17,6 +27,8 @@ def train_network(
     torch.set_num_threads(1)
     weights = _initial(inputs, targets, hidden, seed)
     x, y = torch.tensor(inputs), torch.tensor(targets)
+    with torch.no_grad():
+        judge = _judge(_forward(weights, x) - y, None if slope is None else torch.tensor(slope))
     optimiser = torch.optim.LBFGS(
         list(weights.values()),
         max_iter=iterations,
@@ -28,12 +40,24 @@ def train_network(
 
     def closure() -> torch.Tensor:
         optimiser.zero_grad()
-        loss = (_forward(weights, x) - y).pow(2).mean()
+        loss = judge(_forward(weights, x) - y)
         loss.backward()
         return loss
 
     optimiser.step(closure)
     return {name: w.detach().numpy().copy() for name, w in weights.items()}
+
+
+def _judge(first: torch.Tensor, slope: torch.Tensor | None) -> Callable[[torch.Tensor], torch.Tensor]:
+    """Return the loss of errors (rows, k); those of the linear path are ``first``."""
+    if slope is None:
+        return lambda error: error.pow(2).mean()
+
+    def behind(error: torch.Tensor) -> torch.Tensor:
+        return (slope @ error.unsqueeze(-1)).pow(2).mean()
+
+    own, far = first.pow(2).mean().clamp(min=1e-30), behind(first).clamp(min=1e-30)
+    return lambda error: error.pow(2).mean() / own + behind(error) / far
 
 
 def _initial(inputs: np.ndarray, targets: np.ndarray, hidden: int, seed: int) -> dict[str, torch.Tensor]:

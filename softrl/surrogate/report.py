@@ -54,7 +54,6 @@ def report(
     metrics |= _fit_comparison(surrogate, compared_fits) | _parity(surrogate, parity_samples) | _rates(surrogate)
     for name, value in metrics.items():
         tracker.metric(name, value)
-    tracker.figure("workspace", draw_workspace(surrogate))
     tracker.figure("pressure_to_joints", draw_maps(surrogate))
     tracker.text("surrogate.urdf", surrogate.urdf)
     return replace(surrogate, metrics=metrics)
@@ -104,9 +103,30 @@ def _orientation_error(s: Surrogate, quaternion: np.ndarray | None) -> dict[str,
 
 def _reach(s: Surrogate) -> dict[str, float]:
     """Return how much of the body's workspace the surrogate reaches with pressures in range, in percent of held-out tips."""
-    twin, maps, tip = Twin(s), PressureToJoints(s), s.sample_tip[s.heldout]
+    return {"heldout/workspace_reached_pct": reached_pct(s, s.sample_tip[s.heldout])}
+
+
+def reached_pct(s: Surrogate, tip: np.ndarray) -> float:
+    """Return how many of tips (S, 3) m the surrogate comes within a millimetre of with pressures in range, in percent."""
+    twin, maps = Twin(s), PressureToJoints(s)
     reached = twin.tip(maps.joints(maps.pressure(twin.joints_for_tip(tip))))
-    return {"heldout/workspace_reached_pct": 100.0 * float((np.linalg.norm(reached - tip, axis=1) < REACHED_M).mean())}
+    return 100.0 * float((np.linalg.norm(reached - tip, axis=1) < REACHED_M).mean())
+
+
+def report_workspace(s: Surrogate, snapshots: Snapshots, robot_tip: np.ndarray, tracker: Tracker) -> None:
+    """Log how much of the workspaces of full model and robot the surrogate covers, and draw all of them (Fig. 7a).
+
+    ``robot_tip`` (S, 3) m are the tips at which the robot settled, if it was recorded. Of the full model those equilibria
+    count in which no force acts; they are without weight.
+    """
+    n = s.chambers
+    free = ~snapshots.loads[:, n:].any(axis=1)
+    full_tip = snapshots.coordinate[free, n:] + snapshots.rest_tip
+    for name, tip in (("full_model", full_tip), ("robot", robot_tip)):
+        if len(tip):
+            tracker.metric(f"workspace_{name}_reached_pct", reached_pct(s, tip))
+            tracker.metric(f"workspace_{name}_tips_count", len(tip))
+    tracker.figure("workspace", draw_workspace(s, full_tip, robot_tip))
 
 
 def _stiffness_errors(s: Surrogate, judged: Judged) -> dict[str, float]:
@@ -204,14 +224,14 @@ def _rates(s: Surrogate) -> dict[str, float]:
     return {"twin_loaded_rate_hz": RATE_BATCH / (time.process_time() - started)}
 
 
-def draw_workspace(s: Surrogate) -> Figure:
-    """Return the reachable tips of body and surrogate over each other, from the side and from above."""
+def draw_workspace(s: Surrogate, full_tip: np.ndarray, robot_tip: np.ndarray) -> Figure:
+    """Return tips (S, 3) m of reduced body, surrogate, full model and robot over each other, from the side and from above."""
     figure = Figure(figsize=(9.0, 4.2), layout="constrained")
     axes = figure.subplots(1, 2)
     maps, twin = PressureToJoints(s), Twin(s)
     body, chain = 1e3 * s.sample_tip, 1e3 * twin.tip(maps.joints(s.sample_pressure))
     for axis, (i, j) in zip(axes, ((0, 2), (0, 1)), strict=True):
-        axis.plot(body[:, i], body[:, j], ".", ms=3, color="0.65", label="body at equilibrium")
+        axis.plot(body[:, i], body[:, j], ".", ms=3, color="0.75", label="reduced body")
         axis.plot(
             chain[s.heldout, i],
             chain[s.heldout, j],
@@ -221,8 +241,12 @@ def draw_workspace(s: Surrogate) -> Figure:
             color="C0",
             label=r"$f_{SP}$ and chain, held out",
         )
+        seen = (full_tip, "^", "k", "full model, no weight"), (robot_tip, "o", "C1", "robot, settled")
+        for tip, style, colour, label in seen:
+            if len(tip):
+                axis.plot(1e3 * tip[:, i], 1e3 * tip[:, j], style, ms=4, mfc="none", mew=0.9, color=colour, label=label)
         axis.set(xlabel=f"{'xyz'[i]} in mm", ylabel=f"{'xyz'[j]} in mm", aspect="equal")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=8)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False, fontsize=8)
     figure.suptitle(f"Workspace of {s.robot_name} and of its surrogate")
     return figure
 

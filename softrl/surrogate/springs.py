@@ -7,7 +7,7 @@ import numpy as np
 
 from softrl.artifacts.surrogate import Surrogate
 
-TERMS = 10  # monomials of three variables up to degree two
+TERMS = 20  # monomials of three variables up to degree three
 
 
 class Springs(NamedTuple):
@@ -15,8 +15,9 @@ class Springs(NamedTuple):
 
     Attributes
     ----------
-    coefficients : (terms, 6) of the Cholesky factor L of a mean gap's softness S = L L', in rad/(N m), m/N and between:
-        columns log L11, log L22, log L33, L21, L31, L32, rows the monomials of the command scaled to -1 .. 1
+    coefficients : (terms, 6), fewer terms where the degree is lower, of the Cholesky factor L of a mean gap's softness
+        S = L L', in rad/(N m), m/N and between: columns log L11, log L22, log L33, L21, L31, L32, rows the monomials of
+        the command scaled to -1 .. 1
     share : (gaps,) by which each gap is softer than the mean gap
     low, high : (3,) rad, rad, m: range of the command; outside the softness stays that at the border
 
@@ -53,7 +54,7 @@ def constant(stiffness: np.ndarray) -> np.ndarray:
 def softness_at(theta: np.ndarray, springs: Springs) -> np.ndarray:
     """Return the softness S (3, 3) of a mean gap at the grouped command ``theta`` (3,)."""
     terms, factor = monomials(theta, springs.low, springs.high), np.zeros((3, 3))
-    values = terms @ springs.coefficients
+    values = terms[: len(springs.coefficients)] @ springs.coefficients
     for i in range(3):
         factor[i, i] = np.exp(values[i])
     factor[1, 0], factor[2, 0], factor[2, 1] = values[3], values[4], values[5]
@@ -62,8 +63,8 @@ def softness_at(theta: np.ndarray, springs: Springs) -> np.ndarray:
 
 @nb.njit(cache=True)
 def monomials(theta: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return the monomials (terms,) of the command scaled to -1 .. 1 between its limits."""
-    terms, scaled = np.empty(10), np.empty(3)
+    """Return the monomials (terms,) of the command scaled to -1 .. 1 between its limits, low degrees first."""
+    terms, scaled = np.empty(TERMS), np.empty(3)
     terms[0], count = 1.0, 4
     for i in range(3):
         share = (theta[i] - low[i]) / (high[i] - low[i])
@@ -73,6 +74,11 @@ def monomials(theta: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarra
         for j in range(i, 3):
             terms[count] = scaled[i] * scaled[j]
             count += 1
+    for i in range(3):
+        for j in range(i, 3):
+            for k in range(j, 3):
+                terms[count] = scaled[i] * scaled[j] * scaled[k]
+                count += 1
     return terms
 
 

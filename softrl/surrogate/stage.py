@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import qmc
 
+from softrl.artifacts.calibration import Calibration
 from softrl.artifacts.mesh import Mesh
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
@@ -22,7 +23,7 @@ from softrl.surrogate.dimensions import Dimensions, dimensions_of
 from softrl.surrogate.fit import fit_joints
 from softrl.surrogate.kinematics import Chain, chain_from
 from softrl.surrogate.mlp import train_network
-from softrl.surrogate.report import Judged, report, report_full_model
+from softrl.surrogate.report import Judged, report, report_full_model, report_workspace
 from softrl.surrogate.springs import Springs, softness_at
 from softrl.surrogate.stiffness import Compliance, Poses, Statics, body_compliance, fit_springs
 from softrl.surrogate.twin import Twin
@@ -110,16 +111,21 @@ def run(
     mesh: Mesh | None,
     reduced_model: ReducedModel,
     snapshots: Snapshots,
+    calibration: Calibration | None = None,
     *,
     tracker: Tracker,
 ) -> Surrogate:
-    """Return the surrogate fitted to the reduced model's equilibria, judged against the full model's under loads too."""
+    """Return the surrogate fitted to the reduced model's equilibria, judged against the full model's under loads too.
+
+    Where a calibration is there, the tips at which the robot settled are laid over the workspace.
+    """
     surrogate = build_surrogate(
         config, robot, mesh, partial(model_poses, reduced_model), float(reduced_model.rest_tip[2]), tracker
     )
     # the full model's equilibria are without weight: the chain that is compared with them is one without as well
     weightless = partial(model_poses, reduced_model, gravity_m_s2=np.zeros(3))
     report_full_model(_refitted(config, surrogate, weightless), snapshots, weightless, tracker)
+    report_workspace(surrogate, snapshots, np.empty((0, 3)) if calibration is None else calibration.settled_tip, tracker)
     return surrogate
 
 
@@ -202,10 +208,10 @@ def _sample(
 
 
 def _limits(config: Config, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
-    """Return the range of motion (3,) of the grouped command, with its margin."""
+    """Return the range of motion (3,) of the grouped command, with its margin; the chain's rest at zero is in it."""
     low, high = samples.joints.min(axis=0), samples.joints.max(axis=0)
     margin = config.limit_margin_share * (high - low)
-    return low - margin, high + margin
+    return np.minimum(low - margin, 0.0), np.maximum(high + margin, 0.0)
 
 
 def _springs(

@@ -10,6 +10,8 @@ from softrl.core.errors import SolverError
 from softrl.surrogate.kinematics import Chain, joint_axes, joint_jacobians
 from softrl.surrogate.springs import Springs, constant, monomials, softness_at
 
+BENDING = 3.0  # weight of bending, of which there is one number where the tip's compliance has nine
+
 
 class Poses(NamedTuple):
     """Tips (S, 3) m and orientations (S, 4) w x y z, or None where a body tells no orientation.
@@ -83,9 +85,9 @@ def fit_springs(theta: np.ndarray, chain: Chain, compliance: Compliance, low: np
 
     Notes
     -----
-    Least squares by L-BFGS over the coefficients and one taper along the chain, from springs of one value. The tip's
-    compliance counts relative to the body's in every direction (both sides multiplied by the inverse of its Cholesky
-    factor), so that the stiff axis counts as the soft ones; bending counts relative to its size. Twist of the tip
+    Least squares by L-BFGS over the coefficients and a taper along the chain, of slope and bow, from springs of one value.
+    The tip's compliance counts relative to the body's in every direction (both sides multiplied by the inverse of its
+    Cholesky factor), so that the stiff axis counts as the soft ones; bending counts relative to its size. Twist of the tip
     about its own axis is left out: hinges alone cannot follow it.
     """
     torch.set_num_threads(1)
@@ -100,7 +102,7 @@ def fit_springs(theta: np.ndarray, chain: Chain, compliance: Compliance, low: np
     height = torch.linspace(-1.0, 1.0, gaps, dtype=torch.float64)
     shape = torch.zeros(terms.shape[1], 6, dtype=torch.float64, requires_grad=True)
     tapered = bend is not None and not alike
-    taper = torch.zeros(1, dtype=torch.float64, requires_grad=tapered)
+    taper = torch.zeros(2, dtype=torch.float64, requires_grad=tapered)
     free = [shape, taper] if tapered else [shape]
     kept = torch.zeros_like(shape, requires_grad=False)
     kept[0, :3] = 1.0  # one value a kind of joint
@@ -118,7 +120,7 @@ def fit_springs(theta: np.ndarray, chain: Chain, compliance: Compliance, low: np
         loss = (miss @ whiten.transpose(1, 2)).pow(2).sum(dim=(1, 2)).mean() + ridge * shape.pow(2).sum()
         if bend is not None:
             error = torch.einsum("saki,sij,sbkj,k->sab", turns, softness, slopes, share) - bend
-            loss = loss + error.pow(2).sum() / bend.pow(2).sum()
+            loss = loss + BENDING * error.pow(2).sum() / bend.pow(2).sum()
         loss.backward()
         return loss
 
@@ -160,7 +162,7 @@ def _softness(values: torch.Tensor, size: torch.Tensor) -> torch.Tensor:
 
 
 def _share(taper: torch.Tensor, height: torch.Tensor) -> torch.Tensor:
-    return torch.softmax(taper * height, dim=0) * len(height)
+    return torch.softmax(taper[0] * height + taper[1] * height**2, dim=0) * len(height)
 
 
 def constant_springs(stiffness: np.ndarray, gaps: int, low: np.ndarray, high: np.ndarray) -> Springs:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
-from softrl.calibration.holds import Holds, moving_rows, record_holds, settled_holds, split_holds
+from softrl.calibration.holds import AGAIN, Holds, moving_rows, record_holds, revisited, settled_holds, split_holds
 from softrl.calibration.inversion import pressure_by_simulator, steady_tip
 from softrl.calibration.kinematics import rotation_vector
 from softrl.calibration.pressure_map import PressureMap
@@ -57,6 +57,8 @@ def test_stage_finds_the_pressures_that_acted(
     assert m["heldout/arc_length_hold_mm"] < m["heldout/uncalibrated_arc_length_hold_mm"]
     assert 0.0 < m["heldout/position_hold_pct"] < m["heldout/uncalibrated_position_hold_pct"] < 100.0
     assert calibration.material["chosen"] == "yeoh"
+    assert m["revisited_pressures_count"] > 5 and m["revisited_pressure_rms_kpa"] < m["heldout/pressure_map_rms_kpa"] + 0.05
+    assert len(calibration.settled_tip) > len(calibration.pressure_real), "the second visits train and judge nothing"
 
 
 def test_tiny_runs_with_one_seed_are_identical(
@@ -101,6 +103,23 @@ def test_inversion_finds_pressures_of_a_known_tip(body: PccSimulator) -> None:
     found, miss = pressure_by_simulator(body, tip, np.full((2, 3), 1e3), 2.0, 0.02)
     np.testing.assert_allclose(found, pressure, atol=5.0)
     assert miss.max() < 1e-6
+
+
+def test_visits_of_one_pressure_tell_what_no_static_map_can() -> None:
+    rng = np.random.default_rng(0)
+    pressure = np.repeat(rng.uniform(-2e4, 3e4, (400, 3)), 2, axis=0)
+    found, count = revisited(pressure, np.sin(1e-4 * pressure) * 1e4 + rng.normal(0.0, 50.0, pressure.shape))
+    assert count == 400 and found == pytest.approx(50.0, rel=0.1)
+    assert revisited(pressure, 2.0 * pressure) == (0.0, 400)
+    assert np.isnan(revisited(pressure[::2], pressure[::2])[0])
+
+
+def test_the_first_run_is_visited_again_in_another_order(driver: Driver, robot: Robot) -> None:
+    made = record_holds(driver, robot, 2, 6, 1.0, 0.02, np.random.default_rng(0), again=True)
+    first, last = made.recordings[0], made.recordings[-1]
+    assert [r.name for r in made.recordings[2:]] == [AGAIN]
+    visited = [set(map(tuple, settled_holds(RecordingSet("x", (r,)), 0.5, 0.2, 1.0).pressure)) for r in (first, last)]
+    assert visited[0] == visited[1] and not np.array_equal(first.pressure_cmd, last.pressure_cmd)
 
 
 def test_moving_rows_are_those_soon_after_a_change() -> None:

@@ -80,6 +80,13 @@ def test_inverse_and_recurrent_network_go_on_too(
     assert [checkpoint.resumed for checkpoint in checkpoints] == [10, 20]
 
 
+def test_a_rate_that_blows_the_weights_up_is_told(body: Body, robot: Robot, tmp_path: Path) -> None:
+    sets, kept = generate(SETTINGS, robot, body, LOW, HIGH), Kept("d", "x", tmp_path)
+    with pytest.raises(SolverError, match=r"diverged in update .*stage\.learning_rate"):
+        learn_forward(replace(SETTINGS, learning_rate=1e3), sets, body, checkpoint=Checkpoint(kept, "f_S", 1))
+    assert all(np.isfinite(array).all() for name, array in kept.load("f_S").items() if name.startswith("net"))
+
+
 @pytest.mark.slow
 def test_the_stage_goes_on_and_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

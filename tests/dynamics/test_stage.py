@@ -116,16 +116,18 @@ def test_tiny_training_with_one_seed_is_identical_and_survives_the_disk(
             np.testing.assert_array_equal(weight, weights_of(pair[1])[name], err_msg=name)
     forward = ForwardDynamics(
         weights_of(nets[0]), c.window, c.width, c.heads, c.layers, c.feedforward, c.linear_rows, c.dt_s,
-        c.physics_weight, LOW, HIGH, body.rest_tip, np.zeros(3), robot.axis, 3, robot.name,
+        c.physics_weight, LOW, HIGH, body.rest_tip, np.zeros(3), robot.axis, 3, robot.name, c.polynomial_degree,
     )  # fmt: skip
-    inverse = InverseDynamics(weights_of(inverses[0]), c.inverse_hidden, c.dt_s, c.cycle_weight, 3, robot.name)
+    inverse = InverseDynamics(
+        weights_of(inverses[0]), c.inverse_hidden, c.dt_s, c.cycle_weight, 3, robot.name, c.polynomial_degree
+    )
     forward.save(tmp_path / "forward")
     inverse.save(tmp_path / "inverse")
     rows, rate = Windows(sets.heldout, c.window).take(torch.arange(20))
     with torch.no_grad():
         torch.testing.assert_close(forward_net(ForwardDynamics.load(tmp_path / "forward"))(rows), nets[0](rows))
         again = inverse_net(InverseDynamics.load(tmp_path / "inverse"))
-        torch.testing.assert_close(again(rows[:, -1], rate), inverses[0](rows[:, -1], rate))
+        torch.testing.assert_close(again(rows, rate), inverses[0](rows, rate))
 
 
 def test_inverse_finds_pressures_and_the_cycle_weight_counts(sets: Sets, trained: ForwardNet) -> None:
@@ -138,16 +140,16 @@ def test_inverse_finds_pressures_and_the_cycle_weight_counts(sets: Sets, trained
     assert not losses[:, 1].any()
     rows, rate = windows.take(torch.arange(50))
     with torch.no_grad():
-        assert not torch.equal(with_cycle(rows[:, -1], rate), without(rows[:, -1], rate))
+        assert not torch.equal(with_cycle(rows, rate), without(rows, rate))
 
 
 def test_inverse_does_not_read_the_pressures_that_it_answers(sets: Sets, trained: ForwardNet) -> None:
     net, _ = learn_inverse(config(), trained, sets.train)
     rows, rate = Windows(sets.heldout, trained.window).take(torch.arange(20))
-    changed = rows[:, -1].clone()
-    changed[:, 22:25] += 5e3
+    changed = rows.clone()
+    changed[:, -1, 22:25] += 5e3
     with torch.no_grad():
-        torch.testing.assert_close(net(rows[:, -1], rate), net(changed, rate))
+        torch.testing.assert_close(net(rows, rate), net(changed, rate))
 
 
 def test_report_names_errors_beside_baselines(body: Body, sets: Sets, trained: ForwardNet) -> None:
@@ -155,7 +157,7 @@ def test_report_names_errors_beside_baselines(body: Body, sets: Sets, trained: F
     inverse, _ = learn_inverse(config(), trained, sets.train)
     report(config(), trained, inverse, body, sets, sets.validation, tracker)
     for name in ("position_onestep_mm", "position_rollout_mm", "velocity_onestep_mm_s", "velocity_rollout_mm_s"):
-        for baseline in ("", "arx_", "rate_stays_", "state_stays_"):
+        for baseline in ("", "arx_", "polynomial_", "rate_stays_", "state_stays_"):
             assert np.isfinite(tracker.metrics[f"heldout/{baseline}{name}"])
             assert np.isfinite(tracker.metrics[f"outside/{baseline}{name}"])
         assert f"outside/rom_{name}" not in tracker.metrics

@@ -85,7 +85,8 @@ def test_config_mirrors_the_class_and_round_trips(name: str) -> None:
     assert (CONF / "effect" / f"{name}.yaml").read_text().startswith(f"# @package effect.{name}\n")
     assert NODES[name]["_target_"] == f"{cls.__module__}.{cls.__qualname__}"
     effect = configured(name)
-    assert {"_target_": NODES[name]["_target_"], **dataclasses.asdict(effect)} == NODES[name]
+    own = {k: v for k, v in dataclasses.asdict(effect).items() if k not in {f.name for f in cls.gate_fields()}}
+    assert {"_target_": NODES[name]["_target_"], **own} == NODES[name]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -109,6 +110,28 @@ def test_neutral_is_identity(name: str, robot: str) -> None:
     bare = simulate([], robot=robot)
     for channel in ("position", "quaternion", "pressure"):
         np.testing.assert_allclose(getattr(with_neutral, channel), getattr(bare, channel), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_from_a_time_on_nothing_happens_before_and_the_same_at_last(name: str) -> None:
+    """A gate that opens at 4 s leaves the motion before it alone; one that opens at once changes nothing."""
+    if library.effect_class(name).clock is not None:
+        pytest.skip("has an onset of its own")
+    bare, late = simulate([]), simulate([dataclasses.replace(typical(name), since_s=4.0)])
+    first = round(4.0 / 0.01) - 1
+    always, soon = simulate([typical(name)]), simulate([dataclasses.replace(typical(name), since_s=1e-9)])
+    for channel in ("position", "quaternion", "pressure"):
+        np.testing.assert_allclose(getattr(late, channel)[:first], getattr(bare, channel)[:first], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(getattr(soon, channel)[-100:], getattr(always, channel)[-100:], rtol=0.05, atol=2e-3)
+    changed = [np.abs(getattr(late, c)[first:] - getattr(bare, c)[first:]).max() for c in ("position", "pressure")]
+    assert max(changed) > 1e-5
+
+
+@pytest.mark.parametrize("name", [n for n in NAMES if library.effect_class(n).site in ("valve", "chamber", "body")])
+def test_above_the_highest_pressure_nothing_happens(name: str) -> None:
+    bare, above = simulate([]), simulate([dataclasses.replace(typical(name), above_share=0.95)])
+    for channel in ("position", "quaternion", "pressure"):
+        np.testing.assert_allclose(getattr(above, channel), getattr(bare, channel), rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", NAMES)

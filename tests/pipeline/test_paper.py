@@ -73,6 +73,43 @@ def test_seeds_share_a_body_and_a_failure_costs_its_own_rows_only(
     rows = {row["row"]: row for row in json.loads((tmp_path / "paper.json").read_text())}
     assert rows["rig, circle"]["seeds"] == 2 and rows["f_S, position, one step"]["ours_mean"] is None
     assert len(done) == len(ran) - 1
+    assert rows["f_S, position, one step"]["command"] == "python -m softrl stage=dynamics profile=tiny"
+
+
+def test_a_stopped_paper_keeps_its_rows_and_says_what_was_not_run(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+
+    def run_stage(stage: str, cfg: list[str], folder: Path, made: dict[str, str]) -> Outcome:
+        if stage == "dynamics":
+            raise SolverError("it diverged")
+        if stage == "rl":
+            raise KeyboardInterrupt
+        return Outcome(stage, stage, False, 1.0, {"heldout/tip_error_mm": 0.1}, folder)
+
+    monkeypatch.setattr(paper, "run_stage", run_stage)
+    monkeypatch.setattr(paper, "finished_before", lambda stage, cfg, made: None)
+    with pytest.raises(KeyboardInterrupt):
+        paper.run_paper(settings(seeds=[0]), ["stage=paper"], tmp_path, lambda w: w)
+    rows = {row["row"]: row for row in json.loads((tmp_path / "paper.json").read_text())}
+    assert rows["f_SP, position"]["ours_mean"] == pytest.approx(0.1)
+    assert rows["f_S, position, one step"]["reason"] == "seed 0: it diverged"
+    assert "not run yet" in rows["rig, circle"]["reason"] and rows["rig, circle"]["command"]
+    assert "runs to go, about" in caplog.text
+
+
+def test_what_stands_on_a_failure_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def run_stage(stage: str, cfg: list[str], folder: Path, made: dict[str, str]) -> Outcome:
+        if stage == "surrogate":
+            raise SolverError("too small")
+        return Outcome(stage, stage, False, 1.0, {}, folder)
+
+    monkeypatch.setattr(paper, "run_stage", run_stage)
+    monkeypatch.setattr(paper, "finished_before", lambda stage, cfg, made: None)
+    paper.run_paper(settings(seeds=[0]), ["stage=paper"], tmp_path, lambda w: w)
+    rows = {row["row"]: row for row in json.loads((tmp_path / "paper.json").read_text())}
+    assert rows["simulation, circle"]["reason"] == "seed 0: left out, since surrogate failed"
 
 
 def test_seeds_that_repeat_are_refused(tmp_path: Path) -> None:

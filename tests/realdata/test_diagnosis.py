@@ -47,8 +47,16 @@ def test_arm_is_limited_by_its_valve_and_creeps_behind_it() -> None:
     assert "rate_limit" in kinds(found, "valve"), found.sentences
     assert "viscoelasticity" in kinds(found, "body"), found.sentences
     held = found.errors_mm["heldout"]
-    assert held["corrected"] < 0.45 * min(held["nominal"], held["retuned"], held["static"])
+    # three times better than the static map is the goal; 2.6 is what the search reaches (experiments/real_recordings.md)
+    assert held["corrected"] < 0.42 * min(held["nominal"], held["retuned"], held["static"])
     assert held["corrected"] < min(held["one_lag"], held["blackbox"])
+
+
+def test_finger_is_diagnosed_to_the_end_and_its_pump_is_not_taken_for_a_regulator() -> None:
+    found = diagnosed("pneunet_finger", "single_chamber_finger")
+    assert found.verdict in ("unknown", "named", "indistinguishable"), found.sentences
+    held = found.errors_deg["heldout"]
+    assert held["corrected"] < min(held["nominal"], held["retuned"], held["one_lag"])
 
 
 def test_arm_reads_its_step_times_without_a_model() -> None:

@@ -1,6 +1,7 @@
 """The compiled chain decides what its parts decide one by one, and refuses what does not belong together."""
 
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -13,6 +14,7 @@ from softrl.calibration.pressure_map import PressureMap
 from softrl.core.errors import ArtifactError
 from softrl.rl.inference import Inference
 from softrl.rl.policy import act, joints, observation
+from softrl.rl.workspace import Workspace, told_as_joints
 from softrl.surrogate.maps import PressureToJoints
 
 
@@ -62,6 +64,29 @@ def test_it_decides_what_its_parts_decide(
         decision = chain.decide(tip, 0.5, ahead, force)
         np.testing.assert_allclose(decision.theta, theta[0], atol=1e-6)
         np.testing.assert_allclose(decision.pressure, f_rs.sim_to_real(maps.pressure(theta))[0], atol=1.0)
+
+
+@pytest.mark.parametrize("told_as", ["position", "joints"])
+def test_it_remembers_what_the_training_showed(policy: Policy, surrogate: Surrogate, told_as: str) -> None:
+    rng, memory = np.random.default_rng(3), 2
+    weight = rng.normal(size=(16, 15 + 6 * memory)) / 4.0
+    policy = replace(policy, weights=policy.weights | {"weight_0": weight}, memory=memory, told_as=told_as)
+    if told_as == "joints":
+        policy = replace(policy, position_centre=np.zeros(3), position_scale=1.0)
+    policy.validate()
+    space = Workspace(surrogate)
+    told = (lambda tip: tip) if told_as == "position" else partial(told_as_joints, space)
+    chain, rest = Inference(policy, surrogate, None), PressureToJoints(surrogate).joints(np.zeros((1, 3)))
+    tips, thetas = [told(surrogate.sample_tip[0])] * memory, [rest[0]] * (memory + 1)
+    for k in range(4):
+        tip, ahead = surrogate.sample_tip[k], surrogate.sample_tip[k + 1 : k + 3]
+        now, targets = told(tip), told(ahead)
+        past = np.stack(tips[-memory:][::-1])[None], np.stack(thetas[-memory - 1 : -1][::-1])[None]
+        seen = observation(policy, now[None], thetas[-1][None], np.zeros(1), targets[None], np.zeros((1, 2)), *past)
+        expected = joints(policy, act(policy)(seen))[0]
+        np.testing.assert_allclose(chain.decide(tip, 0.0, ahead).theta, expected, atol=1e-6)
+        tips.append(now)
+        thetas.append(expected)
 
 
 def test_without_calibration_the_simulators_pressure_is_sent(policy: Policy, surrogate: Surrogate) -> None:

@@ -11,14 +11,25 @@ from softrl.artifacts.surrogate import Surrogate
 from softrl.core.config import build_target
 from softrl.core.errors import ArtifactError, SolverError
 from softrl.core.tracking import NullTracker
+from softrl.effects.chain import chain_of
+from softrl.effects.effect import Effect
 from softrl.rl.actor import Actor
 from softrl.rl.agents.agent import Agent, Best, learn_or_keep
+from softrl.rl.inversion import Inversion
+from softrl.rl.moving import Motion
 from softrl.rl.policy import act, joints
 from softrl.rl.stage import Config, run
 from softrl.robots.robot import Robot
 
 CONF = Path(__file__).parents[2] / "conf"
-CONFIG = Config(training_curves=8, validation_curves=2, episodes=2, seed=0)
+PLANNING = Inversion(
+    dt_s=0.02, memory_steps=3, probe_kpa=0.2, rounds=1, refinements=2, smoothness_mm_per_kpa=0.02, approach_weight=0.1
+)  # fmt: skip
+MOTION = Motion(
+    always=False, courses=6, approach_steps=3, average_window=2, horizon=3, memory_steps=3, noise_mm=0.05,
+    rounds=2, planning=PLANNING,
+)  # fmt: skip
+CONFIG = Config(training_curves=8, validation_curves=2, episodes=2, motion=MOTION, seed=0)
 SMALL = {
     "bc": {"hidden": 32, "envs": 32, "steps": 40, "iterations": 500},
     "sac": {"hidden": 16, "envs": 8, "steps": 400, "learning_starts": 100, "judge_every": 200, "gradient_steps": 1},
@@ -31,11 +42,15 @@ def agent_of(name: str) -> Agent:
     return build_target(yaml.safe_load((CONF / "agent" / f"{name}.yaml").read_text()) | SMALL[name], "agent")
 
 
-def train(name: str, robot: Robot, surrogate: Surrogate) -> tuple[Policy, dict[str, float]]:
+def train(name: str, robot: Robot, surrogate: Surrogate, *effects: Effect) -> tuple[Policy, dict[str, float]]:
     """Return a policy for tracking and the stage's metrics."""
     tracker = NullTracker()
     task = yaml.safe_load((CONF / "task" / "track.yaml").read_text()) | {"alpha": 1.0, "lap_steps": 40}
-    return run(CONFIG, robot, surrogate, build_target(task, "task"), agent_of(name), tracker=tracker), tracker.metrics
+    body = build_target(yaml.safe_load((CONF / "simulator" / "pcc.yaml").read_text()), "simulator", lambda _: robot)
+    policy = run(
+        CONFIG, robot, surrogate, build_target(task, "task"), agent_of(name), body, chain_of(robot, effects), tracker=tracker
+    )
+    return policy, tracker.metrics
 
 
 @pytest.fixture(scope="module")

@@ -13,10 +13,11 @@ from softrl.effects.effect import Effect
 from softrl.effects.hysteresis import Hysteresis
 from softrl.effects.lag import Lag
 from softrl.effects.offset import Offset
+from softrl.rl.inversion import Plan, Route, linearise, plan
 from softrl.robots.robot import Robot
 from softrl.sim2real.course import Course
 from softrl.sim2real.drivers.rig import Noise
-from softrl.sim2real.planning import Plan, PlannedController, Planning, Route, linearise, plan
+from softrl.sim2real.planning import PlannedController, Planning
 from softrl.sim2real.rollout import Pace, follow
 from softrl.sim2real.watch import Watch
 from tests.sim2real.conftest import BenchDriver

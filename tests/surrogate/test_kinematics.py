@@ -7,9 +7,11 @@ import pybullet as bullet
 import pytest
 
 from softrl.artifacts.surrogate import Surrogate
+from softrl.core.errors import ArtifactError
 from softrl.surrogate.fit import fit_joints, fit_joints_lbfgsb
 from softrl.surrogate.kinematics import chain_from, chain_of, grouped_poses, joint_jacobians
 from softrl.surrogate.parity import fit_joints_by_simulation
+from softrl.surrogate.report import reached_pct
 from softrl.surrogate.simulator import SurrogateState, World
 
 CHAIN = chain_from(np.array([0.02, 0.06, 0.1]), np.array([0.04, 0.08, 0.12]), 0.15)
@@ -72,7 +74,15 @@ def test_the_papers_search_finds_the_same_joints(surrogate: Surrogate) -> None:
 
 
 def test_a_surrogate_with_falling_heights_is_refused(surrogate: Surrogate) -> None:
-    from softrl.core.errors import ArtifactError
-
     with pytest.raises(ArtifactError, match="rise"):
         replace(surrogate, tip_height=0.01).validate()
+
+
+def test_limits_that_exclude_the_rest_pose_are_refused(surrogate: Surrogate) -> None:
+    with pytest.raises(ArtifactError, match="exclude the rest pose"):
+        replace(surrogate, joint_low=np.array([-0.1, 0.02, -0.01])).validate()
+
+
+def test_coverage_counts_the_tips_within_reach(surrogate: Surrogate) -> None:
+    assert reached_pct(surrogate, surrogate.sample_tip[:50]) > 95.0
+    assert reached_pct(surrogate, surrogate.sample_tip[:50] + np.array([0.0, 0.0, 0.1])) == 0.0

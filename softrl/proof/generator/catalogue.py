@@ -78,6 +78,7 @@ RIGHT: dict[str, tuple[int, tuple[str, ...], float]] = {
     "marker": (laws.MARKER, ("marker_offset",), 0.15),
     "latency": (laws.LATENCY, ("delay",), 0.4),
     "sampling": (laws.SAMPLING, ("hold",), 0.4),
+    "jolt": (laws.JOLT, ("frame",), 0.25),
 }
 OUTSIDE: dict[str, tuple[int, float]] = {
     "stick": (laws.STICK, 1.0),
@@ -85,7 +86,6 @@ OUTSIDE: dict[str, tuple[int, float]] = {
     "product": (laws.PRODUCT, 0.8),
     "buckle": (laws.BUCKLE, 0.9),
     "twist": (laws.TWIST, 0.8),
-    "jolt": (laws.JOLT, 0.25),
 }
 # concealed: (entry, where it acts)
 CONCEALED = (
@@ -101,6 +101,7 @@ CONCEALED = (
     ("orifice", "late"),
     ("relax", "late"),
     ("gain", "late"),
+    ("jolt", "late"),
 )
 # what else is right where a law acts late: a change in time, whatever changes
 LATE_TOO = {"gain": ("failure", "drift"), "orifice": ("failure",)}

@@ -17,10 +17,15 @@ log = logging.getLogger(__name__)
 
 
 class Practice(NamedTuple):
-    """Where an agent trains: ``make(size, seed)`` gives episodes, ``judge`` the validation reward of an actor."""
+    """Where an agent trains: ``make(size, seed)`` gives episodes, ``judge`` the validation reward of an actor.
+
+    ``rounds`` is how often a clone is let act and is told by the expert what it should have done: once where nothing has a
+    memory, more where errors add up.
+    """
 
     make: Callable[[int, int], TwinVecEnv]
     judge: Callable[[Actor], float]
+    rounds: int = 1
 
 
 class Lesson(NamedTuple):

@@ -11,6 +11,7 @@ from stable_baselines3.sac.policies import SACPolicy
 
 from softrl.core.errors import ConfigError
 from softrl.core.scaling import Scaler
+from softrl.rl.actor import Actor, act_scaled
 from softrl.rl.agents.agent import Agent, Best, Lesson, Practice, actor_from
 from softrl.rl.vector_env import TwinVecEnv
 from softrl.surrogate.mlp import train_network
@@ -76,24 +77,41 @@ def clone(bc: Bc, layers: list[torch.nn.Module], squash: str, env: TwinVecEnv, p
     that by L-BFGS in double precision where SB3's own shape, trained from its random start, stays ten times above; it is
     then folded into SB3's shape, the linear path carried by three units in the linear range of tanh. It sees the
     columns that the expert looks at; the others get no weight. An actor squashed by tanh must bend its answers back by
-    arctanh first, which costs it a factor of four in error.
+    arctanh first, which costs it a factor of four in error. Where a clone's errors add up it acts itself in the rounds
+    after the first (DAgger), by a linear map until the last.
     """
     best = Best(practice.judge)
     best.consider(actor_from(layers, squash), 0)
-    observation, action = _collect(bc, env, np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    seen, told = _collect(bc, env, None, rng)
+    for number in range(1, practice.rounds):
+        _fit(bc, layers, squash, env, (seen, told), 0, seed)
+        actor = actor_from(layers, squash)
+        best.consider(actor, number)
+        more = _collect(bc, env, actor, rng)
+        seen, told = np.concatenate([seen, more[0]]), np.concatenate([told, more[1]])
+    _fit(bc, layers, squash, env, (seen, told), bc.iterations // practice.rounds, seed)
+    best.consider(actor_from(layers, squash), bc.iterations)
+    return best.lesson()
+
+
+def _fit(
+    bc: Bc, layers: list[torch.nn.Module], squash: str, env: TwinVecEnv, rows: tuple[np.ndarray, np.ndarray],
+    iterations: int, seed: int,
+) -> None:
+    """Fit the ``layers`` to observations (rows, k) and actions (rows, 3); without iterations by a linear map."""
+    observation, action = rows
     wanted = np.arctanh(np.clip(action, -EDGE, EDGE)) if squash == "tanh" else action
-    columns = env.batch.task.seen_by_expert()
+    columns = env.batch.expert_columns
     columns = columns[np.ptp(observation[:, columns], axis=0) > 0.0]
     scaler = Scaler.fit(observation[:, columns])
-    fitted = train_network(scaler.scale(observation[:, columns]), wanted, bc.hidden - CARRIERS, bc.iterations, seed)
+    fitted = train_network(scaler.scale(observation[:, columns]), wanted, bc.hidden - CARRIERS, iterations, seed)
     linear = [layer for layer in layers if isinstance(layer, torch.nn.Linear)]
     for layer, (weight, bias) in zip(
         linear, _fold(_unscaled(fitted, scaler, columns, observation.shape[1])), strict=True
     ):
         layer.weight.data = torch.tensor(weight, dtype=torch.float32)
         layer.bias.data = torch.tensor(bias, dtype=torch.float32)
-    best.consider(actor_from(layers, squash), bc.iterations)
-    return best.lesson()
 
 
 def _unscaled(weights: dict[str, np.ndarray], scaler: Scaler, columns: np.ndarray, size: int) -> dict[str, np.ndarray]:
@@ -121,14 +139,20 @@ def _fold(w: dict[str, np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
     ]  # fmt: skip
 
 
-def _collect(bc: Bc, env: TwinVecEnv, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Return observations (rows, k) and the expert's actions (rows, 3) there, states disturbed by noisy actions."""
+def _collect(
+    bc: Bc, env: TwinVecEnv, actor: Actor | None, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return observations (rows, k) and the expert's actions (rows, 3) there, states disturbed by noisy actions.
+
+    The actions taken are the expert's, or those of ``actor``.
+    """
     observation = env.reset()
     seen, wanted = [], []
     for _ in range(bc.steps):
         action = env.batch.expert_action()
         seen.append(observation)
         wanted.append(action)
-        env.step_async(np.clip(action + bc.exploration * rng.normal(size=action.shape), -1.0, 1.0))
+        taken = action if actor is None else act_scaled(actor, observation)
+        env.step_async(np.clip(taken + bc.exploration * rng.normal(size=action.shape), -1.0, 1.0))
         observation = env.step_wait()[0]
     return np.concatenate(seen).astype(float), np.concatenate(wanted)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softrl.core.errors import ConfigError
-from softrl.sim2real.filter import MovingAverage, moving_average
+from softrl.rl.filter import MovingAverage, moving_average
 
 
 def test_a_constant_passes_unchanged_from_the_first_value() -> None:

@@ -1,0 +1,67 @@
+"""An affine map between recorded commands and supplied pressures, as a calibration leaves it."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numba as nb
+import numpy as np
+
+from softrl.core.errors import ConfigError
+from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
+from softrl.robots.robot import Robot
+
+CHAMBERS = 3
+
+
+@nb.njit(SIGNAL_KERNEL, cache=True)
+def command_map_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
+    """Add the matrix times the commands, and the shifts; the state is the commands."""
+    count = len(value)
+    state[:count] = value
+    for i in range(count):
+        value[i] += parameters[CHAMBERS * CHAMBERS + i]
+        for j in range(count):
+            value[i] += parameters[CHAMBERS * i + j] * state[j]
+
+
+@dataclass(frozen=True)
+class CommandMap(Effect):
+    """Supplied pressure ``p_i + sum_j a_ij p_j + b_i p_max`` of commands p: what a map fitted beforehand has put in or taken.
+
+    Notes
+    -----
+    Where a calibration was fitted to the same robot, the pressures that a simulator is given are not those that the robot
+    got, and part of the physics that is missing hides in the difference (first-order form of any smooth map, no equation
+    number checked). Robots of up to three chambers.
+    """
+
+    site: ClassVar[str] = "valve"
+    title: ClassVar[str] = "calibration map between commands and pressures"
+    kernel: ClassVar = command_map_kernel
+    together: ClassVar[bool] = True
+
+    a_11: float = parameter("1", -0.5, 0.5, 0.0, typical=0.1)
+    a_12: float = parameter("1", -0.5, 0.5, 0.0, typical=0.1)
+    a_13: float = parameter("1", -0.5, 0.5, 0.0, typical=0.1)
+    a_21: float = parameter("1", -0.5, 0.5, 0.0, typical=0.1)
+    a_22: float = parameter("1", -0.5, 0.5, 0.0, typical=0.1)
+    a_23: float = parameter("1", -0.5, 0.5, 0.0, typical=0.1)
+    a_31: float = parameter("1", -0.5, 0.5, 0.0, typical=0.1)
+    a_32: float = parameter("1", -0.5, 0.5, 0.0, typical=0.1)
+    a_33: float = parameter("1", -0.5, 0.5, 0.0, typical=0.1)
+    b_1: float = parameter("1", -0.3, 0.3, 0.0, typical=0.05)
+    b_2: float = parameter("1", -0.3, 0.3, 0.0, typical=0.05)
+    b_3: float = parameter("1", -0.3, 0.3, 0.0, typical=0.05)
+
+    @classmethod
+    def suits(cls, robot: Robot) -> bool:
+        """Return whether there are chambers to mix, and few enough."""
+        return 1 < robot.chambers <= CHAMBERS
+
+    def pack(self, robot: Robot) -> np.ndarray:
+        """Return the matrix, and the shifts in Pa."""
+        if robot.chambers > CHAMBERS:
+            raise ConfigError(f"effect command_map knows {CHAMBERS} chambers; robot {robot.name} has {robot.chambers}")
+        values = super().pack(robot)[:-1]
+        values[CHAMBERS * CHAMBERS :] *= robot.pressure_max_pa
+        return values

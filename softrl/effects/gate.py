@@ -1,0 +1,103 @@
+"""Where in time and pressure an effect acts: above a pressure only, or only from a time of each run on.
+
+Any effect can be gated. Its kernel runs as ever, and a share of what it changes counts: none below the pressure or before
+the time, all a little beyond, in between in proportion.
+"""
+
+import numba as nb
+import numpy as np
+
+from softrl.core.simulator import Hook
+from softrl.effects.call import address_of, call_port, call_signal
+from softrl.effects.effect import (
+    ADDED,
+    ADDED_SLOPE,
+    EVERYWHERE,
+    GRAVITY,
+    PORT_KERNEL,
+    PRESSURE,
+    SIGNAL_KERNEL,
+    Effect,
+)
+from softrl.robots.robot import Robot
+
+BAND = 0.05  # of the largest pressure: from nothing to all
+RAMP_S = 1.0
+LONG_S = 1e3  # a step as long as this finds an equilibrium, for which no time passes
+GATE = 4  # numbers behind an effect's own parameters: pressure and band Pa, time s, address of the kernel
+
+
+@nb.njit(cache=True)
+def _after(clock: float, dt: float) -> float:
+    return clock + dt if dt < LONG_S else clock
+
+
+@nb.njit(cache=True)
+def _late(clock: float, dt: float, parameters: np.ndarray) -> float:
+    since = parameters[2 - GATE]
+    return min(max((_after(clock, dt) - since) / RAMP_S, 0.0), 1.0) if since > 0.0 else 1.0
+
+
+@nb.njit(cache=True)
+def _above(pressure: float, parameters: np.ndarray) -> float:
+    return min(max((pressure - parameters[-GATE]) / parameters[1 - GATE], 0.0), 1.0)
+
+
+@nb.njit(cache=True)
+def _address(parameters: np.ndarray) -> int:
+    return parameters[-1:].view(np.int64)[0]
+
+
+@nb.njit(SIGNAL_KERNEL, cache=True)
+def gated_signal(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
+    """Let a share of the effect's change of ``value`` count, by the pressure before it."""
+    before = value.copy()
+    call_signal(_address(parameters), parameters[:-GATE], state[:-1], value, dt)
+    late = _late(state[-1], dt, parameters)
+    state[-1] = _after(state[-1], dt)
+    for i in range(len(value)):
+        value[i] = before[i] + late * _above(before[i], parameters) * (value[i] - before[i])
+
+
+@nb.njit(PORT_KERNEL, cache=True)
+def gated_body(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
+    """Let a share of the resistance that the effect adds count, by the pressure in each chamber."""
+    before = port.copy()
+    call_port(_address(parameters), parameters[:-GATE], state[:-1], port, dt, commit)
+    late = _late(state[-1], dt, parameters)
+    for i in range(port.shape[1]):
+        share = late * _above(port[PRESSURE, i], parameters)
+        for row in (ADDED, ADDED_SLOPE):
+            port[row, i] = before[row, i] + share * (port[row, i] - before[row, i])
+    if commit:
+        state[-1] = _after(state[-1], dt)
+
+
+@nb.njit(PORT_KERNEL, cache=True)
+def gated_load(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
+    """Let a share of the force that the effect adds, and of its change of gravity, count."""
+    before = port.copy()
+    call_port(_address(parameters), parameters[:-GATE], state[:-1], port, dt, commit)
+    late = _late(state[-1], dt, parameters)
+    for row in range(GRAVITY, port.shape[0]):
+        for k in range(port.shape[1]):
+            port[row, k] = before[row, k] + late * (port[row, k] - before[row, k])
+    if commit:
+        state[-1] = _after(state[-1], dt)
+
+
+KERNELS = {"body": gated_body, "load": gated_load}
+
+
+def hook_of(effect: Effect, robot: Robot, before_s: float = 0.0) -> Hook:
+    """Return ``effect`` as a kernel takes it, its clock ``before_s`` before the first sample."""
+    kernel, parameters, state = type(effect).kernel, effect.pack(robot), effect.reset(robot)
+    if effect.clock is not None:
+        state[effect.clock] = -before_s
+    if not effect.gated:
+        return Hook(kernel, parameters, state)
+    above = effect.above_share * robot.pressure_max_pa if effect.above_share > EVERYWHERE else -np.inf
+    behind = np.array([above, BAND * robot.pressure_max_pa, effect.since_s, 0.0])
+    behind[-1:].view(np.int64)[0] = address_of(kernel)
+    gate = KERNELS.get(effect.site, gated_signal)
+    return Hook(gate, np.r_[parameters, behind], np.r_[state, -before_s])

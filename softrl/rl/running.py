@@ -1,0 +1,71 @@
+"""A simulator with its effects in motion, one request after the other: what a policy acts on where the plant has a memory."""
+
+import numpy as np
+
+from softrl.core.errors import ConfigError
+from softrl.effects.chain import SignalFilter
+from softrl.pcc.simulator import PccSimulator
+from softrl.pod.simulator import RomSimulator
+from softrl.rl.filter import MovingAverage
+from softrl.rl.inversion import Route
+
+SETTLE_S = 5.0  # in which a robot that carries something comes to rest before it is switched on
+
+
+class Run:
+    """One robot behind a route, from rest; ``Route.predict`` says the same of a sequence that is known as a whole.
+
+    Parameters
+    ----------
+    tip_force : (3,) N, acts from the first period on; none if None
+
+    Raises
+    ------
+    ConfigError
+        If the simulator is none that goes over many steps in one call.
+    """
+
+    def __init__(self, route: Route, tip_force: np.ndarray | None = None) -> None:
+        self._route, self._chain = route, route.plant.chain
+        self._body = route.plant.simulator
+        if not isinstance(self._body, RomSimulator | PccSimulator):
+            raise ConfigError(
+                f"training in motion needs simulator=rom or pcc, which are fast enough; not {type(self._body).__name__}"
+            )
+        self._valve, self._chamber, self._sensor = (SignalFilter(self._chain, s) for s in ("valve", "chamber", "sensor"))
+        self._sensed = any(effect.channel == "pose" for effect in self._chain.at("sensor"))
+        self._average = MovingAverage(route.average_window)
+        self._sent = np.zeros(route.robot.chambers)
+        self._force: np.ndarray | None = None
+        self._state = self._body.reset()
+        self._hooks = self._chain.hooks("body"), self._chain.hooks("load")
+        if self._hooks[1]:
+            self._state = self._go(np.zeros((round(SETTLE_S / route.step_s), route.robot.chambers)))
+            self._hooks = self._chain.hooks("body"), self._hooks[1]
+        self._force = None if tip_force is None else np.asarray(tip_force, dtype=float)
+        self.tip = self._held(np.tile(self._sent, (route.hold, 1)))
+
+    def advance(self, request: np.ndarray) -> np.ndarray:
+        """Return the tip (3,) m at the end of the period of ``request`` (n,) Pa."""
+        command = self._route.sent(self._sent, self._average.advance(request))
+        self._sent = command[-1]
+        self.tip = self._held(command)
+        return self.tip
+
+    def _held(self, command: np.ndarray) -> np.ndarray:
+        """Return the tip (3,) m after the setpoints (hold, n) Pa."""
+        step_s = self._route.step_s
+        acting = self._chamber.advance(self._valve.advance(command, step_s), step_s)
+        if not self._sensed:
+            self._state = self._go(acting)
+            return np.asarray(self._body.observe(self._state)[0])
+        poses = np.empty((len(acting), 7))
+        for pose, row in zip(poses, acting, strict=True):
+            self._state = self._go(row[None])
+            pose[:3], pose[3:] = self._body.observe(self._state)
+        return np.asarray(self._sensor.advance(poses, step_s)[-1, :3])
+
+    def _go(self, acting: np.ndarray):  # type: ignore[no-untyped-def]
+        """Return the body's state after the pressures (steps, n) Pa."""
+        force = None if self._force is None else np.tile(self._force, (len(acting), 1))
+        return self._body.step(self._state, acting, self._route.step_s, force, *self._hooks)  # type: ignore[arg-type]

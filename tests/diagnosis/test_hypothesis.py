@@ -1,0 +1,66 @@
+"""Effects that act somewhere alone, and behind a calibration map: found, with where they act."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softrl.core.config import build
+from softrl.core.tracking import NullTracker
+from softrl.diagnosis.hypothesis import Choice, Gate, build_effect, candidates, effect_axes, gated, neutral, starts
+from softrl.diagnosis.stage import run
+from softrl.effects.hysteresis import Hysteresis
+from softrl.effects.lag import Lag
+from softrl.effects.leak import Leak
+from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.recording import Recording
+from softrl.robots.robot import Robot
+from tests.diagnosis.conftest import configured, made, node
+
+
+def test_a_gate_is_one_parameter_more_that_begins_where_it_is_told() -> None:
+    form = Choice("leak", gate=Gate("since_s", 12.0))
+    assert [axis.name for axis in effect_axes(form)] == ["leak_per_s", "refill_s", "since_s"]
+    for point in (neutral(form), *starts(form)):
+        assert effect_axes(form)[-1].physical(float(point[-1])) == pytest.approx(12.0)
+    assert build_effect(form, [0.1, 3.0, 15.0]).since_s == 15.0
+    assert not [form for form in gated(Choice("drift"), 30.0, 0.8) if form.gate and form.gate.field == "since_s"]
+
+
+def test_an_effect_that_makes_no_sense_for_a_robot_is_no_candidate(tripod: Robot) -> None:
+    one = build(node("robot/single_chamber_finger.yaml"), Robot, "robot")
+    for robot, excited, offered in ((tripod, (0, 1, 2), True), (tripod, (0, 1), False), (one, (0,), False)):
+        names = {choice.name for choice in candidates(["lag", "command_map"], ("valve",), robot, excited)}
+        assert ("command_map" in names) == offered
+
+
+@pytest.mark.parametrize(
+    ("hidden", "rivals", "field", "value", "apart"),
+    [
+        (Leak(0.15, 3.0, since_s=14.0), ["drift", "failure"], "since_s", 14.0, 1.0),
+        pytest.param(
+            Hysteresis(0.12, 0.02, above_share=0.4), ["friction", "mullins"], "above_share", 0.4, 0.08, marks=pytest.mark.slow
+        ),
+    ],
+)
+def test_where_alone_an_effect_acts_is_found(
+    body: PccSimulator, hidden: Leak | Hysteresis, rivals: list[str], field: str, value: float, apart: float
+) -> None:
+    config = configured(candidates=[hidden.name(), *rivals])
+    found = run(config, body.robot, made(body, (hidden,), sessions=3), body, tracker=NullTracker())
+    assert [effect["name"] for effect in found.effects] == [hidden.name()], found.sentences
+    assert abs(found.effects[0]["parameters"][field]["value"] - value) < apart
+
+
+def test_behind_a_calibration_map_physics_is_named_first(body: PccSimulator) -> None:
+    mix = np.array([[1.1, 0.05, 0.0], [-0.04, 0.92, 0.03], [0.0, 0.06, 1.04]])
+
+    def mapped(run: Recording) -> Recording:
+        return replace(run, pressure_cmd=run.pressure_cmd @ mix.T + 800.0)
+
+    recordings = made(body, (Lag(0.3, 0.5, chamber=1),), process=mapped, sessions=3)
+    config = configured(candidates=["lag", "leak", "command_map"])
+    found = run(config, body.robot, recordings, body, tracker=NullTracker())
+    assert [effect["name"] for effect in found.effects] == ["lag", "command_map"], found.sentences
+    assert found.effects[0]["chamber"] == 1
+    assert found.effects[0]["parameters"]["fill_s"]["value"] == pytest.approx(0.3, rel=0.1)

@@ -1,0 +1,109 @@
+"""Columns that cannot be what they are called are told in one line with the evidence; robots that only differ are not."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softrl.diagnosis.mistaken import mistaken
+from softrl.effects.chain import Plant, chain_of
+from softrl.effects.library import effect_class
+from softrl.effects.replay import replay
+from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.recording import Recording
+from tests.diagnosis.conftest import made
+
+Spoil = Callable[[Recording], Recording]
+HIDDEN = (
+    effect_class("lag")(fill_s=0.2, vent_s=0.4),
+    effect_class("hysteresis")(height=0.1, yield_strain=0.02),
+    effect_class("payload")(mass=0.1),
+)
+
+
+def moved(r: Recording, change: Callable[[np.ndarray], np.ndarray]) -> Recording:
+    assert r.position is not None
+    return replace(r, position=change(r.position))
+
+
+def columns(values: np.ndarray, order: list[int]) -> np.ndarray:
+    return values[:, order]
+
+
+def measured(r: Recording, change: Callable[[np.ndarray], np.ndarray]) -> Recording:
+    assert r.pressure_meas is not None
+    return replace(r, pressure_meas=change(r.pressure_meas))
+
+
+def chambers_exchanged(r: Recording) -> Recording:
+    assert r.pressure_meas is not None
+    order = [1, 0, 2]
+    return replace(r, pressure_cmd=r.pressure_cmd[:, order], pressure_meas=r.pressure_meas[:, order])
+
+
+def measured_for_commanded(r: Recording) -> Recording:
+    assert r.pressure_meas is not None
+    return replace(r, pressure_cmd=r.pressure_meas, pressure_meas=r.pressure_cmd)
+
+
+def early(r: Recording) -> Recording:
+    return moved(r, lambda tip: np.vstack([tip[30:], np.tile(tip[-1], (30, 1))]))
+
+
+@pytest.fixture(scope="module")
+def recorded(body: PccSimulator) -> tuple[Recording, ...]:
+    return made(body, HIDDEN, sessions=3, measured=True).recordings
+
+
+def told(body: PccSimulator, runs: tuple[Recording, ...]) -> str | None:
+    plant = Plant(body, chain_of(body.robot, ()))
+    return mistaken(runs, [replay(plant, run, 0.01) for run in runs], body.robot)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "evidence"),
+    [
+        (chambers_exchanged, "mirror image"),
+        (measured_for_commanded, "comes before its command"),
+        (early, "the motion comes before"),
+        (lambda r: measured(r, lambda p: columns(p, [1, 0, 2])), "follows the command of chamber"),
+        (lambda r: measured(r, lambda p: p / 6.895), "a wrong unit"),
+        (lambda r: moved(r, lambda tip: columns(tip, [1, 0, 2])), "mirror image"),
+        (lambda r: moved(r, lambda tip: columns(tip, [2, 1, 0])), "mirror image"),
+        (lambda r: moved(r, lambda tip: tip * [1.0, 1.0, -1.0]), "mirror image"),
+        (lambda r: moved(r, lambda tip: 0.1 * tip), "another unit"),
+    ],
+)
+def test_a_mistaken_column_is_told(
+    body: PccSimulator, recorded: tuple[Recording, ...], spoil: Spoil, evidence: str
+) -> None:
+    said = told(body, tuple(spoil(run) for run in recorded))
+    assert said is not None and evidence in said
+
+
+def test_one_exchanged_run_among_sound_ones_is_told(body: PccSimulator, recorded: tuple[Recording, ...]) -> None:
+    said = told(body, (*recorded[:2], chambers_exchanged(recorded[2])))
+    assert said is not None and recorded[2].name in said
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda r: r,
+        lambda r: moved(r, lambda tip: columns(tip, [2, 0, 1])),
+        lambda r: moved(r, lambda tip: np.array([0.3, -0.2, 0.5]) + tip),
+        lambda r: moved(r, lambda tip: tip[:1] + 2.5 * (tip - tip[:1])),
+        lambda r: replace(r, pressure_meas=None),
+    ],
+)
+def test_another_frame_or_another_body_is_no_mistake(
+    body: PccSimulator, recorded: tuple[Recording, ...], change: Spoil
+) -> None:
+    assert told(body, tuple(change(run) for run in recorded)) is None
+
+
+def test_motion_in_one_plane_is_no_mirror_image(body: PccSimulator, recorded: tuple[Recording, ...]) -> None:
+    plant = Plant(body, chain_of(body.robot, HIDDEN))
+    alone = [replay(plant, replace(r, pressure_cmd=r.pressure_cmd * [1.0, 0.0, 0.0]), 0.01) for r in recorded]
+    assert told(body, tuple(moved(run, lambda tip: columns(tip, [1, 0, 2])) for run in alone)) is None

@@ -1,0 +1,54 @@
+"""What changed between two sessions is named for the one in which it acted, and nothing is where nothing did."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from softrl.core.tracking import NullTracker
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, Space, in_one_session
+from softrl.diagnosis.stage import run
+from softrl.effects.library import effect_class
+from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.recording import RecordingSet
+from tests.diagnosis.conftest import configured, made
+
+STIFFER = effect_class("stiffness_scale")(scale=1.3)
+FEW = {"candidates": ["stiffness_scale", "payload"], "search": {"max_effects": 1, "keep": 3}}
+
+
+def two_days(body: PccSimulator, *, changed: bool) -> RecordingSet:
+    """Return three runs a day; on the first the body is stiffer if ``changed``."""
+    first = made(body, (STIFFER,) if changed else (), seed=1, sessions=3)
+    second = made(body, seed=2, sessions=3)
+    runs = [replace(r, session="first") for r in first.recordings]
+    runs += [replace(r, session="second", name=f"later_{r.name}") for r in second.recordings]
+    return replace(first, recordings=tuple(runs))
+
+
+def test_an_effect_of_one_session_acts_there_only(body: PccSimulator) -> None:
+    hypothesis = Hypothesis((Choice("lag"), Choice("stiffness_scale", session="first")), ())
+    space = Space(hypothesis, body, 4.0)
+    point = np.zeros(len(space.axes))
+    assert [e.name() for e in space.effects(point, "first")] == ["lag", "stiffness_scale"]
+    assert [e.name() for e in space.effects(point, "second")] == ["lag"]
+
+
+def test_only_a_session_that_is_fitted_and_judged_can_show_such_an_effect() -> None:
+    names = ["stiffness_scale", "lag"]
+    assert in_one_session(names, ["a", "a", "b", "b"], ["a", "b"]) == [Choice("stiffness_scale", session="a")]
+    assert in_one_session(names, ["a", "b", "b"], ["a", "b"]) == []
+    assert in_one_session(names, ["a", "a", "b", "b"], ["c"]) == []
+
+
+def test_a_body_stiffer_on_one_day_is_told_with_the_day(body: PccSimulator) -> None:
+    found = run(configured(**FEW), body.robot, two_days(body, changed=True), body, tracker=NullTracker())
+    assert [(e["name"], e["session"]) for e in found.effects] == [("stiffness_scale", "first")], found.sentences
+    scale = found.effects[0]["parameters"]["scale"]
+    assert scale["low"] <= 1.3 <= scale["high"] or abs(scale["value"] - 1.3) < 0.02
+    assert "session first only" in found.sentences[0]
+    assert found.corrections() == []
+
+
+def test_equal_days_show_no_difference(body: PccSimulator) -> None:
+    found = run(configured(**FEW), body.robot, two_days(body, changed=False), body, tracker=NullTracker())
+    assert found.verdict == "nothing missing", found.sentences

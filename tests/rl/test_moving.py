@@ -1,0 +1,133 @@
+"""Training in motion: a run goes where its route says, the expert knows the plant, a clone learns from it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from softrl.artifacts.surrogate import Surrogate
+from softrl.core.config import build_target
+from softrl.core.errors import ConfigError
+from softrl.effects.chain import Plant, chain_of
+from softrl.effects.delay import Delay
+from softrl.effects.effect import Effect
+from softrl.effects.lag import Lag
+from softrl.effects.viscoelasticity import Viscoelasticity
+from softrl.pcc.simulator import PccSimulator
+from softrl.rl.evaluate import Controller, expert, lap_all, static_expert
+from softrl.rl.inversion import Route
+from softrl.rl.moving import MovingBatch, cornered
+from softrl.rl.running import Run
+from softrl.rl.tasks.task import Goals, Task
+from softrl.rl.vector_env import TwinVecEnv
+from softrl.rl.workspace import Workspace
+from softrl.robots.robot import Robot
+from tests.rl.test_training import MOTION, PLANNING, agent_of, train
+
+CONF = Path(__file__).parents[2] / "conf"
+HIDDEN = (Lag(fill_s=0.2, vent_s=0.35), Viscoelasticity(0.3, 1.2, 0.0, 20.0))
+
+
+@pytest.fixture(scope="module")
+def body(robot: Robot) -> PccSimulator:
+    """Return the lumped body."""
+    node = yaml.safe_load((CONF / "simulator" / "pcc.yaml").read_text())
+    return build_target(node, "simulator", lambda _: robot)
+
+
+@pytest.fixture(scope="module")
+def task() -> Task:
+    """Return tracking with short laps."""
+    node = yaml.safe_load((CONF / "task" / "track.yaml").read_text())
+    return build_target(node | {"alpha": 1.0, "lap_steps": 24, "episode_steps": 12}, "task")
+
+
+def route_of(robot: Robot, body: PccSimulator, *effects: Effect) -> Route:
+    return Route(robot, Plant(body, chain_of(robot, effects)), 0.5, PLANNING.dt_s, 2, lambda position: position)
+
+
+def batch_of(task: Task, space: Workspace, goals: Goals, size: int, route: Route) -> MovingBatch:
+    return MovingBatch(task, space, goals, size, route, MOTION, {})
+
+
+@pytest.mark.parametrize("effects", [(), HIDDEN, (*HIDDEN, Delay(delay_s=0.06))])
+def test_step_by_step_it_goes_where_the_whole_sequence_goes(
+    robot: Robot, body: PccSimulator, effects: tuple[Effect, ...]
+) -> None:
+    route = route_of(robot, body, *effects)
+    request = np.random.default_rng(0).uniform(0.0, 20e3, (6, robot.chambers))
+    push = np.array([0.2, -0.3, 0.1])
+    for force in (None, push):
+        run = Run(route, force)
+        if force is not None:  # that acts from the first period on in both
+            request = request[:3]
+        stepped = np.stack([run.advance(row) for row in request])
+        np.testing.assert_allclose(stepped, route.predict(request, force), atol=2e-7)
+
+
+def test_a_simulator_that_cannot_hurry_is_refused(robot: Robot, body: PccSimulator) -> None:
+    class Slow:
+        pass
+
+    with pytest.raises(ConfigError, match="simulator=rom or pcc"):
+        Run(route_of(robot, Slow()))  # type: ignore[arg-type]
+
+
+def test_polygons_have_their_corners_on_the_curve(space: Workspace, task: Task) -> None:
+    goals = task.training_goals(4, space, np.random.default_rng(0))
+    cut = cornered(goals, np.random.default_rng(1))
+    np.testing.assert_array_equal(cut.position[::2], goals.position[::2])
+    same = np.isclose(cut.position[1::2], goals.position[1::2]).all(axis=2)
+    assert 0.05 < same.mean() < 0.6 and same[:, 0].all()
+
+
+def error_mm(controller: Controller, batch: MovingBatch, push: np.ndarray | None = None) -> float:
+    return 1e3 * lap_all(controller, batch, push).position_rmse
+
+
+def test_the_expert_knows_the_plant_and_what_pushes(
+    robot: Robot, body: PccSimulator, space: Workspace, task: Task
+) -> None:
+    route = route_of(robot, body, *HIDDEN)
+    goals = task.evaluation_goals("circle", space)
+
+    def noisy(batch: MovingBatch) -> np.ndarray:
+        return np.clip(expert(batch) + 0.03 * rng.standard_normal((batch.size, 3)), -1.0, 1.0)
+
+    static = error_mm(static_expert, batch_of(task, space, goals, 1, route))
+    known = error_mm(expert, batch_of(task, space, goals, 1, route))
+    pushed = error_mm(expert, batch_of(task, space, goals, 1, route), np.array([[0.3, 0.0, 0.0]]))
+    rng = np.random.default_rng(0)
+    disturbed = error_mm(noisy, batch_of(task, space, goals, 1, route))
+    assert known < 0.25 * static
+    assert pushed < 0.5 * static
+    assert disturbed < static
+
+
+def test_a_seed_gives_the_same_episodes(robot: Robot, body: PccSimulator, space: Workspace, task: Task) -> None:
+    goals = task.training_goals(3, space, np.random.default_rng(0))
+    runs = []
+    for _ in range(2):
+        env = TwinVecEnv(batch_of(task, space, goals, 2, route_of(robot, body, *HIDDEN)), seed=3)
+        rows, rng = [env.reset()], np.random.default_rng(4)
+        for _ in range(20):  # over the end of an episode
+            env.step_async(rng.uniform(-1.0, 1.0, (2, 3)))
+            rows.append(env.step_wait()[0])
+        runs.append(np.stack(rows))
+    np.testing.assert_array_equal(*runs)
+
+
+@pytest.mark.slow
+def test_a_clone_in_motion_beats_the_static_inverse(robot: Robot, surrogate: Surrogate) -> None:
+    policy, metrics = train("bc", robot, surrogate, *HIDDEN)
+    assert policy.effects == ("lag", "viscoelasticity") and policy.memory == MOTION.memory_steps
+    for curve in ("circle", "figure_eight"):
+        clone, static = (metrics[f"heldout/{label}{curve}_position_rmse_mm"] for label in ("", "static_"))
+        assert clone < 0.5 * static
+
+
+@pytest.mark.slow
+def test_other_agents_learn_in_motion_too(robot: Robot, surrogate: Surrogate) -> None:
+    policy, metrics = train("ppo", robot, surrogate, *HIDDEN)
+    assert agent_of("ppo").name == policy.agent_name and 0.0 <= metrics["val/reward"] <= 1.0
