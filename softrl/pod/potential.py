@@ -225,7 +225,8 @@ def fill_elastic_factor(hessian: np.ndarray, rest: np.ndarray, factor: np.ndarra
 
     Columns are eliminated from the last: the soft coordinates of the tip before the stiff ones of the volumes. Pivots
     are held above a share of the diagonal of ``rest`` (pairs,), the Hessian at rest, and so large that no entry
-    exceeds the root of its row's diagonal: where the Hessian is positive it never does, where not it would run away.
+    exceeds the root of its row's diagonal, here or at rest: where the Hessian is positive it never does, where not it
+    would run away.
     """
     r = len(factor)
     pair = 0
@@ -243,7 +244,7 @@ def fill_elastic_factor(hessian: np.ndarray, rest: np.ndarray, factor: np.ndarra
                 entry -= factor[i, k] * factor[j, k]
             factor[i, j] = entry
             row = _diagonal(i, r)
-            least = max(least, entry * entry / max(hessian[row], PIVOT * rest[row]))
+            least = max(least, entry * entry / max(hessian[row], rest[row]))
         factor[j, j] = math.sqrt(max(pivot, least))
         for i in range(j):
             factor[i, j] /= factor[j, j]

@@ -218,13 +218,13 @@ class TorchRom(torch.nn.Module):
         r = self.order
         hessian = (values[:, : self.elastic.shape[1]] @ self.elastic.T).reshape(-1, r, r)
         columns: dict[int, Tensor] = {}
-        floor = PIVOT * self.elastic[:: r + 1, 0]
-        size = torch.maximum(hessian.diagonal(dim1=1, dim2=2), floor)
+        rest = self.elastic[:: r + 1, 0]
+        size = torch.maximum(hessian.diagonal(dim1=1, dim2=2), rest)
         for j in range(r - 1, -1, -1):
             column = hessian[:, : j + 1, j]
             for k in range(j + 1, r):
                 column = column - columns[k][:, : j + 1] * columns[k][:, j : j + 1]
-            least = torch.cat([column[:, :j] ** 2 / size[:, :j], floor[j].expand(len(column), 1)], dim=1)
+            least = torch.cat([column[:, :j] ** 2 / size[:, :j], PIVOT * rest[j].expand(len(column), 1)], dim=1)
             pivot = torch.maximum(column[:, j : j + 1], least.amax(1, keepdim=True)).sqrt()
             columns[j] = torch.cat([column[:, :j] / pivot, pivot, torch.zeros_like(hessian[:, j + 1 :, j])], dim=1)
         return torch.stack([columns[j] for j in range(r)], dim=2)

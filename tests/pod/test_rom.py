@@ -27,7 +27,7 @@ def test_weight_is_in_balance(body: Body) -> None:
         weight = model.mass * slope @ model.gravity_m_s2
         left = law.gradient(z) - load - weight
         assert np.abs(left[model.chambers :]).max() < 5e-3, left
-        assert np.abs(left[: model.chambers]).max() < 3.0, left  # Pa of 10 kPa: what the ridges leave
+        assert np.abs(left[: model.chambers]).max() < 1.0, left  # Pa of 10 kPa: what the ridges leave
 
 
 def test_pressures_bring_the_tip_where_it_was(tripod: Body) -> None:
