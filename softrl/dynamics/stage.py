@@ -366,8 +366,8 @@ def _residual_share(config: Config, net: ForwardNet, body: Body, train: Windows,
     rows, _ = heldout.take(torch.arange(len(heldout)))
     with torch.no_grad():
         linear = net.linear_rate(rows[:, -net.linear_rows :])[:, -1]
-        own, plain = (physics(rows[:, -1], rate).pow(2).mean() for rate in (net.last(rows), linear))
-    return float((own / plain).sqrt())
+        own, plain = (physics(rows[:, -1], rate).pow(2).mean(dim=0) for rate in (net.last(rows), linear))
+    return float((own / plain.clamp(min=1e-30)).mean().sqrt())
 
 
 def _report_set(split: str, known: dict[str, Predictor], windows: Windows, config: Config, tracker: Tracker) -> None:
