@@ -4,7 +4,6 @@ What delays and distorts a motion (slow valves, creeping walls, the moving avera
 inverse asks for it in advance. The controllers on a robot and the expert of a policy's training both stand on it.
 """
 
-import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -15,8 +14,6 @@ from softrl.core.errors import ConfigError
 from softrl.effects.chain import Plant
 from softrl.rl.filter import moving_average
 from softrl.robots.robot import Robot
-
-log = logging.getLogger(__name__)
 
 # tip positions (steps, 3) m -> what is compared with the targets, (steps, 3) m, by the simulation
 Reading = Callable[[np.ndarray], np.ndarray]
@@ -203,8 +200,6 @@ def plan(route: Route, target: np.ndarray, start: np.ndarray, approach: int, set
             ):
                 break
             request, predicted = trial, trial_predicted
-    left_mm = 1e3 * np.sqrt(np.mean(np.sum((predicted - wanted)[approach:] ** 2, axis=1)))
-    log.info("plan: %.3f mm rms from the targets in the simulation", left_mm)
     return Plan(request, predicted, wanted, response)
 
 

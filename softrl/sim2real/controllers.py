@@ -1,5 +1,6 @@
 """The controllers that a rollout compares, made from what earlier stages left."""
 
+import logging
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,6 +18,8 @@ from softrl.sim2real.course import Course
 from softrl.sim2real.planning import PlannedController, Planning
 from softrl.sim2real.rollout import Controller, Pace
 from softrl.sim2real.surface import Surface
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,10 @@ def prepare(models: Models, planning: Planning, pace: Pace, course: Course) -> P
 
     start = ModelController(models.space, models.task, course).pressures
     route = Route(models.robot, models.touching, pace.period_s, planning.dt_s, pace.average_window, simulated)
-    return plan(route, course.wanted, start, pace.approach_steps, planning)
+    prepared = plan(route, course.wanted, start, pace.approach_steps, planning)
+    left = (prepared.predicted - prepared.target)[pace.approach_steps :]
+    log.info("plan: %.3f mm rms from the targets in the simulation", 1e3 * np.sqrt(np.mean(np.sum(left**2, axis=1))))
+    return prepared
 
 
 def controllers(models: Models, planning: Planning, pace: Pace, course: Course, prepared: Plan) -> dict[str, Controller]:
