@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from softrl.diagnosis.flexible import pressures
-from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes, gated, may_be_pinned, starts
+from softrl.diagnosis.hypothesis import GATES, Choice, Hypothesis, effect_axes, gated, may_be_pinned, starts
 from softrl.diagnosis.judge import Judge
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.rank import Lead, rank
@@ -269,9 +269,9 @@ def slim(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Pat
 
 
 def _pinned(trial: Trial, choice: Choice, name: str) -> tuple[Hypothesis, np.ndarray, int]:
-    """Return (hypothesis, point, place of the effect) with one more parameter of ``choice`` held at neutral."""
+    """Return (hypothesis, point, place of the effect) with one more parameter of ``choice`` held at neutral, or no gate."""
     place = trial.hypothesis.effects.index(choice)
-    less = choice._replace(pinned=(*choice.pinned, name))
+    less = choice._replace(gate=None) if name in GATES else choice._replace(pinned=(*choice.pinned, name))
     effects = tuple(less if effect == choice else effect for effect in trial.hypothesis.effects)
     column = columns_of(trial, choice)[[axis.name for axis in effect_axes(choice)].index(name)]
     return Hypothesis(effects, trial.hypothesis.tuned), np.delete(trial.fit.point, column), place

@@ -7,8 +7,21 @@ import pytest
 
 from softrl.core.config import build
 from softrl.core.tracking import NullTracker
-from softrl.diagnosis.hypothesis import Choice, Gate, build_effect, candidates, effect_axes, gated, neutral, starts
+from softrl.diagnosis.hypothesis import (
+    Choice,
+    Gate,
+    Hypothesis,
+    build_effect,
+    candidates,
+    effect_axes,
+    gated,
+    neutral,
+    starts,
+)
+from softrl.diagnosis.hypothesise import _pinned
+from softrl.diagnosis.search import Fit
 from softrl.diagnosis.stage import run
+from softrl.diagnosis.trial import Trial
 from softrl.effects.hysteresis import Hysteresis
 from softrl.effects.lag import Lag
 from softrl.effects.leak import Leak
@@ -25,6 +38,16 @@ def test_a_gate_is_one_parameter_more_that_begins_where_it_is_told() -> None:
         assert effect_axes(form)[-1].physical(float(point[-1])) == pytest.approx(12.0)
     assert build_effect(form, [0.1, 3.0, 15.0]).since_s == 15.0
     assert not [form for form in gated(Choice("drift"), 30.0, 0.8) if form.gate and form.gate.field == "since_s"]
+
+
+def test_a_gate_without_influence_is_dropped() -> None:
+    form = Choice("leak", gate=Gate("since_s", 12.0))
+    hypothesis, point = Hypothesis((form,), ()), starts(form)[0]
+    trial = Trial(hypothesis, Fit(point, np.zeros(4), np.zeros((4, 3)), 0.0, 1), {}, np.zeros(4), np.zeros(4))
+    less, rest, place = _pinned(trial, form, "since_s")
+    assert less.effects[place] == Choice("leak")
+    np.testing.assert_array_equal(rest, point[:-1])
+    assert len(rest) == len(effect_axes(less.effects[place]))
 
 
 def test_an_effect_that_makes_no_sense_for_a_robot_is_no_candidate(tripod: Robot) -> None:
