@@ -7,7 +7,7 @@ import numpy as np
 
 from softrl.artifacts.surrogate import Surrogate
 
-TERMS = 20  # monomials of three variables up to degree three
+TERMS, QUADRATIC = 20, 10  # monomials of three variables up to degree three, and up to degree two
 
 
 class Springs(NamedTuple):

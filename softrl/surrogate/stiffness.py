@@ -8,8 +8,9 @@ import torch
 
 from softrl.core.errors import SolverError
 from softrl.surrogate.kinematics import Chain, joint_axes, joint_jacobians
-from softrl.surrogate.springs import Springs, constant, monomials, softness_at
+from softrl.surrogate.springs import QUADRATIC, TERMS, Springs, constant, monomials, softness_at
 
+POSES_PER_TERM = 4  # fewer do not tell the terms of a cubic apart
 BENDING = 3.0  # weight of bending, of which there is one number where the tip's compliance has nine
 
 
@@ -85,7 +86,8 @@ def fit_springs(theta: np.ndarray, chain: Chain, compliance: Compliance, low: np
 
     Notes
     -----
-    Least squares by L-BFGS over the coefficients and a taper along the chain, of slope and bow, from springs of one value.
+    Least squares by L-BFGS over the coefficients and a taper along the chain, of slope and bow, from springs of one value;
+    poses that are too few for a cubic get a quadratic, which is surer at poses that were not seen.
     The tip's compliance counts relative to the body's in every direction (both sides multiplied by the inverse of its
     Cholesky factor), so that the stiff axis counts as the soft ones; bending counts relative to its size. Twist of the tip
     about its own axis is left out: hinges alone cannot follow it.
@@ -93,7 +95,8 @@ def fit_springs(theta: np.ndarray, chain: Chain, compliance: Compliance, low: np
     torch.set_num_threads(1)
     moved, turned, axis = _gap_slopes(theta, chain)
     gaps = len(chain.below)
-    terms = torch.tensor(np.stack([monomials(row, low, high) for row in theta]))
+    count = TERMS if len(theta) >= POSES_PER_TERM * TERMS else QUADRATIC
+    terms = torch.tensor(np.stack([monomials(row, low, high)[:count] for row in theta]))
     size = torch.tensor(_uniform_softness(moved, compliance.tip) ** 0.5)
     whiten = torch.linalg.inv(torch.linalg.cholesky(torch.tensor(compliance.tip)))
     slopes, body = torch.tensor(moved), torch.tensor(compliance.tip)

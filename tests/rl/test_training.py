@@ -74,7 +74,7 @@ def test_other_agents_run_and_keep_their_best(name: str, robot: Robot, surrogate
 def test_the_clone_answers_to_a_hidden_force(cloned: tuple[Policy, dict[str, float]]) -> None:
     _, metrics = cloned
     blind = metrics["heldout/open_loop_loaded_circle_position_rmse_mm"]
-    assert metrics["heldout/loaded_circle_position_rmse_mm"] < 0.7 * blind  # 0.64 with so little training; a full one 0.22
+    assert metrics["heldout/loaded_circle_position_rmse_mm"] < 0.6 * blind
     assert metrics["heldout/expert_loaded_circle_position_rmse_mm"] < 0.3 * blind
 
 

@@ -99,14 +99,13 @@ def bent_springs(surrogate: Surrogate, taper: float) -> Springs:
 
 
 def test_springs_are_found_again(surrogate: Surrogate) -> None:
-    chain, theta = chain_of(surrogate), np.ascontiguousarray(surrogate.sample_joints[:160])
+    chain, theta = chain_of(surrogate), np.ascontiguousarray(surrogate.sample_joints[:60])
     truth = bent_springs(surrogate, 0.4)
     turn = chain_turn(theta, chain, truth)
     body = Compliance(chain_compliance(theta, chain, truth), turn)
     found = fit_springs(theta[::2], chain, Compliance(body.tip[::2], turn[::2]), truth.low, truth.high, 400, 1e-12)
     unseen = np.ascontiguousarray(theta[1::2])
-    # a cubic has more freedom than the truth's quadratic: at unseen poses 0.3 % of the largest are left
-    np.testing.assert_allclose(chain_compliance(unseen, chain, found), body.tip[1::2], atol=5e-3 * body.tip.max())
+    np.testing.assert_allclose(chain_compliance(unseen, chain, found), body.tip[1::2], atol=1e-3 * body.tip.max())
     np.testing.assert_allclose(found.share, truth.share, rtol=1e-2)
 
 
