@@ -1,6 +1,5 @@
 """The closed-form stresses obey mechanics; the fits find known parameters, and the reader refuses bad files."""
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -117,11 +116,9 @@ def test_byte_order_mark_and_database_format_are_read(tmp_path: Path) -> None:
 
 @pytest.mark.realdata
 @pytest.mark.parametrize("stretch_max", [2.0, 3.5])
-def test_real_elastomers_stiffen_beyond_neo_hookean(stretch_max: float) -> None:
-    folder = Path(os.environ.get("SOFTRL_REAL_DATA", ROOT.parent / "shared" / "data")) / "material"
-    curves = sorted(folder.glob("*.csv"))
-    if not curves:
-        pytest.skip(f"no tensile curves in {folder}")
+def test_real_elastomers_stiffen_beyond_neo_hookean(real_data: Path, stretch_max: float) -> None:
+    curves = sorted((real_data / "material").glob("*.csv"))
+    assert curves, f"no tensile curves in {real_data / 'material'}"
     for path in curves:
         fits = {f.law: f for f in fit_materials(read_tensile(path, 300, stretch_max), 8)}
         assert fits["yeoh"].heldout_rms_pa < 0.75 * fits["neo_hookean"].heldout_rms_pa, path.name

@@ -57,6 +57,7 @@ def test_a_killed_run_goes_on(tmp_path: Path, box: Mesh, monkeypatch: pytest.Mon
             assert one == two, field.name
             continue
         # bit for bit with one thread; the linear solver sums in another order with more
+        # bit for bit with one thread; the linear solver sums in another order with more
         share = 1e-5 if field.name == "compliance_slope" else 1e-8  # a difference quotient magnifies round-off
         np.testing.assert_allclose(one, two, rtol=1e-6, atol=share * np.abs(one).max(initial=0.0), err_msg=field.name)
 

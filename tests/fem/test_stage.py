@@ -87,6 +87,7 @@ def test_processes_do_not_change_the_result(box: Mesh, snapshots: Snapshots) -> 
             assert one == two, field.name
             continue
         # the linear solver sums in another order with another number of threads
+        # the linear solver sums in another order with another number of threads
         share = 1e-5 if field.name == "compliance_slope" else 1e-8  # a difference quotient magnifies round-off
         np.testing.assert_allclose(one, two, rtol=1e-6, atol=share * np.abs(one).max(initial=0.0), err_msg=field.name)
 

@@ -27,7 +27,7 @@ def test_unseen_equilibria_are_recovered(body: Body) -> None:
     unseen = equilibria(synthetic_snapshots(robot, 15, seed=99, trajectories=0))
     prediction, failed = statics(model, unseen)
     assert failed == 0
-    assert prediction.tip_errors().max() < 2e-7, f"{prediction.tip_errors().max():g} m"  # what the ridges leave
+    assert prediction.tip_errors().max() < 1e-7, f"{prediction.tip_errors().max():g} m"
     assert prediction.volume_error() < 1e-6
     assert orientation_errors(model, unseen).max() < 1e-7
 
