@@ -73,16 +73,17 @@ def test_the_default_mesh_is_within_two_per_cent_of_the_limit_of_three() -> None
 @pytest.mark.slow
 def test_the_tripod_does_not_lock_up_to_a_poisson_ratio_of_049() -> None:
     # locking would leave the coarse mesh further behind the finer one, the less its volume can change
-    mesh, finer, share = sample_mesh("tiny"), refine(sample_mesh("tiny"), 2), {}
-    for nu in (0.45, 0.49):
+    mesh, finer, share = sample_mesh(), refine(sample_mesh(), 2), {}
+    for nu in (0.3, 0.45, 0.49):
         coarse, fine = (tripod(nu, mean=True)(m) for m in (mesh, finer))
         pose = coarse.static(ONE_CHAMBER).pose
         solve = fine.static(ONE_CHAMBER, carried(coarse, pose, fine, mesh))
         assert solve.converged
         tips = [np.linalg.norm(m.tip(at) - m.rest_tip) for m, at in ((coarse, pose), (fine, solve.pose))]
         share[nu] = float(tips[0] / tips[1])
-    # measured 0.952 and 0.954
-    assert abs(share[0.49] - share[0.45]) < 0.01, f"measured {share}"
+    # measured 0.969, 0.994 and 1.002: no rubber has 0.3, where the sample mesh is 3 per cent behind
+    assert all(abs(share[nu] - 1.0) < 0.02 for nu in (0.45, 0.49)), f"measured {share}"
+    assert share[0.49] > share[0.3] - 0.01, f"stiffer where it hardly changes its volume: measured {share}"
 
 
 @pytest.mark.slow
