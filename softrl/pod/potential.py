@@ -93,18 +93,12 @@ def polynomial(coefficients: np.ndarray, values: np.ndarray) -> float:
 
 
 @nb.njit(cache=True, fastmath=_FAST)
-def _by_degree(coefficients: np.ndarray, values: np.ndarray, variables: int) -> tuple[float, float]:
-    """Return a polynomial at monomials ``values``, and the sum of its parts of degree m over ``m + 1``."""
-    total, shared = coefficients[0], coefficients[0]
-    degree, first, end = 1, 1, 1 + variables
-    while first < len(coefficients):
-        part = 0.0
-        for k in range(first, end):
-            part += coefficients[k] * values[k]
-        total += part
-        degree += 1
-        shared += part / degree
-        first, end = end, end * (variables + degree) // degree
+def _both(coefficients: np.ndarray, values: np.ndarray, shares: np.ndarray) -> tuple[float, float]:
+    """Return one polynomial at monomials ``values`` and at ``shares`` (k,) of them: coefficients are read once."""
+    total = shared = 0.0
+    for k in range(len(coefficients)):
+        total += coefficients[k] * values[k]
+        shared += coefficients[k] * shares[k]
     return total, shared
 
 
@@ -120,12 +114,15 @@ def fill_potential(
     radius = to_ball(y, point)
     known = tables.hessian.shape[1] if radius <= 1.0 else tables.gradient.shape[1]
     fill_monomials(point, tables.parent, tables.variable, values[: max(known, tables.weight.shape[2])])
+    shares = np.empty(tables.hessian.shape[1])
+    for k in range(len(shares)):
+        shares[k] = values[k] / (tables.degrees[k] + 1.0)
     for i in range(r):
         gradient[i] = tables.gradient[i, 0]
     pair = 0
     for i in range(r):
         for j in range(i, r):
-            bend, pull = _by_degree(tables.hessian[pair], values, r)
+            bend, pull = _both(tables.hessian[pair], values, shares)
             hessian[i, j] = bend
             hessian[j, i] = bend
             gradient[i] += pull * point[j]
