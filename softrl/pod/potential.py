@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 
-_FAST = {"reassoc", "contract"}
+FAST = {"reassoc", "contract"}  # sums in any order: what lets the compiler use vectors
 PIVOT = 1e-3  # of the elastic Hessian at rest: least pivot of its factor
 
 
@@ -23,7 +23,7 @@ class Tables(NamedTuple):
     Attributes
     ----------
     frame, inverse : (r, r) z per y and y per z
-    parent, variable, degrees : (k,) how monomials are made
+    parent, variable, degrees : (k,) how monomials are made;  shares : (k,) 1 / (degree + 1)
     gradient : (r, k), hessian : (pairs, k) J, of elastic energy and weight together
     quadratic : (r, r) J, elastic Hessian at rest: what makes an indefinite Newton matrix definite
     mass_root, stiffness_root, lag_root : (r r, k) of mass, viscosity and the share of it that lags, the latter two
@@ -44,6 +44,7 @@ class Tables(NamedTuple):
     parent: np.ndarray
     variable: np.ndarray
     degrees: np.ndarray
+    shares: np.ndarray
     gradient: np.ndarray
     hessian: np.ndarray
     quadratic: np.ndarray
@@ -83,7 +84,7 @@ def to_ball(y: np.ndarray, point: np.ndarray) -> float:
     return radius
 
 
-@nb.njit(cache=True, fastmath=_FAST)
+@nb.njit(cache=True, fastmath=FAST)
 def polynomial(coefficients: np.ndarray, values: np.ndarray) -> float:
     """Return one polynomial at monomials ``values``, of which it reads as many as it has coefficients."""
     total = 0.0
@@ -92,14 +93,27 @@ def polynomial(coefficients: np.ndarray, values: np.ndarray) -> float:
     return total
 
 
-@nb.njit(cache=True, fastmath=_FAST)
-def _both(coefficients: np.ndarray, values: np.ndarray, shares: np.ndarray) -> tuple[float, float]:
-    """Return one polynomial at monomials ``values`` and at ``shares`` (k,) of them: coefficients are read once."""
-    total = shared = 0.0
-    for k in range(len(coefficients)):
-        total += coefficients[k] * values[k]
-        shared += coefficients[k] * shares[k]
-    return total, shared
+@nb.njit(cache=True, fastmath=FAST)
+def _fill_both(
+    coefficients: np.ndarray, values: np.ndarray, shares: np.ndarray, rows: np.ndarray, shared: np.ndarray
+) -> None:
+    """Fill ``rows`` (m,) with polynomials (m, k) at monomials ``values``, and ``shared`` at ``shares`` (k,) of them.
+
+    Three at a time, the last ones twice where m is no multiple: what they have in common is read once.
+    """
+    last = len(rows) - 1
+    for first in range(0, last + 1, 3):
+        m, n = min(first + 1, last), min(first + 2, last)
+        a = b = c = d = e = f = 0.0
+        for k in range(coefficients.shape[1]):
+            a += coefficients[first, k] * values[k]
+            b += coefficients[m, k] * values[k]
+            c += coefficients[n, k] * values[k]
+            d += coefficients[first, k] * shares[k]
+            e += coefficients[m, k] * shares[k]
+            f += coefficients[n, k] * shares[k]
+        rows[first], rows[m], rows[n] = a, b, c
+        shared[first], shared[m], shared[n] = d, e, f
 
 
 @nb.njit(cache=True)
@@ -114,20 +128,20 @@ def fill_potential(
     radius = to_ball(y, point)
     known = tables.hessian.shape[1] if radius <= 1.0 else tables.gradient.shape[1]
     fill_monomials(point, tables.parent, tables.variable, values[: max(known, tables.weight.shape[2])])
-    shares = np.empty(tables.hessian.shape[1])
-    for k in range(len(shares)):
-        shares[k] = values[k] / (tables.degrees[k] + 1.0)
+    pairs, known = tables.hessian.shape
+    shares, curves, pulls = np.empty(known), np.empty(pairs), np.empty(pairs)
+    for k in range(known):
+        shares[k] = values[k] * tables.shares[k]
+    _fill_both(tables.hessian, values, shares, curves, pulls)
     for i in range(r):
         gradient[i] = tables.gradient[i, 0]
     pair = 0
     for i in range(r):
         for j in range(i, r):
-            bend, pull = _both(tables.hessian[pair], values, shares)
-            hessian[i, j] = bend
-            hessian[j, i] = bend
-            gradient[i] += pull * point[j]
+            hessian[i, j] = hessian[j, i] = curves[pair]
+            gradient[i] += pulls[pair] * point[j]
             if i != j:
-                gradient[j] += pull * point[i]
+                gradient[j] += pulls[pair] * point[i]
             pair += 1
     if radius > 1.0:
         _continue(radius, tables, values, point, gradient, hessian)
@@ -196,14 +210,25 @@ def _ray(degree: float, radius: float) -> tuple[float, float, float]:
     return 1.0 + beyond * (degree + 0.5 * bend * beyond), degree + bend * beyond, bend
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, fastmath=FAST)
 def fill_rows(coefficients: np.ndarray, values: np.ndarray, rows: np.ndarray) -> None:
-    """Fill ``rows`` (m,) with the polynomials ``coefficients`` (m, k) at monomials ``values``."""
-    for m in range(len(rows)):
-        rows[m] = polynomial(coefficients[m], values)
+    """Fill ``rows`` (m,) with the polynomials ``coefficients`` (m, k) at monomials ``values``.
+
+    Four at a time, the last ones twice where m is no multiple: monomials are read once.
+    """
+    last = len(rows) - 1
+    for first in range(0, last + 1, 4):
+        m, n, o = min(first + 1, last), min(first + 2, last), min(first + 3, last)
+        a = b = c = d = 0.0
+        for k in range(coefficients.shape[1]):
+            a += coefficients[first, k] * values[k]
+            b += coefficients[m, k] * values[k]
+            c += coefficients[n, k] * values[k]
+            d += coefficients[o, k] * values[k]
+        rows[first], rows[m], rows[n], rows[o] = a, b, c, d
 
 
-@nb.njit(cache=True, fastmath=_FAST)
+@nb.njit(cache=True, fastmath=FAST)
 def fill_square(root: np.ndarray, square: np.ndarray) -> None:
     """Fill ``square`` (r, r) with R' R, R row by row in ``root`` (r r,): never indefinite."""
     r = len(square)
@@ -253,7 +278,7 @@ def _diagonal(i: int, r: int) -> int:
     return i * r - i * (i - 1) // 2
 
 
-@nb.njit(cache=True, fastmath=_FAST)
+@nb.njit(cache=True, fastmath=FAST)
 def fill_behind(root: np.ndarray, factor: np.ndarray, product: np.ndarray) -> None:
     """Fill ``product`` (r r,) with R U', R row by row in ``root`` (r r,), U the upper triangle of ``factor``."""
     r = len(factor)

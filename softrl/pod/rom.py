@@ -67,6 +67,7 @@ def tables_of(
                 full.parent,
                 full.variable,
                 full.degrees.astype(float),
+                1.0 / (full.degrees + 1.0),
                 gradient,
                 hessian,
                 quadratic,
