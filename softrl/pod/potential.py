@@ -257,7 +257,7 @@ def fill_elastic_factor(hessian: np.ndarray, rest: np.ndarray, factor: np.ndarra
             factor[i, j] = hessian[pair]
             pair += 1
     for j in range(r - 1, -1, -1):
-        pivot, least = factor[j, j], PIVOT * rest[_diagonal(j, r)]
+        pivot, least = factor[j, j], PIVOT * rest[diagonal(j, r)]
         for k in range(j + 1, r):
             pivot -= factor[j, k] * factor[j, k]
         for i in range(j):
@@ -265,7 +265,7 @@ def fill_elastic_factor(hessian: np.ndarray, rest: np.ndarray, factor: np.ndarra
             for k in range(j + 1, r):
                 entry -= factor[i, k] * factor[j, k]
             factor[i, j] = entry
-            row = _diagonal(i, r)
+            row = diagonal(i, r)
             least = max(least, entry * entry / max(hessian[row], rest[row]))
         factor[j, j] = math.sqrt(max(pivot, least))
         for i in range(j):
@@ -273,7 +273,7 @@ def fill_elastic_factor(hessian: np.ndarray, rest: np.ndarray, factor: np.ndarra
 
 
 @nb.njit(cache=True)
-def _diagonal(i: int, r: int) -> int:
+def diagonal(i: int, r: int) -> int:
     """Return the position of entry (i, i) among the pairs of ``r`` rows."""
     return i * r - i * (i - 1) // 2
 
