@@ -31,7 +31,7 @@ def run_batch(
     blocks = [slice(first, first + LANES) for first in range(0, len(y), LANES)]
 
     def run(block: slice) -> tuple[int, float]:
-        moving = (np.ascontiguousarray(part[block].T) for part in (y, velocity, lag))
+        moving = (np.array(part[block].T, order="C") for part in (y, velocity, lag))
         return run_block(*moving, dt_s, load[block], tables, path[block])
 
     with ThreadPoolExecutor(min(len(blocks), len(os.sched_getaffinity(0))) or 1) as threads:
