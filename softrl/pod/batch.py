@@ -1,32 +1,28 @@
-"""Many trajectories of the energy ROM in step: polynomials of all at once as matrix products, the rest one by one."""
+"""Many trajectories of the energy ROM in step, for vectors of the processor: the last axis of every array is the lane.
 
+The equations are those of ``pod.kernel`` and ``pod.potential``; polynomials of all lanes are matrix products. What a lane
+seldom needs, the potential outside the samples and a Newton matrix made definite, it does alone.
+"""
+
+import math
 import os
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba as nb
 import numpy as np
 
-from softrl.pod.kernel import (
-    CLOSE,
-    MAX_ITERATIONS,
-    begin_step,
-    end_step,
-    fill_turning,
-    fill_viscosity,
-    iterate,
-    scale_to,
-    square_of,
-)
-from softrl.pod.potential import Tables, fill_potential, fill_square, to_ball
+from softrl.pod.kernel import CLOSE, LONGEST_STEP, MAX_ITERATIONS, lag_hold
+from softrl.pod.linear import newton_direction
+from softrl.pod.potential import FAST, PIVOT, Tables, diagonal, fill_potential
 
-LANES = 32  # trajectories in step: enough for the matrix products, few enough for the cache
+LANES = 64  # trajectories in step: many for the matrix products, few enough for the cache
 
 
 def run_batch(
     y: np.ndarray, velocity: np.ndarray, lag: np.ndarray, dt_s: float, load: np.ndarray, tables: Tables
 ) -> tuple[np.ndarray, int, float]:
-    """Roll out from ``y``, ``velocity`` and ``lag`` (B, r), which are used up, under ``load`` (B, steps, r) Pa and N.
+    """Roll out from ``y``, ``velocity`` and ``lag`` (B, r) under ``load`` (B, steps, r) Pa and N.
 
     Blocks of trajectories run in threads, one a core. Returns the path (B, steps, r), the number of steps that did not
     converge, and the largest ``|y|``; the same motions as ``pod.kernel.run_kernel`` makes, to round-off.
@@ -35,11 +31,74 @@ def run_batch(
     blocks = [slice(first, first + LANES) for first in range(0, len(y), LANES)]
 
     def run(block: slice) -> tuple[int, float]:
-        return run_block(y[block], velocity[block], lag[block], dt_s, load[block], tables, path[block])
+        moving = (np.array(part[block].T, order="C") for part in (y, velocity, lag))
+        return run_block(*moving, dt_s, load[block], tables, path[block])
 
     with ThreadPoolExecutor(min(len(blocks), len(os.sched_getaffinity(0))) or 1) as threads:
         ends = list(threads.map(run, blocks))
     return path, sum(failed for failed, _ in ends), max((farthest for _, farthest in ends), default=0.0)
+
+
+class Lanes(NamedTuple):
+    """What a block of lanes holds during a step, ``r`` coordinates.
+
+    Attributes
+    ----------
+    mass, stiff, loose, inertia, matrix : (r, r, lanes), the last one scratch
+    turning, right, gradient, direction, wanted, trial : (r, lanes)
+    points : (r, lanes) in the unit ball;  radius : (lanes,) of the states they belong to
+    root, other, product : (r r, lanes);  slope : (r r r, lanes);  pairs : (r (r + 1) / 2, lanes)
+    values : (k, lanes) monomials
+    some : (5, lanes) scratch
+    """
+
+    mass: np.ndarray
+    stiff: np.ndarray
+    loose: np.ndarray
+    inertia: np.ndarray
+    matrix: np.ndarray
+    turning: np.ndarray
+    right: np.ndarray
+    gradient: np.ndarray
+    direction: np.ndarray
+    wanted: np.ndarray
+    trial: np.ndarray
+    points: np.ndarray
+    radius: np.ndarray
+    root: np.ndarray
+    other: np.ndarray
+    product: np.ndarray
+    slope: np.ndarray
+    pairs: np.ndarray
+    values: np.ndarray
+    some: np.ndarray
+
+
+@nb.njit(cache=True)
+def _make_lanes(r: int, lanes: int, monomials: int) -> Lanes:
+    """Return room for ``lanes`` lanes."""
+    full = (r, r, lanes)
+    return Lanes(
+        np.zeros(full), np.zeros(full), np.zeros(full), np.zeros(full), np.zeros(full),
+        np.zeros((r, lanes)), np.zeros((r, lanes)), np.zeros((r, lanes)), np.zeros((r, lanes)), np.zeros((r, lanes)),
+        np.zeros((r, lanes)), np.zeros((r, lanes)), np.zeros(lanes),
+        np.zeros((r * r, lanes)), np.zeros((r * r, lanes)), np.zeros((r * r, lanes)), np.zeros((r**3, lanes)),
+        np.zeros((r * (r + 1) // 2, lanes)), np.zeros((monomials, lanes)), np.zeros((5, lanes)),
+    )  # fmt: skip
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def _add(total: np.ndarray, left: np.ndarray, right: np.ndarray) -> None:
+    """Add ``left * right`` to ``total``, (lanes,) each."""
+    for lane in range(len(total)):
+        total[lane] += left[lane] * right[lane]
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def _take(total: np.ndarray, left: np.ndarray, right: np.ndarray) -> None:
+    """Take ``left * right`` from ``total``, (lanes,) each."""
+    for lane in range(len(total)):
+        total[lane] -= left[lane] * right[lane]
 
 
 @nb.njit(cache=True)
@@ -55,124 +114,345 @@ def _fill_monomials(points: np.ndarray, tables: Any, values: np.ndarray) -> None
 
 @nb.njit(cache=True)
 def _fill_rows(coefficients: np.ndarray, values: np.ndarray, rows: np.ndarray) -> None:
-    """Fill ``rows`` (lanes, m) with the polynomials ``coefficients`` (m, k) at monomials ``values`` (>= k, lanes)."""
+    """Fill ``rows`` (m, lanes) with the polynomials ``coefficients`` (m, k) at monomials ``values`` (>= k, lanes)."""
     if coefficients.shape[1] > 0:
-        np.dot(values[: coefficients.shape[1]].T, coefficients.T, rows)
+        np.dot(coefficients, values[: coefficients.shape[1]], rows)
     else:
         rows[:] = 0.0
 
 
-@nb.njit(cache=True)
-def _to_balls(y: np.ndarray, scratch: np.ndarray, points: np.ndarray, radius: np.ndarray) -> None:
-    """Fill the nearest points (r, lanes) of the unit ball to ``y`` (lanes, r), and their ``radius`` (lanes,)."""
-    for lane in range(len(y)):
-        radius[lane] = to_ball(y[lane], scratch)
-        for i in range(len(scratch)):
-            points[i, lane] = scratch[i]
+@nb.njit(cache=True, error_model="numpy")
+def _to_balls(y: np.ndarray, points: np.ndarray, radius: np.ndarray) -> None:
+    """Fill the nearest points (r, lanes) of the unit ball to ``y`` (r, lanes), and their ``radius`` (lanes,)."""
+    radius[:] = 0.0
+    for i in range(len(y)):
+        _add(radius, y[i], y[i])
+    for lane in range(len(radius)):
+        radius[lane] = math.sqrt(radius[lane])
+    for i in range(len(y)):
+        for lane in range(len(radius)):
+            points[i, lane] = y[i, lane] / max(radius[lane], 1.0)
 
 
 @nb.njit(cache=True)
-def _fill_mass(
-    y: np.ndarray, tables: Any, values: np.ndarray, points: np.ndarray, radius: np.ndarray, vector: np.ndarray,
-    root: np.ndarray, slope: np.ndarray, mass: np.ndarray,
+def _fill_squares(root: np.ndarray, squares: np.ndarray) -> None:
+    """Fill ``squares`` (r, r, lanes) with R' R of ``root`` (r r, lanes)."""
+    r = len(squares)
+    for i in range(r):
+        for j in range(i, r):
+            squares[i, j] = 0.0
+            for k in range(r):
+                _add(squares[i, j], root[k * r + i], root[k * r + j])
+            squares[j, i] = squares[i, j]
+
+
+@nb.njit(cache=True)
+def _squares_of(matrix: np.ndarray, vector: np.ndarray, part: np.ndarray, total: np.ndarray) -> None:
+    """Fill ``total`` (lanes,) with vector' matrix vector; ``part`` (lanes,) is scratch."""
+    total[:] = 0.0
+    for i in range(len(vector)):
+        part[:] = 0.0
+        for j in range(len(vector)):
+            _add(part, matrix[i, j], vector[j])
+        _add(total, part, vector[i])
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _scale_to(vector: np.ndarray, energy: np.ndarray, matrix: np.ndarray, up: bool, some: np.ndarray) -> None:
+    """Scale ``vector`` (r, lanes) until its squares in ``matrix`` are ``energy`` (lanes,), upwards only where ``up``."""
+    _squares_of(matrix, vector, some[0], some[1])
+    for lane in range(len(energy)):
+        now = some[1, lane]
+        if now > 0.0 and (up or now > energy[lane]):
+            share = math.sqrt(energy[lane] / now)
+            for i in range(len(vector)):
+                vector[i, lane] *= share
+
+
+@nb.njit(cache=True)
+def _fill_mass(y: np.ndarray, tables: Any, held: Lanes) -> None:
+    """Fill roots, their gradients and masses at ``y`` (r, lanes)."""
+    _to_balls(y, held.points, held.radius)
+    _fill_monomials(held.points, tables, held.values[: tables.mass_root.shape[1]])
+    _fill_rows(tables.mass_root, held.values, held.root)
+    _fill_rows(tables.mass_slope, held.values, held.slope)
+    _fill_squares(held.root, held.mass)
+
+
+@nb.njit(cache=True)
+def _fill_turning(velocity: np.ndarray, held: Lanes) -> None:
+    """Fill the force of turning from the roots and their gradients, as ``pod.kernel.fill_turning``."""
+    points, force, outward, part, share = held.points, held.turning, held.some[0], held.some[1], held.some[2]
+    moved, changed, along = held.wanted, held.gradient, held.trial
+    r, lanes = velocity.shape
+    outward[:] = 0.0
+    for i in range(r):
+        _add(outward, points[i], velocity[i])
+        moved[i], changed[i] = 0.0, 0.0
+        for j in range(r):
+            _add(moved[i], held.root[i * r + j], velocity[j])
+    _fill_tangent(velocity, outward, held, along)
+    force[:] = 0.0
+    turned, inward = held.direction, held.some[3]
+    inward[:] = 0.0
+    for j in range(r):
+        turned[j] = 0.0
+        for a in range(r):
+            part[:], share[:] = 0.0, 0.0
+            _add(share, along[j], moved[a])
+            for i in range(r):
+                row = held.slope[(j * r + a) * r + i]
+                _add(part, row, velocity[i])
+                _take(force[i], share, row)
+            _add(changed[a], along[j], part)
+            _add(turned[j], part, moved[a])
+        _add(inward, points[j], turned[j])
+    _fill_tangent(turned, inward, held, along)
+    for j in range(r):
+        for lane in range(lanes):
+            force[j, lane] += along[j, lane]
+        for a in range(r):
+            _take(force[j], held.root[a * r + j], changed[a])
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _fill_tangent(vector: np.ndarray, outward: np.ndarray, held: Lanes, along: np.ndarray) -> None:
+    """Fill ``along`` (r, lanes) with the motion of the points as the states move by ``vector``, of which ``outward``."""
+    for i in range(len(vector)):
+        for lane in range(len(outward)):
+            beyond = held.radius[lane] > 1.0
+            lost = held.points[i, lane] * outward[lane] if beyond else 0.0
+            along[i, lane] = (vector[i, lane] - lost) / max(held.radius[lane], 1.0)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _fill_factor(elastic: np.ndarray, rest: np.ndarray, factor: np.ndarray, some: np.ndarray) -> None:
+    """Fill ``factor`` (r, r, lanes) from ``elastic`` (pairs, lanes), as ``pod.potential.fill_elastic_factor``."""
+    r, lanes = len(factor), factor.shape[2]
+    pivot, least = some[0], some[1]
+    pair = 0
+    for i in range(r):
+        for j in range(i, r):
+            factor[i, j] = elastic[pair]
+            pair += 1
+    for j in range(r - 1, -1, -1):
+        least[:] = PIVOT * rest[diagonal(j, r)]
+        pivot[:] = factor[j, j]
+        for k in range(j + 1, r):
+            _take(pivot, factor[j, k], factor[j, k])
+        for i in range(j):
+            for k in range(j + 1, r):
+                _take(factor[i, j], factor[i, k], factor[j, k])
+            row = diagonal(i, r)
+            for lane in range(lanes):
+                entry = factor[i, j, lane]
+                least[lane] = max(least[lane], entry * entry / max(elastic[row, lane], rest[row]))
+        for lane in range(lanes):
+            factor[j, j, lane] = math.sqrt(max(pivot[lane], least[lane]))
+        for i in range(j):
+            for lane in range(lanes):
+                factor[i, j, lane] /= factor[j, j, lane]
+
+
+@nb.njit(cache=True)
+def _fill_behind(root: np.ndarray, factor: np.ndarray, product: np.ndarray) -> None:
+    """Fill ``product`` (r r, lanes) with R U' of ``root`` (r r, lanes) and ``factor`` (r, r, lanes)."""
+    r = len(factor)
+    for i in range(r):
+        for j in range(r):
+            product[i * r + j] = 0.0
+            for k in range(j, r):
+                _add(product[i * r + j], root[i * r + k], factor[j, k])
+
+
+@nb.njit(cache=True)
+def _fill_viscosity(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any, held: Lanes) -> None:
+    """Fill viscosity and its lagging share half a step ahead."""
+    wide = max(tables.elastic.shape[1], tables.stiffness_root.shape[1], tables.lag_root.shape[1])
+    for i in range(len(y)):
+        for lane in range(y.shape[1]):
+            held.trial[i, lane] = y[i, lane] + 0.5 * dt * velocity[i, lane]
+    _to_balls(held.trial, held.points, held.some[0])
+    _fill_monomials(held.points, tables, held.values[:wide])
+    _fill_rows(tables.elastic, held.values, held.pairs)
+    _fill_rows(tables.stiffness_root, held.values, held.root)
+    _fill_rows(tables.lag_root, held.values, held.other)
+    _fill_factor(held.pairs, tables.elastic[:, 0], held.matrix, held.some)
+    _fill_behind(held.root, held.matrix, held.product)
+    _fill_squares(held.product, held.stiff)
+    if tables.lag_root.shape[1] > 0:
+        _fill_behind(held.other, held.matrix, held.product)
+        _fill_squares(held.product, held.loose)
+
+
+@nb.njit(cache=True, fastmath=FAST, error_model="numpy")
+def _begin(
+    y: np.ndarray, start: np.ndarray, velocity: np.ndarray, lag: np.ndarray, load: np.ndarray, dt: float, tables: Any,
+    held: Lanes,
 ) -> None:
-    """Fill roots (lanes, r r), their gradients (lanes, r r r) and masses (lanes, r, r) at ``y`` (lanes, r)."""
-    _to_balls(y, vector, points, radius)
-    _fill_monomials(points, tables, values[: tables.mass_root.shape[1]])
-    _fill_rows(tables.mass_root, values, root)
-    _fill_rows(tables.mass_slope, values, slope)
-    for lane in range(len(y)):
-        fill_square(root[lane], mass[lane])
+    """Fill what is constant in a step, and move ``y`` ahead, as ``pod.kernel.begin_step``; ``load`` (lanes, r)."""
+    r, lanes = y.shape
+    hold, (mass_scale, mass_damping, stiffness_damping) = lag_hold(dt, tables), tables.scales[:3]
+    for i in range(r):
+        for lane in range(lanes):
+            start[i, lane] = y[i, lane]
+            y[i, lane] += dt * velocity[i, lane]
+    np.dot(tables.frame.T, load.T, held.right)
+    for i in range(r):
+        for lane in range(lanes):
+            held.right[i, lane] += mass_scale * held.turning[i, lane]
+        for j in range(r):
+            for lane in range(lanes):
+                mass, loose = held.mass[i, j, lane], held.loose[i, j, lane]
+                free = mass_scale / dt**2 * mass
+                drag = (mass_damping * mass + stiffness_damping * (held.stiff[i, j, lane] + (1.0 - hold) * loose)) / dt
+                held.inertia[i, j, lane] = free + drag
+                held.right[i, lane] += (
+                    free * y[j, lane] + drag * start[j, lane] - stiffness_damping * hold * loose * lag[j, lane]
+                )
 
 
-@nb.njit(cache=True, nogil=True)
+@nb.njit(cache=True)
+def _fill_wanted(y: np.ndarray, waiting: np.ndarray, tables: Any, held: Lanes) -> None:
+    """Fill gradient and Newton's direction at ``y`` (r, lanes), those of lanes that do not wait for nothing."""
+    r, lanes = y.shape
+    _to_balls(y, held.points, held.radius)
+    _fill_monomials(held.points, tables, held.values[: tables.gradient.shape[1]])
+    _fill_rows(tables.gradient, held.values, held.gradient)
+    _fill_rows(tables.hessian, held.values, held.pairs)
+    for lane in range(lanes):
+        if waiting[lane] and held.radius[lane] > 1.0:
+            _fill_outside(y, lane, tables, held)
+    for i in range(r):
+        for lane in range(lanes):
+            held.gradient[i, lane] -= held.right[i, lane]
+        for j in range(r):
+            _add(held.gradient[i], held.inertia[i, j], y[j])
+    _solve(waiting, tables, held)
+
+
+@nb.njit(cache=True)
+def _fill_outside(y: np.ndarray, lane: int, tables: Any, held: Lanes) -> None:
+    """Fill the potential's derivatives of one lane outside the samples."""
+    r = len(y)
+    values, point, gradient, hessian = np.empty(len(tables.parent)), np.empty(r), np.empty(r), np.empty((r, r))
+    fill_potential(y[:, lane].copy(), tables, values, point, gradient, hessian)
+    pair = 0
+    for i in range(r):
+        held.gradient[i, lane] = gradient[i]
+        for j in range(i, r):
+            held.pairs[pair, lane] = hessian[i, j]
+            pair += 1
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _solve(waiting: np.ndarray, tables: Any, held: Lanes) -> None:
+    """Fill ``wanted`` by LDL' of the Hessians in ``pairs`` with inertia; lanes that are not definite go alone."""
+    matrix, wanted, pivot, least = held.matrix, held.wanted, held.some[0], held.some[1]
+    r, lanes = wanted.shape
+    least[:] = np.inf
+    pair = 0
+    for i in range(r):  # row i of the upper triangle becomes D L' there
+        for j in range(i, r):
+            for lane in range(lanes):
+                matrix[i, j, lane] = held.pairs[pair, lane] + held.inertia[i, j, lane]
+            pair += 1
+        wanted[i] = held.gradient[i]
+    for k in range(r):
+        for lane in range(lanes):
+            least[lane] = min(least[lane], matrix[k, k, lane])
+            pivot[lane] = 1.0 / matrix[k, k, lane]
+        for i in range(k + 1, r):
+            share = matrix[i, k]
+            for lane in range(lanes):
+                share[lane] = matrix[k, i, lane] * pivot[lane]
+            for j in range(i, r):
+                _take(matrix[i, j], share, matrix[k, j])
+            _take(wanted[i], share, wanted[k])
+        for lane in range(lanes):
+            wanted[k, lane] *= pivot[lane]
+    for i in range(r - 1, -1, -1):
+        for k in range(i + 1, r):
+            _take(wanted[i], matrix[k, i], wanted[k])
+    for lane in range(lanes):
+        if waiting[lane] and not least[lane] > 0.0:
+            _solve_alone(lane, tables, held)
+
+
+@nb.njit(cache=True)
+def _solve_alone(lane: int, tables: Any, held: Lanes) -> None:
+    """Fill the direction of one lane, whose Newton matrix has to be made definite."""
+    r = len(held.wanted)
+    matrix, scratch, direction = np.empty((r, r)), np.empty((r, r)), np.empty(r)
+    pair = 0
+    for i in range(r):
+        for j in range(i, r):
+            matrix[i, j] = matrix[j, i] = held.pairs[pair, lane] + held.inertia[i, j, lane]
+            pair += 1
+    newton_direction(matrix, tables.quadratic, held.gradient[:, lane].copy(), True, scratch, direction)
+    held.wanted[:, lane] = direction
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _move(y: np.ndarray, lane: int, progress: np.ndarray, held: Lanes) -> float:
+    """Move ``y`` of one lane by what ``wanted`` says, or back by half, as ``pod.kernel.iterate``."""
+    along = longest = slope = 0.0
+    for i in range(len(y)):
+        along += held.gradient[i, lane] * held.direction[i, lane]
+        slope += held.gradient[i, lane] * held.wanted[i, lane]
+        longest = max(longest, abs(held.wanted[i, lane]))
+    if progress[0] >= 0.0 and along < -0.9 * progress[0] and progress[1] > 0.01:
+        progress[1] *= 0.5
+        for i in range(len(y)):
+            y[i, lane] = held.trial[i, lane] - progress[1] * held.direction[i, lane]
+        return np.inf
+    progress[0] = abs(slope)
+    progress[1] = 1.0 if longest < LONGEST_STEP else LONGEST_STEP / longest
+    for i in range(len(y)):
+        held.direction[i, lane] = held.wanted[i, lane]
+        held.trial[i, lane] = y[i, lane]
+        y[i, lane] -= progress[1] * held.wanted[i, lane]
+    return longest
+
+
+@nb.njit(cache=True, error_model="numpy", nogil=True)
 def run_block(
     y: np.ndarray, velocity: np.ndarray, lag: np.ndarray, dt: float, load: np.ndarray, tables: Any, path: np.ndarray
 ) -> tuple[int, float]:
-    """Fill ``path`` for the lanes ``y``, ``velocity`` and ``lag`` (lanes, r), used up, and ``load`` (lanes, steps, r)."""
-    lanes, r = y.shape
-    pairs = len(tables.elastic)
-    values, points, radius = np.empty((len(tables.parent), lanes)), np.empty((r, lanes)), np.empty(lanes)
-    mass, stiff, loose = np.zeros((lanes, r, r)), np.zeros((lanes, r, r)), np.zeros((lanes, r, r))
-    turning, start, inertia, right = np.empty((lanes, r)), np.empty((lanes, r)), np.empty((lanes, r, r)), np.empty((lanes, r))
-    root, other = np.empty((lanes, r * r)), np.empty((lanes, r * r))
-    slope, bend, push = np.empty((lanes, r * r * r)), np.empty((lanes, pairs)), np.empty((lanes, r))
-    direction, trial, progress = np.empty((lanes, r)), np.empty((lanes, r)), np.empty((lanes, 2))
-    halfway, point, lone = np.empty((lanes, r)), np.empty(r), np.empty(len(tables.parent))
-    scratch, jacobian, product = np.empty((r, r)), np.empty((r, r)), np.empty(r * r)
-    waiting = np.empty(lanes, dtype=np.bool_)
-    wide = max(tables.elastic.shape[1], tables.stiffness_root.shape[1], tables.lag_root.shape[1])
+    """Fill ``path`` (lanes, steps, r) from ``y``, ``velocity`` and ``lag`` (r, lanes), used up, under ``load``."""
+    r, lanes = y.shape
+    held, start, hold = _make_lanes(r, lanes, len(tables.parent)), np.empty((r, lanes)), lag_hold(dt, tables)
+    waiting, progress = np.empty(lanes, dtype=np.bool_), np.empty((lanes, 2))
+    kinetic, stored = np.empty(lanes), np.full(lanes, np.inf)
     failed, farthest = 0, 0.0
-    _fill_mass(y, tables, values, points, radius, point, root, slope, mass)
+    _fill_mass(y, tables, held)
     for step in range(load.shape[1]):
-        for lane in range(lanes):
-            farthest = max(farthest, radius[lane])
-            point[:] = points[:, lane]
-            fill_turning(radius[lane], velocity[lane], point, root[lane], slope[lane], scratch, turning[lane])
-            for i in range(r):
-                halfway[lane, i] = y[lane, i] + 0.5 * dt * velocity[lane, i]
+        farthest = max(farthest, held.radius.max())
+        _fill_turning(velocity, held)
         if tables.scales[2] > 0.0:
-            _to_balls(halfway, point, points, radius)
-            _fill_monomials(points, tables, values[:wide])
-            _fill_rows(tables.elastic, values, bend)
-            _fill_rows(tables.stiffness_root, values, root)
-            _fill_rows(tables.lag_root, values, other)
-        for lane in range(lanes):
-            if tables.scales[2] > 0.0:
-                stored = square_of(loose[lane], lag[lane]) if step > 0 else np.inf
-                fill_viscosity(
-                    bend[lane], root[lane], other[lane], tables, scratch, product, stiff[lane], loose[lane]
-                )
-                scale_to(lag[lane], stored, loose[lane], False)
-            held = (mass[lane], stiff[lane], loose[lane], turning[lane])
-            begin_step(
-                y[lane], velocity[lane], lag[lane], load[lane, step], dt, tables, held, start[lane], inertia[lane],
-                right[lane],
-            )
-        waiting[:] = True
-        progress[:, 0] = -1.0
+            _fill_viscosity(y, velocity, dt, tables, held)
+            _scale_to(lag, stored, held.loose, False, held.some)
+        _begin(y, start, velocity, lag, load[:, step].copy(), dt, tables, held)
+        waiting[:], progress[:] = True, -1.0
         for _ in range(MAX_ITERATIONS):
-            _to_balls(y, point, points, radius)
-            _fill_monomials(points, tables, values[: tables.gradient.shape[1]])
-            _fill_rows(tables.gradient, values, push)
-            _fill_rows(tables.hessian, values, bend)
-            left = 0
+            _fill_wanted(y, waiting, tables, held)
             for lane in range(lanes):
-                if not waiting[lane]:
-                    continue
-                if radius[lane] > 1.0:
-                    fill_potential(y[lane], tables, lone, point, push[lane], jacobian)
-                else:
-                    _spread(bend[lane], jacobian)
-                for i in range(r):
-                    for j in range(r):
-                        jacobian[i, j] += inertia[lane, i, j]
-                longest = iterate(
-                    y[lane], push[lane], jacobian, inertia[lane], right[lane], tables, True, scratch, direction[lane],
-                    trial[lane], progress[lane],
-                )
-                waiting[lane] = longest >= CLOSE
-                left += waiting[lane]
-            if left == 0:
+                if waiting[lane]:
+                    waiting[lane] = _move(y, lane, progress[lane], held) >= CLOSE
+            if not waiting.any():
                 break
-        for lane in range(lanes):
-            failed += waiting[lane]
-            path[lane, step] = y[lane]
-            held = (mass[lane], stiff[lane], loose[lane], turning[lane])
-            progress[lane, 0], _ = end_step(y[lane], velocity[lane], lag[lane], dt, tables, held, start[lane])
-        _fill_mass(y, tables, values, points, radius, point, root, slope, mass)
-        for lane in range(lanes):
-            scale_to(velocity[lane], progress[lane, 0], mass[lane], True)
-    for lane in range(lanes):
-        farthest = max(farthest, radius[lane])
-    return failed, farthest
-
-
-@nb.njit(cache=True)
-def _spread(pairs: np.ndarray, matrix: np.ndarray) -> None:
-    """Fill the symmetric ``matrix`` (r, r) from its upper triangle."""
-    pair = 0
-    for i in range(len(matrix)):
-        for j in range(i, len(matrix)):
-            matrix[i, j] = matrix[j, i] = pairs[pair]
-            pair += 1
+        failed += waiting.sum()
+        for i in range(r):
+            for lane in range(lanes):
+                path[lane, step, i] = y[i, lane]
+                velocity[i, lane] = (y[i, lane] - start[i, lane]) / dt
+                lag[i, lane] = hold * lag[i, lane] + (1.0 - hold) * velocity[i, lane] if hold > 0.0 else 0.0
+        _squares_of(held.mass, velocity, held.some[0], kinetic)
+        for i in range(r):
+            for lane in range(lanes):
+                kinetic[lane] -= 2.0 * dt * held.turning[i, lane] * velocity[i, lane]
+        np.maximum(kinetic, 0.0, kinetic)
+        _squares_of(held.loose, lag, held.some[0], stored)
+        _fill_mass(y, tables, held)
+        _scale_to(velocity, kinetic, held.mass, True, held.some)
+    return failed, max(farthest, held.radius.max())

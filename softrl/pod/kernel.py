@@ -9,6 +9,7 @@ import numpy as np
 from softrl.pod.linear import newton_direction
 from softrl.pod.ports import add_effects, commit_effects, fill_ports, make_ports
 from softrl.pod.potential import (
+    FAST,
     fill_behind,
     fill_elastic_factor,
     fill_monomials,
@@ -24,6 +25,15 @@ CLOSE = 1e-6  # likewise where the Jacobian is exact: such a step leaves an erro
 MAX_ITERATIONS = 60
 LONGEST_STEP = 0.5  # of y, in one iteration
 
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def _spun(coefficients: np.ndarray, values: np.ndarray, degrees: np.ndarray, beyond: float) -> float:
+    """Return a polynomial at monomials ``values`` on the sphere, each going on linearly for ``beyond`` radii."""
+    total = 0.0
+    for m in range(len(coefficients)):
+        total += coefficients[m] * values[m] * (1.0 + beyond * degrees[m])
+    return total
 
 
 @nb.njit(cache=True)
@@ -46,9 +56,7 @@ def tip_pose(
         position[k] = tables.rest_tip[k]
         for j in range(r):
             position[k] += tables.frame[n + k, j] * y[j]
-        angle = 0.0
-        for m in range(tables.rotation.shape[1]):
-            angle += tables.rotation[k, m] * few[m] * (1.0 + beyond * tables.degrees[m])
+        angle = _spun(tables.rotation[k], few, tables.degrees, beyond)
         quaternion[1 + k] = angle
         square += angle * angle
     half = 0.5 * math.sqrt(square)
@@ -74,7 +82,7 @@ def tip_pose(
     quaternion[3] = v * (c + z * w + x * b - y_ * a)
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, fastmath=FAST)
 def fill_turning(
     radius: float, velocity: np.ndarray, point: np.ndarray, root: np.ndarray, slope: np.ndarray, scratch: np.ndarray,
     force: np.ndarray,
@@ -85,29 +93,33 @@ def fill_turning(
     ``radius``.
     """
     r = len(velocity)
-    force[:] = 0.0
-    moved, changed, turned = scratch[0], scratch[1], scratch[2]
     beyond = radius > 1.0
+    moved, changed, turned, along = scratch[0], scratch[1], scratch[2], scratch[3]
     outward = inward = 0.0
+    for i in range(r):
+        outward += point[i] * velocity[i] if beyond else 0.0
     for a in range(r):
-        outward += point[a] * velocity[a] if beyond else 0.0
-        moved[a] = changed[a] = turned[a] = 0.0
+        total = 0.0
         for i in range(r):
-            moved[a] += root[a * r + i] * velocity[i]
+            total += root[a * r + i] * velocity[i]
+        moved[a], changed[a], force[a] = total, 0.0, 0.0
+        along[a] = (velocity[a] - point[a] * outward) / radius if beyond else velocity[a]
     for j in range(r):
-        along = (velocity[j] - point[j] * outward) / radius if beyond else velocity[j]
+        turn = 0.0
         for a in range(r):
-            total, row = 0.0, (j * r + a) * r
+            total, row, share = 0.0, (j * r + a) * r, along[j] * moved[a]
             for i in range(r):
                 total += slope[row + i] * velocity[i]
-                force[i] -= along * moved[a] * slope[row + i]
-            changed[a] += along * total
-            turned[j] += total * moved[a]
-        inward += point[j] * turned[j] if beyond else 0.0
+                force[i] -= share * slope[row + i]
+            changed[a] += along[j] * total
+            turn += total * moved[a]
+        turned[j] = turn
+        inward += point[j] * turn if beyond else 0.0
     for j in range(r):
-        force[j] += (turned[j] - point[j] * inward) / radius if beyond else turned[j]
+        total = force[j] + ((turned[j] - point[j] * inward) / radius if beyond else turned[j])
         for a in range(r):
-            force[j] -= root[a * r + j] * changed[a]
+            total -= root[a * r + j] * changed[a]
+        force[j] = total
 
 
 @nb.njit(cache=True)
@@ -124,7 +136,7 @@ def fill_viscosity(
         fill_square(product, loose)
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, fastmath=FAST)
 def square_of(matrix: np.ndarray, vector: np.ndarray) -> float:
     """Return vector' matrix vector."""
     total = 0.0
@@ -141,7 +153,7 @@ def lag_hold(dt: float, tables: Any) -> float:
     return tables.scales[4] / (tables.scales[4] + dt) if with_lag else 0.0
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, fastmath=FAST)
 def begin_step(
     y: np.ndarray, velocity: np.ndarray, lag: np.ndarray, load: np.ndarray, dt: float, tables: Any, held: Any,
     start: np.ndarray, inertia: np.ndarray, right: np.ndarray,
@@ -152,23 +164,21 @@ def begin_step(
     """
     mass, stiff, loose, turning = held
     r, hold = len(y), lag_hold(dt, tables)
-    mass_scale, mass_damping, stiffness_damping = tables.scales[0], tables.scales[1], tables.scales[2]
+    mass_scale, stiffness_damping = tables.scales[0], tables.scales[2]
+    free, drag, late = mass_scale / dt**2, tables.scales[1] / dt, stiffness_damping / dt
+    held_back = stiffness_damping * hold
     for i in range(r):
         start[i] = y[i]
-        right[i] = mass_scale * turning[i]
+        y[i] += dt * velocity[i]
+    for i in range(r):
+        total = mass_scale * turning[i]
         for k in range(r):
-            right[i] += tables.frame[k, i] * load[k]
-    for i in range(r):
+            total += tables.frame[k, i] * load[k]
         for j in range(r):
-            free = mass_scale * mass[i, j] / dt**2
-            drag = (mass_damping * mass[i, j] + stiffness_damping * stiff[i, j]) / dt
-            if hold > 0.0:
-                drag += stiffness_damping * (1.0 - hold) * loose[i, j] / dt
-                right[i] -= stiffness_damping * hold * loose[i, j] * lag[j]
-            inertia[i, j] = free + drag
-            right[i] += free * (start[j] + dt * velocity[j]) + drag * start[j]
-    for i in range(r):
-        y[i] = start[i] + dt * velocity[i]
+            damping = drag * mass[i, j] + late * (stiff[i, j] + (1.0 - hold) * loose[i, j])
+            inertia[i, j] = free * mass[i, j] + damping
+            total += free * mass[i, j] * y[j] + damping * start[j] - held_back * loose[i, j] * lag[j]
+        right[i] = total
 
 
 @nb.njit(cache=True)
@@ -184,10 +194,11 @@ def iterate(
     r = len(y)
     along = 0.0
     for i in range(r):
-        gradient[i] -= right[i]
+        total = gradient[i] - right[i]
         for j in range(r):
-            gradient[i] += inertia[i, j] * y[j]
-        along += gradient[i] * direction[i] if progress[0] >= 0.0 else 0.0
+            total += inertia[i, j] * y[j]
+        gradient[i] = total
+        along += total * direction[i] if progress[0] >= 0.0 else 0.0
     # the last step went too far if the slope along it has turned round: go back by half
     if progress[0] >= 0.0 and along < -0.9 * progress[0] and progress[1] > 0.01:
         progress[1] *= 0.5

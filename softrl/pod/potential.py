@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 
-_FAST = {"reassoc", "contract"}
+FAST = {"reassoc", "contract"}  # sums in any order: what lets the compiler use vectors
 PIVOT = 1e-3  # of the elastic Hessian at rest: least pivot of its factor
 
 
@@ -23,7 +23,7 @@ class Tables(NamedTuple):
     Attributes
     ----------
     frame, inverse : (r, r) z per y and y per z
-    parent, variable, degrees : (k,) how monomials are made
+    parent, variable, degrees : (k,) how monomials are made;  shares : (k,) 1 / (degree + 1)
     gradient : (r, k), hessian : (pairs, k) J, of elastic energy and weight together
     quadratic : (r, r) J, elastic Hessian at rest: what makes an indefinite Newton matrix definite
     mass_root, stiffness_root, lag_root : (r r, k) of mass, viscosity and the share of it that lags, the latter two
@@ -44,6 +44,7 @@ class Tables(NamedTuple):
     parent: np.ndarray
     variable: np.ndarray
     degrees: np.ndarray
+    shares: np.ndarray
     gradient: np.ndarray
     hessian: np.ndarray
     quadratic: np.ndarray
@@ -83,7 +84,7 @@ def to_ball(y: np.ndarray, point: np.ndarray) -> float:
     return radius
 
 
-@nb.njit(cache=True, fastmath=_FAST)
+@nb.njit(cache=True, fastmath=FAST)
 def polynomial(coefficients: np.ndarray, values: np.ndarray) -> float:
     """Return one polynomial at monomials ``values``, of which it reads as many as it has coefficients."""
     total = 0.0
@@ -92,20 +93,27 @@ def polynomial(coefficients: np.ndarray, values: np.ndarray) -> float:
     return total
 
 
-@nb.njit(cache=True, fastmath=_FAST)
-def _by_degree(coefficients: np.ndarray, values: np.ndarray, variables: int) -> tuple[float, float]:
-    """Return a polynomial at monomials ``values``, and the sum of its parts of degree m over ``m + 1``."""
-    total, shared = coefficients[0], coefficients[0]
-    degree, first, end = 1, 1, 1 + variables
-    while first < len(coefficients):
-        part = 0.0
-        for k in range(first, end):
-            part += coefficients[k] * values[k]
-        total += part
-        degree += 1
-        shared += part / degree
-        first, end = end, end * (variables + degree) // degree
-    return total, shared
+@nb.njit(cache=True, fastmath=FAST)
+def _fill_both(
+    coefficients: np.ndarray, values: np.ndarray, shares: np.ndarray, rows: np.ndarray, shared: np.ndarray
+) -> None:
+    """Fill ``rows`` (m,) with polynomials (m, k) at monomials ``values``, and ``shared`` at ``shares`` (k,) of them.
+
+    Three at a time, the last ones twice where m is no multiple: what they have in common is read once.
+    """
+    last = len(rows) - 1
+    for first in range(0, last + 1, 3):
+        m, n = min(first + 1, last), min(first + 2, last)
+        a = b = c = d = e = f = 0.0
+        for k in range(coefficients.shape[1]):
+            a += coefficients[first, k] * values[k]
+            b += coefficients[m, k] * values[k]
+            c += coefficients[n, k] * values[k]
+            d += coefficients[first, k] * shares[k]
+            e += coefficients[m, k] * shares[k]
+            f += coefficients[n, k] * shares[k]
+        rows[first], rows[m], rows[n] = a, b, c
+        shared[first], shared[m], shared[n] = d, e, f
 
 
 @nb.njit(cache=True)
@@ -120,17 +128,20 @@ def fill_potential(
     radius = to_ball(y, point)
     known = tables.hessian.shape[1] if radius <= 1.0 else tables.gradient.shape[1]
     fill_monomials(point, tables.parent, tables.variable, values[: max(known, tables.weight.shape[2])])
+    pairs, known = tables.hessian.shape
+    shares, curves, pulls = np.empty(known), np.empty(pairs), np.empty(pairs)
+    for k in range(known):
+        shares[k] = values[k] * tables.shares[k]
+    _fill_both(tables.hessian, values, shares, curves, pulls)
     for i in range(r):
         gradient[i] = tables.gradient[i, 0]
     pair = 0
     for i in range(r):
         for j in range(i, r):
-            bend, pull = _by_degree(tables.hessian[pair], values, r)
-            hessian[i, j] = bend
-            hessian[j, i] = bend
-            gradient[i] += pull * point[j]
+            hessian[i, j] = hessian[j, i] = curves[pair]
+            gradient[i] += pulls[pair] * point[j]
             if i != j:
-                gradient[j] += pull * point[i]
+                gradient[j] += pulls[pair] * point[i]
             pair += 1
     if radius > 1.0:
         _continue(radius, tables, values, point, gradient, hessian)
@@ -199,14 +210,25 @@ def _ray(degree: float, radius: float) -> tuple[float, float, float]:
     return 1.0 + beyond * (degree + 0.5 * bend * beyond), degree + bend * beyond, bend
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, fastmath=FAST)
 def fill_rows(coefficients: np.ndarray, values: np.ndarray, rows: np.ndarray) -> None:
-    """Fill ``rows`` (m,) with the polynomials ``coefficients`` (m, k) at monomials ``values``."""
-    for m in range(len(rows)):
-        rows[m] = polynomial(coefficients[m], values)
+    """Fill ``rows`` (m,) with the polynomials ``coefficients`` (m, k) at monomials ``values``.
+
+    Four at a time, the last ones twice where m is no multiple: monomials are read once.
+    """
+    last = len(rows) - 1
+    for first in range(0, last + 1, 4):
+        m, n, o = min(first + 1, last), min(first + 2, last), min(first + 3, last)
+        a = b = c = d = 0.0
+        for k in range(coefficients.shape[1]):
+            a += coefficients[first, k] * values[k]
+            b += coefficients[m, k] * values[k]
+            c += coefficients[n, k] * values[k]
+            d += coefficients[o, k] * values[k]
+        rows[first], rows[m], rows[n], rows[o] = a, b, c, d
 
 
-@nb.njit(cache=True, fastmath=_FAST)
+@nb.njit(cache=True, fastmath=FAST)
 def fill_square(root: np.ndarray, square: np.ndarray) -> None:
     """Fill ``square`` (r, r) with R' R, R row by row in ``root`` (r r,): never indefinite."""
     r = len(square)
@@ -235,7 +257,7 @@ def fill_elastic_factor(hessian: np.ndarray, rest: np.ndarray, factor: np.ndarra
             factor[i, j] = hessian[pair]
             pair += 1
     for j in range(r - 1, -1, -1):
-        pivot, least = factor[j, j], PIVOT * rest[_diagonal(j, r)]
+        pivot, least = factor[j, j], PIVOT * rest[diagonal(j, r)]
         for k in range(j + 1, r):
             pivot -= factor[j, k] * factor[j, k]
         for i in range(j):
@@ -243,7 +265,7 @@ def fill_elastic_factor(hessian: np.ndarray, rest: np.ndarray, factor: np.ndarra
             for k in range(j + 1, r):
                 entry -= factor[i, k] * factor[j, k]
             factor[i, j] = entry
-            row = _diagonal(i, r)
+            row = diagonal(i, r)
             least = max(least, entry * entry / max(hessian[row], rest[row]))
         factor[j, j] = math.sqrt(max(pivot, least))
         for i in range(j):
@@ -251,12 +273,12 @@ def fill_elastic_factor(hessian: np.ndarray, rest: np.ndarray, factor: np.ndarra
 
 
 @nb.njit(cache=True)
-def _diagonal(i: int, r: int) -> int:
+def diagonal(i: int, r: int) -> int:
     """Return the position of entry (i, i) among the pairs of ``r`` rows."""
     return i * r - i * (i - 1) // 2
 
 
-@nb.njit(cache=True, fastmath=_FAST)
+@nb.njit(cache=True, fastmath=FAST)
 def fill_behind(root: np.ndarray, factor: np.ndarray, product: np.ndarray) -> None:
     """Fill ``product`` (r r,) with R U', R row by row in ``root`` (r r,), U the upper triangle of ``factor``."""
     r = len(factor)

@@ -67,6 +67,7 @@ def tables_of(
                 full.parent,
                 full.variable,
                 full.degrees.astype(float),
+                1.0 / (full.degrees + 1.0),
                 gradient,
                 hessian,
                 quadratic,
@@ -282,7 +283,7 @@ def roll(
         np.zeros((batch, model.order)) if given is None else given @ tables.inverse.T for given in (start, velocity)
     )
     held = np.ascontiguousarray(loads, dtype=float)
-    path, failed, farthest = run_batch(first.copy(), rate.copy(), rate.copy(), dt_s, held, tables)
+    path, failed, farthest = run_batch(first, rate, rate, dt_s, held, tables)
     _check(path, failed, farthest, model, dt_s)
     return np.asarray(path @ model.frame.T)
 
