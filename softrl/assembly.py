@@ -12,6 +12,7 @@ from typing import Any
 
 from softrl import artifacts
 from softrl.artifacts.artifact import Artifact
+from softrl.artifacts.calibration import Calibration
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.artifacts.policy import Policy
 from softrl.core import fingerprint
@@ -29,6 +30,7 @@ log = logging.getLogger(__name__)
 
 # parameters of a stage that are built from the configuration group of the same name
 OBJECTS = ("simulator", "task", "agent", "driver", "bench")
+NOMINAL = "none"  # tag of what was made on a simulator without effects
 
 
 class Assembly:
@@ -57,9 +59,10 @@ class Assembly:
         names = [name for name in inspect.signature(run).parameters if name not in ("config", "tracker")]
         return {name: self._argument(name, hints[name]) for name in names}
 
-    def task_tag(self) -> dict[str, str]:
-        """Return the tag by which what was made for a task is found, if the stage took one."""
-        return {"task": _task_of(self.cfg)} if "task" in self.used else {}
+    def own_tags(self) -> dict[str, str]:
+        """Return the tags by which what was made for a task, or with effects, is found, if the stage took such."""
+        task = {"task": _task_of(self.cfg)} if "task" in self.used else {}
+        return task | ({"effects": self._effects_mark()} if "effect" in self.used else {})
 
     def warn_of_unused(self, stage: str) -> None:
         """Tell of inputs that were named and play no part."""
@@ -146,12 +149,30 @@ class Assembly:
     def _absent(self, kind: type[Artifact]) -> bool:
         """Return whether the newest run that makes ``kind`` was wanted, and there is none."""
         wanted = self.made.get(kind.key()) or self.cfg["inputs"].get(kind.key(), "latest")
-        return wanted == "latest" and self.store.find(self._tags_of(kind)) is None
+        return wanted == "latest" and self._latest(kind) is None
 
     def _tags_of(self, kind: type[Artifact]) -> dict[str, str]:
         """Return what a run must carry whose artifact is taken for the latest."""
         tags = {"stage": kind.stage, "robot": self.robot_mark, "profile": self.cfg["profile"]["name"]}
         return tags | ({"task": _task_of(self.cfg)} if kind is Policy else {})
+
+    def _latest(self, kind: type[Artifact]) -> Any:
+        """Return the newest run that makes ``kind``, or None.
+
+        A policy is looked for among those trained with the same effects first; f_RS is that of the nominal simulator.
+        """
+        wanted = {Policy: (self._effects_mark(), NOMINAL), Calibration: (NOMINAL,)}.get(kind)
+        tags = self._tags_of(kind)
+        if wanted is None:
+            return self.store.find(tags)
+        return next(filter(None, (self.store.find(tags | {"effects": mark}) for mark in wanted)), None)
+
+    def _effects_mark(self) -> str:
+        """Return what tells the chosen effects from others; those of a diagnosis are known by its run."""
+        node = self.cfg["effect"] or {}
+        if not node:
+            return NOMINAL
+        return fingerprint.of_values([node, self._locate(Diagnosis, Diagnosis.key())[1] if "identified" in node else ""])
 
     def _nothing_found(self, kind: type[Artifact], name: str) -> str:
         """Return what to do where no run makes the artifact, and what is there instead."""
@@ -171,7 +192,7 @@ class Assembly:
             path = Path(wanted[5:]).expanduser().resolve()
             return path, f"path:{path}:{fingerprint.of_folder(path)}"
         if wanted == "latest":
-            run = self.store.find(self._tags_of(kind))
+            run = self._latest(kind)
             if run is None:
                 raise ArtifactError(self._nothing_found(kind, name))
         else:

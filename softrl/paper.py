@@ -29,6 +29,7 @@ class Config:
     ----------
     seeds : of everything that is learned or recorded;  body_seed : of mesh, fem and pod
     tasks : of stage rl;  rollouts : whether policies are rolled out on the driver
+    corrected : whether the rollouts of task track are diagnosed, and what follows is done anew with the diagnosis
     benches : of stage bench, run once
     minutes : roughly, of all of it from nothing on two cores, or null where nobody knows
     keep : file that the rows are copied to, or null
@@ -38,6 +39,7 @@ class Config:
     body_seed: int
     tasks: tuple[str, ...]
     rollouts: bool
+    corrected: bool
     benches: tuple[str, ...]
     minutes: float | None
     keep: str | None
@@ -45,6 +47,8 @@ class Config:
     def __post_init__(self) -> None:
         if not self.seeds or len(set(self.seeds)) != len(self.seeds):
             raise ConfigError(f"stage.seeds={list(self.seeds)}; expected one or more, all different")
+        if self.corrected and not (self.rollouts and "track" in self.tasks):
+            raise ConfigError("stage.corrected=true diagnoses the rollouts of task track: expected stage.rollouts=true and it")
 
 
 class Step(NamedTuple):
@@ -166,7 +170,18 @@ def seed_steps(config: Config, seed: int) -> list[Step]:
         last = f"task={config.tasks[-1]}"
         needs = ("calibration", f"rl:{config.tasks[-1]}")
         steps.append(Step("bench", seed, needs, (f"bench=[{','.join(config.benches)}]", last)))
-    return steps
+    return steps + (corrected_steps(seed) if config.corrected else [])
+
+
+def corrected_steps(seed: int) -> list[Step]:
+    """Return the steps that diagnose the rollouts, and learn and calibrate anew in the simulator that this corrects."""
+    words = ("effect=identified", "task=track")
+    return [
+        Step("diagnosis", seed, ("sim2real",)),
+        Step("rl:corrected", seed, ("diagnosis",), words),
+        Step("sim2real:corrected", seed, ("rl:corrected",), words),
+        Step("calibration:corrected", seed, ("diagnosis",), words[:1]),
+    ]
 
 
 def follow(

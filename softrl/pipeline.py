@@ -60,7 +60,7 @@ def run_stage(stage: str, cfg: Mapping[str, Any], folder: Path, made: Mapping[st
     log.info("%s: started", stage)
     start = time.monotonic()
     tags = _tags(stage, task.mark, assembly)
-    name = ", ".join([" ".join([stage, *assembly.task_tag().values()]), tags["profile"], f"seed {tags['seed']}"])
+    name = ", ".join([f"{stage} {tags.get('task', '')}".rstrip(), tags["profile"], f"seed {tags['seed']}"])
     with store.start(name, tags, os.environ.get(PARENT_VARIABLE), folder) as run:
         run.params(_flat(cfg))
         run.link(assembly.inputs)
@@ -155,7 +155,7 @@ def _tags(stage: str, mark: str, assembly: Assembly) -> dict[str, str]:
         "inputs": json.dumps(assembly.inputs),
         "seed": str(assembly.cfg["seed"]),
         "artifacts": " ".join(outputs(stage)),
-    } | assembly.task_tag()
+    } | assembly.own_tags()
 
 
 def _parts(output: Any) -> list[Artifact]:

@@ -29,6 +29,7 @@ class Calibration(Artifact):
     material : law -> fitted parameters in Pa with errors; empty without a tensile curve
     robot_name : the robot
     settled_tip : (settled, 3) m, the tips of all settled holds, those that the simulator does not reach among them
+    effects : names of those in the simulator whose pressures P_S are; f_RS then maps what they leave
     """
 
     stage: ClassVar[str] = "calibration"
@@ -47,6 +48,7 @@ class Calibration(Artifact):
     material: dict[str, Any]
     robot_name: str
     settled_tip: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
+    effects: tuple[str, ...] = ()
 
     @property
     def chambers(self) -> int:

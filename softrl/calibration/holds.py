@@ -73,7 +73,7 @@ def settled_holds(recordings: RecordingSet, hold_min_s: float, average_s: float,
     found, unsettled = [], 0
     for run, recording in enumerate(recordings.recordings):
         for first, last in _constant_stretches(recording, hold_min_s):
-            position, drift = _end_of_hold(recording, first, last, average_s)
+            position, drift = end_of_hold(recording, first, last, average_s)
             unsettled += drift >= drift_max_m
             if drift < drift_max_m:
                 found.append((recording.pressure_cmd[last], position, run, last))
@@ -145,7 +145,7 @@ def _constant_stretches(recording: Recording, hold_min_s: float) -> list[tuple[i
     return list(zip(first[long].tolist(), last[long].tolist(), strict=True))
 
 
-def _end_of_hold(recording: Recording, first: int, last: int, average_s: float) -> tuple[np.ndarray, float]:
+def end_of_hold(recording: Recording, first: int, last: int, average_s: float) -> tuple[np.ndarray, float]:
     """Return the mean tip (3,) m over the last ``average_s`` and how far its second half lies from the first, m."""
     rows = np.arange(first, last + 1)
     end = recording.position[rows[recording.time[rows] > recording.time[last] - average_s]]

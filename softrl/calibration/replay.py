@@ -1,39 +1,79 @@
 """How far the simulator stays from held-out recordings, with and without the calibrated pressures."""
 
-from collections.abc import Callable
+import dataclasses
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.signal import savgol_filter
 
-from softrl.calibration.holds import Holds
+from softrl.calibration.holds import Holds, end_of_hold
 from softrl.calibration.kinematics import angle_between, arc, rotation_vector
-from softrl.core.simulator import Motion, Simulator
-from softrl.recordings.recording import Recording
+from softrl.core.simulator import Motion
+from softrl.effects.chain import Plant
+from softrl.recordings.recording import Recording, RecordingSet
 from softrl.robots.robot import Robot
 
 # velocities of both sides are slopes of parabolas over this window, so that camera noise is no velocity
 VELOCITY_WINDOW_S = 0.11
+PressureOf = Callable[[np.ndarray], np.ndarray]  # commanded (steps, n) Pa -> that of the simulator
+PAUSE_S = 0.5  # between recordings on one clock; after a longer one nobody knows what happened meanwhile
 SMALLEST_SPAN = 1e-9  # in SI; less than that is rounding
 
 
-def replay(simulator: Simulator, recording: Recording, pressure: np.ndarray) -> Motion:
-    """Return the motion at the recording's times under ``pressure`` (steps, n) Pa, each row held until its time."""
-    dt_s = float(np.median(np.diff(recording.time)))
-    uniform = np.arange(recording.time[0], recording.time[-1] + 0.5 * dt_s, dt_s)
-    row = np.clip(np.searchsorted(recording.time, uniform - 1e-9), 0, len(pressure) - 1)
-    motion = simulator.simulate(uniform - uniform[0] + dt_s, pressure[row])
-    nearest = np.clip(np.round((recording.time - uniform[0]) / dt_s).astype(int), 0, len(uniform) - 1)
-    return Motion(recording.time, motion.position[nearest], motion.quaternion[nearest], motion.pressure[nearest])
+def replay(plant: Plant, recordings: Sequence[Recording], pressure_of: PressureOf) -> list[Motion]:
+    """Return the motions at the recordings' times under ``pressure_of`` the commands, each row held until its time.
+
+    Recordings that follow each other on one clock are one motion of the robot: what an earlier one left in valves and walls
+    is there in the next.
+    """
+    motions: list[Motion] = []
+    for chain in _follow_ups(recordings):
+        time = np.concatenate([recording.time for recording in chain])
+        whole = _replayed(plant, time, pressure_of(np.concatenate([recording.pressure_cmd for recording in chain])))
+        ends = np.cumsum([len(recording.time) for recording in chain])[:-1]
+        parts = [np.split(values, ends) for values in (whole.time, whole.position, whole.quaternion, whole.pressure)]
+        motions += [Motion(*part) for part in zip(*parts, strict=True)]
+    return motions
 
 
-def replay_errors(
-    simulator: Simulator,
-    robot: Robot,
-    runs: dict[int, Recording],
-    holds: Holds,
-    pressure_of: Callable[[np.ndarray], np.ndarray],
-) -> dict[str, float]:
-    """Return rms errors on ``runs`` (number -> recording) by name with unit: at ``holds``, and over all rows.
+def _follow_ups(recordings: Sequence[Recording]) -> list[list[Recording]]:
+    """Return the recordings in order, those together that go on where the one before ended."""
+    chains: list[list[Recording]] = []
+    for recording in recordings:
+        last = chains[-1][-1] if chains else None
+        goes_on = (
+            last is not None
+            and last.session == recording.session
+            and 0.0 < recording.time[0] - last.time[-1] < PAUSE_S
+        )
+        chains = [*chains[:-1], [*chains[-1], recording]] if goes_on else [*chains, [recording]]
+    return chains
+
+
+def _replayed(plant: Plant, time: np.ndarray, pressure: np.ndarray) -> Motion:
+    dt_s = float(np.median(np.diff(time)))
+    uniform = np.arange(time[0], time[-1] + 0.5 * dt_s, dt_s)
+    row = np.clip(np.searchsorted(time, uniform - 1e-9), 0, len(pressure) - 1)
+    motion = plant.simulate(uniform - uniform[0] + dt_s, pressure[row])
+    nearest = np.clip(np.round((time - uniform[0]) / dt_s).astype(int), 0, len(uniform) - 1)
+    return Motion(time, motion.position[nearest], motion.quaternion[nearest], motion.pressure[nearest])
+
+
+def simulated_holds(
+    plant: Plant, recordings: RecordingSet, holds: Holds, pressure_of: PressureOf, average_s: float
+) -> Holds:
+    """Return the holds as ``plant`` passes them when it replays the whole recordings with ``pressure_of`` the commands."""
+    position = np.empty_like(holds.position)
+    motions = replay(plant, recordings.recordings, pressure_of)
+    for run in np.unique(holds.run):
+        moved = dataclasses.replace(recordings.recordings[int(run)], position=motions[int(run)].position)
+        for k in np.flatnonzero(holds.run == run):
+            position[k] = end_of_hold(moved, 0, int(holds.last_row[k]), average_s)[0]
+    return dataclasses.replace(holds, position=position)
+
+
+def replay_errors(plant: Plant, recordings: RecordingSet, holds: Holds, pressure_of: PressureOf) -> dict[str, float]:
+    """Return rms errors on the recordings of ``holds`` by name with unit: at the holds, and over all rows.
 
     Notes
     -----
@@ -42,12 +82,14 @@ def replay_errors(
     which no static map can remove. Fig. 7b: the same errors in per cent of what the measured quantity spans over the
     runs (``_pct``), a vector by the diagonal of its box.
     """
+    robot = plant.chain.robot
+    motions = replay(plant, recordings.recordings, pressure_of)
+    runs = {int(number): recordings.recordings[int(number)] for number in np.unique(holds.run)}
     ranges = _ranges(robot, list(runs.values()))
     at_holds: dict[str, list[np.ndarray]] = {}
     over_runs: dict[str, list[np.ndarray]] = {}
     for number, recording in runs.items():
-        motion = replay(simulator, recording, pressure_of(recording.pressure_cmd))
-        errors = _errors(robot, recording, motion)
+        errors = _errors(robot, recording, motions[number])
         rows = holds.last_row[holds.run == number]
         for name, error in errors.items():
             over_runs.setdefault(f"{name}_run", []).append(error)

@@ -13,16 +13,18 @@ from softrl.calibration.inversion import has_exact_inverse, pressure_by_reduced_
 from softrl.calibration.material_fit import as_record, best_fit, fit_materials, held_out, in_words
 from softrl.calibration.mlp import Ensemble, EnsembleSettings, fit_ensemble
 from softrl.calibration.pressure_map import PressureMap
-from softrl.calibration.replay import replay_errors
+from softrl.calibration.replay import PressureOf, replay_errors, simulated_holds
 from softrl.calibration.tensile import read_tensile
 from softrl.core.driver import Driver
 from softrl.core.errors import ConfigError, RecordingError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
+from softrl.effects.chain import EffectChain, Plant
 from softrl.recordings.recording import RecordingSet
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
+REFINEMENTS = 2  # of f_RS through a simulator with effects, which has a past
 MOVING_ROWS = 400  # that f_RS is judged on beside the settled holds
 ROOTS = Path(__file__).resolve().parents[1:3]  # assets/ lies in the installed package, or beside it
 
@@ -99,12 +101,17 @@ def run(
     config: Config,
     robot: Robot,
     simulator: Simulator,
+    effects: EffectChain,
     driver: Driver,
     recordings: RecordingSet | None,
     *,
     tracker: Tracker,
 ) -> Calibration:
-    """Return the material's law and f_RS with its held-out errors logged beside identity and affine baselines."""
+    """Return the material's law and f_RS with its held-out errors logged beside identity and affine baselines.
+
+    With ``effects`` (those that a diagnosis found) f_RS maps what the simulator with them leaves: valves and walls with a
+    memory are theirs, and no static map could do it.
+    """
     rng = np.random.default_rng(config.seed)
     material = _fit_material(config, tracker) if config.material_curve else {}
     if recordings is None:
@@ -112,18 +119,24 @@ def run(
             driver, robot, config.runs, config.holds_per_run, config.hold_s, config.dt_s, rng, config.visit_again
         )
     every = settled_holds(recordings, config.hold_min_s, config.average_s, 1e-3 * config.drift_max_mm)
-    holds, pressure_sim = _invert(config, robot, simulator, every)
+    plant = Plant(simulator, effects)
+    holds, pressure_sim = _invert(config, plant, recordings, every)
+    inverted_by = "reduced model" if has_exact_inverse(simulator, robot) else "simulator"
     _report_reach(holds, every, pressure_sim, tracker)
     first = holds.run < len(recordings.recordings) - (recordings.recordings[-1].name == AGAIN)
     holds, pressure_sim = holds.where(first), pressure_sim[first]
     heldout = split_holds(holds, config.heldout_share, rng)
     ensemble = _train(config, holds.pressure[~heldout], pressure_sim[~heldout])
+    calibration = _assemble(plant, ensemble, holds, pressure_sim, heldout, material, inverted_by, every.position)
+    for _ in range(REFINEMENTS if effects.effects else 0):
+        pressure_sim = _refined(config, plant, recordings, holds, calibration)
+        ensemble = _train(config, holds.pressure[~heldout], pressure_sim[~heldout])
+        calibration = _assemble(plant, ensemble, holds, pressure_sim, heldout, material, inverted_by, every.position)
     tracker.metric("train/weight_decay", ensemble.weight_decay)
-    inverted_by = "reduced model" if has_exact_inverse(simulator, robot) else "simulator"
-    calibration = _assemble(robot, ensemble, holds, pressure_sim, heldout, material, inverted_by, every.position)
     _report_map(calibration, tracker)
-    _report_moving(config, calibration, simulator, robot, recordings, holds, tracker)
-    _report_replay(calibration, simulator, robot, recordings, holds, tracker)
+    if not effects.effects:
+        _report_moving(config, calibration, simulator, robot, recordings, holds, tracker)
+    _report_replay(calibration, plant, recordings, holds, tracker)
     return calibration
 
 
@@ -143,12 +156,12 @@ def _fit_material(config: Config, tracker: Tracker) -> dict[str, object]:
     return as_record(fits) | {"sentence": sentence}
 
 
-def _invert(config: Config, robot: Robot, simulator: Simulator, holds: Holds) -> tuple[Holds, np.ndarray]:
+def _invert(config: Config, plant: Plant, recordings: RecordingSet, holds: Holds) -> tuple[Holds, np.ndarray]:
     """Return the holds that the simulator can reach, and P_S (holds, n) Pa there."""
-    if has_exact_inverse(simulator, robot):
-        pressure, miss = pressure_by_reduced_model(simulator, robot, holds.position)
+    if plant.chain.effects:
+        pressure, miss = _led(config, plant, recordings, holds, lambda pressure: pressure)
     else:
-        pressure, miss = pressure_by_simulator(simulator, holds.position, holds.pressure, config.settle_s, config.dt_s)
+        pressure, miss = _resting(config, plant, holds)
     reached = np.isfinite(pressure).all(axis=1) & (miss < 1e-3 * config.residual_max_mm)
     if reached.sum() < 4:
         raise RecordingError(
@@ -163,6 +176,38 @@ def _invert(config: Config, robot: Robot, simulator: Simulator, holds: Holds) ->
     return holds.where(reached), pressure[reached]
 
 
+def _refined(
+    config: Config, plant: Plant, recordings: RecordingSet, holds: Holds, calibration: Calibration
+) -> np.ndarray:
+    """Return P_S (holds, n) Pa anew, from where the simulator comes with the f_RS found so far.
+
+    A wall that creeps is stiffer at first than the body at rest by which a distance is told in Pa.
+    """
+    pressure, miss = _led(config, plant, recordings, holds, PressureMap(calibration).real_to_sim)
+    return np.where((miss < 1e-3 * config.residual_max_mm)[:, None], pressure, calibration.pressure_sim)
+
+
+def _led(
+    config: Config, plant: Plant, recordings: RecordingSet, holds: Holds, pressure_of: PressureOf
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pressures (holds, n) Pa that lead a simulator with effects to the holds' tips, and the distances left, m.
+
+    Effects have a past: the pressures are ``pressure_of`` the commanded ones, with which the recordings are replayed, and
+    what leads the body alone from where that came to where the robot is.
+    """
+    own = simulated_holds(plant, recordings, holds, pressure_of, config.average_s)
+    (there, miss), (here, missed) = (_resting(config, plant, found) for found in (holds, own))
+    return pressure_of(holds.pressure) + there - here, np.maximum(miss, missed)
+
+
+def _resting(config: Config, plant: Plant, holds: Holds) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pressures (holds, n) Pa at which the body alone rests at the holds' tips, and the distances left, m."""
+    simulator, robot = plant.simulator, plant.chain.robot
+    if has_exact_inverse(simulator, robot):
+        return pressure_by_reduced_model(simulator, robot, holds.position)
+    return pressure_by_simulator(simulator, holds.position, holds.pressure, config.settle_s, config.dt_s)
+
+
 def _train(config: Config, pressure_real: np.ndarray, pressure_sim: np.ndarray) -> Ensemble:
     settings = EnsembleSettings(
         config.members, config.hidden, config.epochs, config.learning_rate, config.weight_decays, config.seed
@@ -171,7 +216,7 @@ def _train(config: Config, pressure_real: np.ndarray, pressure_sim: np.ndarray) 
 
 
 def _assemble(
-    robot: Robot,
+    plant: Plant,
     ensemble: Ensemble,
     holds: Holds,
     pressure_sim: np.ndarray,
@@ -194,8 +239,9 @@ def _assemble(
         heldout=heldout,
         inverted_by=inverted_by,
         material=material,
-        robot_name=robot.name,
+        robot_name=plant.chain.robot.name,
         settled_tip=settled_tip,
+        effects=tuple(effect.name() for effect in plant.chain.ordered),
     )
 
 
@@ -260,17 +306,15 @@ def _report_moving(
 
 def _report_replay(
     calibration: Calibration,
-    simulator: Simulator,
-    robot: Robot,
+    plant: Plant,
     recordings: RecordingSet,
     holds: Holds,
     tracker: Tracker,
 ) -> None:
     """Log errors of tip, arc length, curvature, orientation and velocity on held-out runs, with and without f_RS."""
     judged = holds.where(calibration.heldout)
-    runs = {int(i): recordings.recordings[i] for i in np.unique(judged.run)}
-    with_map = replay_errors(simulator, robot, runs, judged, PressureMap(calibration).real_to_sim)
-    without = replay_errors(simulator, robot, runs, judged, lambda pressure: pressure)
+    with_map = replay_errors(plant, recordings, judged, PressureMap(calibration).real_to_sim)
+    without = replay_errors(plant, recordings, judged, lambda pressure: pressure)
     for name, value in with_map.items():
         tracker.metric(f"heldout/{name}", value)
         tracker.metric(f"heldout/uncalibrated_{name}", without[name])

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrl.artifacts.snapshots import Snapshots
+from softrl.robots.robot import Robot
 
 SAME_RAD = 1e-6
 
@@ -85,6 +86,11 @@ def symmetries(direction: np.ndarray) -> list[Symmetry]:
             if permutation is not None:
                 found.append(_symmetry(permutation, plane))
     return found
+
+
+def images_of(robot: Robot) -> list[Symmetry]:
+    """Return the robot's symmetries besides the identity; they are about z."""
+    return symmetries(robot.chamber_direction)[1:] if robot.axis in ("+z", "-z") else []
 
 
 def reflected(samples: Equilibria, operations: list[Symmetry]) -> Equilibria:

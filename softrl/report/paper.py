@@ -43,6 +43,14 @@ ROWS = (
     Row("1", "calibration, curvature", "1/m", None, None, "calibration", "heldout/curvature_hold_per_m"),
     Row("1", "calibration, position", "mm", 1.40, 0.70, "calibration", "heldout/position_hold_mm"),
     Row("1", "calibration, velocity", "mm/s", 12.69, 6.35, "calibration", "heldout/velocity_run_mm_s"),
+    *(Row("1", f"{name}, after the diagnosis", unit, paper, goal, "calibration:corrected", metric)
+      for name, unit, paper, goal, metric in (
+        ("f_RS, pressure", "kPa", 0.13, 0.05, "heldout/pressure_map_rms_kpa"),
+        ("calibration, arc length", "mm", 0.30, 0.15, "heldout/arc_length_hold_mm"),
+        ("calibration, orientation", "deg", 0.35, 0.175, "heldout/orientation_hold_deg"),
+        ("calibration, position", "mm", 1.40, 0.70, "heldout/position_hold_mm"),
+        ("calibration, velocity", "mm/s", 12.69, 6.35, "heldout/velocity_run_mm_s"),
+      )),
     Row("1", "f_SP, joint angle", "deg", 0.32, 0.05, "surrogate", "heldout/joint_angle_deg"),
     Row("1", "f_SP, position", "mm", 4.23, 0.5, "surrogate", "heldout/tip_error_mm"),
     Row("1", "inverse of f_SP, joint angle", "deg", 0.17, 0.05, "surrogate", "heldout/roundtrip_joint_angle_deg"),
@@ -62,6 +70,11 @@ ROWS = (
     Row("2", "rig, force task, position", "mm", 4.68, 0.75, "sim2real:force", "force_sine_mm"),
     Row("2", "rig, hybrid task, position", "mm", 4.20, 0.9, "sim2real:hybrid", "hybrid_circle_mm"),
     Row("2", "rig, hybrid task, force", "N", 0.70, 0.15, "sim2real:hybrid", "hybrid_circle_force_n"),
+    *(Row(table, f"rig, {name}, {how} after the diagnosis", "mm", paper, 0.45, "sim2real:corrected", metric + ending)
+      for table, name, paper, metric in (
+        ("2", "circle", 3.38, "circle"), ("2", "star", 6.79, "star"), ("7.4", "unseen 3-D figure-eight", None, "figure_eight"),
+      )
+      for how, ending in (("policy", "_mm"), ("plan", "_planned_mm"))),
     Row("7.4", "simulation, unseen 3-D figure-eight", "mm", 5.34, 0.3, "rl:track", "heldout/figure_eight_position_rmse_mm"),
     Row("7.4", "rig, unseen 3-D figure-eight", "mm", None, 0.45, "sim2real", "figure_eight_mm"),
     Row("7.4", "recovery after a cut air line", "s", 5.0, 2.0, "sim2real", "recovery_s",

@@ -28,7 +28,7 @@ class PolicyController:
     """
 
     def __init__(self, policy: Policy, surrogate: Surrogate, calibration: Calibration, course: Course) -> None:
-        require_chambers(surrogate, calibration)
+        require_match(surrogate, calibration)
         self._chain, self._course = Inference(policy, surrogate, None if policy.effects else calibration), course
 
     def pressure(self, position: np.ndarray, step: int, tip_force: np.ndarray | None = None) -> np.ndarray:
@@ -72,8 +72,13 @@ class Calibrated:
         return np.asarray(self._map.sim_to_real(self._inner.pressure(position, step, tip_force)))
 
 
-def require_chambers(surrogate: Surrogate, calibration: Calibration) -> None:
-    """Raise unless both artifacts belong to robots of as many chambers."""
+def require_match(surrogate: Surrogate, calibration: Calibration) -> None:
+    """Raise unless both artifacts belong to robots of as many chambers, and f_RS to the simulator without effects."""
+    if calibration.effects:
+        raise ArtifactError(
+            f"inputs.calibration maps what a simulator with {', '.join(calibration.effects)} leaves; sim2real takes that of "
+            "the nominal one: run stage=calibration without effect="
+        )
     if surrogate.chambers != calibration.chambers:
         raise ArtifactError(
             f"Surrogate has {surrogate.chambers} chambers, Calibration {calibration.chambers}; "

@@ -11,12 +11,15 @@ from softrl.calibration.holds import AGAIN, Holds, moving_rows, record_holds, re
 from softrl.calibration.inversion import pressure_by_simulator, steady_tip
 from softrl.calibration.kinematics import rotation_vector
 from softrl.calibration.pressure_map import PressureMap
-from softrl.calibration.replay import replay_errors
+from softrl.calibration.replay import replay, replay_errors
 from softrl.calibration.stage import Config, run
 from softrl.core.driver import Driver
 from softrl.core.errors import ConfigError, RecordingError
 from softrl.core.tracking import NullTracker
+from softrl.effects.chain import Plant, chain_of
+from softrl.effects.viscoelasticity import Viscoelasticity
 from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.program import random_steps
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.robots.robot import Robot
 
@@ -46,7 +49,7 @@ def test_stage_finds_the_pressures_that_acted(
     robot: Robot, body: PccSimulator, driver: Driver, acting: Callable[[np.ndarray], np.ndarray]
 ) -> None:
     tracker = NullTracker()
-    calibration = run(config(**FAST), robot, body, driver, None, tracker=tracker)
+    calibration = run(config(**FAST), robot, body, chain_of(robot, ()), driver, None, tracker=tracker)
     assert not driver.connected  # type: ignore[attr-defined]
     inside = np.random.default_rng(1).uniform(-15e3, 30e3, (50, 3))
     error = PressureMap(calibration).real_to_sim(inside) - acting(inside)
@@ -61,10 +64,31 @@ def test_stage_finds_the_pressures_that_acted(
     assert len(calibration.settled_tip) > len(calibration.pressure_real), "the second visits train and judge nothing"
 
 
+def test_with_the_walls_creep_in_the_simulator_f_rs_is_the_regulators(
+    robot: Robot, body: PccSimulator, driver: Driver, acting: Callable[[np.ndarray], np.ndarray]
+) -> None:
+    """Creep of earlier holds shows in later ones: no static map can tell, a simulator that creeps can."""
+    creep, rng, recordings = chain_of(robot, [Viscoelasticity(0.3, 4.0, 0.0, 20.0)]), np.random.default_rng(2), []
+    for k in range(8):
+        time, pressure = random_steps(robot, 14, 2.0, 0.02, rng)
+        motion = Plant(body, creep).simulate(time, acting(pressure))
+        recordings.append(Recording(f"r{k}", "s", time, pressure, position=motion.position, quaternion=motion.quaternion))
+    error, whole = {}, RecordingSet(robot.name, tuple(recordings))
+    for name, chain in (("nominal", chain_of(robot, ())), ("corrected", creep)):
+        tracker = NullTracker()
+        made = run(config(**FAST | {"drift_max_mm": 2.0}), robot, body, chain, driver, whole, tracker=tracker)
+        error[name] = tracker.metrics
+        assert made.effects == (() if name == "nominal" else ("viscoelasticity",))
+    for what in ("pressure_map_rms_kpa", "position_hold_mm", "velocity_run_mm_s"):
+        assert error["corrected"][f"heldout/{what}"] < 0.2 * error["nominal"][f"heldout/{what}"], what
+    inside = rng.uniform(-15e3, 30e3, (50, 3))
+    assert np.sqrt(np.mean((PressureMap(made).real_to_sim(inside) - acting(inside)) ** 2)) < 80.0
+
+
 def test_tiny_runs_with_one_seed_are_identical(
     robot: Robot, body: PccSimulator, driver: Driver, tmp_path: Path
 ) -> None:
-    first, second = (run(config(), robot, body, driver, None, tracker=NullTracker()) for _ in range(2))
+    first, second = (run(config(), robot, body, chain_of(robot, ()), driver, None, tracker=NullTracker()) for _ in range(2))
     np.testing.assert_array_equal(first.pressure_sim, second.pressure_sim)
     for name, weight in first.weights.items():
         np.testing.assert_array_equal(weight, second.weights[name])
@@ -77,12 +101,13 @@ def test_tiny_runs_with_one_seed_are_identical(
 def test_held_out_runs_do_not_touch_training(robot: Robot, body: PccSimulator, driver: Driver) -> None:
     """Spoiling the recorded tips of the held-out run leaves weights and scalers as they were."""
     whole = record_of(driver, robot, body, config())
-    first = run(config(), robot, body, driver, whole, tracker=NullTracker())
+    first = run(config(), robot, body, chain_of(robot, ()), driver, whole, tracker=NullTracker())
     held = int(np.unique(runs_of(whole)[first.heldout])[0])
     spoilt = list(whole.recordings)
     old = spoilt[held]
     spoilt[held] = Recording(old.name, old.session, old.time, old.pressure_cmd, position=old.position + 1e-3)
-    second = run(config(), robot, body, driver, RecordingSet(robot.name, tuple(spoilt)), tracker=NullTracker())
+    nominal = chain_of(robot, ())
+    second = run(config(), robot, body, nominal, driver, RecordingSet(robot.name, tuple(spoilt)), tracker=NullTracker())
     assert not np.array_equal(first.pressure_sim, second.pressure_sim)
     np.testing.assert_array_equal(first.pressure_mean, second.pressure_mean)
     np.testing.assert_array_equal(first.correction_spread, second.correction_spread)
@@ -144,8 +169,9 @@ def test_errors_in_per_cent_are_those_of_what_was_spanned(robot: Robot, body: Pc
     moved = body.simulate(time, pressure)
     holds = Holds(pressure[-1:], moved.position[-1:], np.array([0]), np.array([149]))
     one = Recording("a", "s", time, pressure, position=moved.position, quaternion=moved.quaternion)
-    exact = replay_errors(body, robot, {0: one}, holds, lambda p: p)
-    half = replay_errors(body, robot, {0: one}, holds, lambda p: 0.5 * p)
+    plant = Plant(body, chain_of(robot, ()))
+    exact = replay_errors(plant, RecordingSet(robot.name, (one,)), holds, lambda p: p)
+    half = replay_errors(plant, RecordingSet(robot.name, (one,)), holds, lambda p: 0.5 * p)
     assert exact["position_run_pct"] < 1e-6
     for name, unit, scale in (("position", "mm", 1e3), ("orientation", "deg", 180.0 / np.pi)):
         values = moved.position if name == "position" else rotation_vector(moved.quaternion)
@@ -153,7 +179,25 @@ def test_errors_in_per_cent_are_those_of_what_was_spanned(robot: Robot, body: Pc
         assert half[f"{name}_run_pct"] == pytest.approx(100.0 * half[f"{name}_run_{unit}"] / span)
         assert 1.0 < half[f"{name}_run_pct"] < 100.0
     still = Recording("a", "s", time, 0 * pressure, position=np.tile(moved.position[:1], (150, 1)))
-    assert not [name for name in replay_errors(body, robot, {0: still}, holds, lambda p: p) if "pct" in name]
+    stood = replay_errors(plant, RecordingSet(robot.name, (still,)), holds, lambda p: p)
+    assert not [name for name in stood if "pct" in name]
+
+
+def test_recordings_on_one_clock_are_one_motion(robot: Robot, body: PccSimulator) -> None:
+    """What an earlier recording left in the wall is there in the next, but not after a pause, or in another session."""
+    time = 0.02 * np.arange(1, 301)
+    pressure = np.where(time[:, None] < 2.0, 3e4, 0.0) * np.ones(3)
+    plant = Plant(body, chain_of(robot, [Viscoelasticity(0.3, 4.0, 0.0, 20.0)]))
+    position = plant.simulate(time, pressure).position
+
+    def second_half(later_s: float, session: str) -> np.ndarray:
+        early = Recording("a", "s", time[:150], pressure[:150])
+        late = Recording("b", session, time[150:] + later_s, pressure[150:])
+        return replay(plant, [early, late], lambda p: p)[1].position
+
+    np.testing.assert_allclose(second_half(0.0, "s"), position[150:], atol=1e-12)
+    for forgotten in (second_half(60.0, "s"), second_half(0.0, "t")):
+        assert np.abs(forgotten - position[150:]).max() > 1e-3
 
 
 def test_moving_holds_are_left_out_and_too_few_are_told() -> None:
@@ -188,4 +232,5 @@ def test_simulator_out_of_reach_is_told(robot: Robot, body: PccSimulator, driver
         for r in recordings.recordings
     )
     with pytest.raises(RecordingError, match="check frame and units"):
-        run(config(drift_max_mm=1e4), robot, body, driver, RecordingSet(robot.name, far), tracker=NullTracker())
+        nominal = chain_of(robot, ())
+        run(config(drift_max_mm=1e4), robot, body, nominal, driver, RecordingSet(robot.name, far), tracker=NullTracker())

@@ -35,6 +35,7 @@ def settings(**changes: Any) -> dict[str, Any]:
         "body_seed": 0,
         "tasks": ["hybrid", "track"],
         "rollouts": True,
+        "corrected": False,
         "benches": [],
         "minutes": None,
         "keep": None,
@@ -97,6 +98,30 @@ def test_a_stopped_paper_keeps_its_rows_and_says_what_was_not_run(
     assert rows["f_S, position, one step"]["reason"] == "seed 0: it diverged"
     assert "not run yet" in rows["rig, circle"]["reason"] and rows["rig, circle"]["command"]
     assert "runs to go, about" in caplog.text
+
+
+def test_what_follows_from_a_diagnosis_leaves_the_nominal_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    ran: list[tuple[str, str, dict[str, str]]] = []
+
+    def run_stage(stage: str, cfg: list[str], folder: Path, made: dict[str, str]) -> Outcome:
+        ran.append((stage, " ".join(cfg), dict(made)))
+        metrics = {"circle_mm": float(len(ran)), "circle_planned_mm": 0.1}
+        return Outcome(stage, f"{stage}-{len(ran)}", False, 1.0, metrics, folder)
+
+    monkeypatch.setattr(paper, "run_stage", run_stage)
+    monkeypatch.setattr(paper, "finished_before", lambda stage, cfg, made: None)
+    paper.run_paper(settings(seeds=[0], corrected=True), ["stage=paper"], tmp_path, lambda w: w)
+    stages = [stage for stage, _, _ in ran]
+    again = stages.index("diagnosis") + 1
+    assert stages[again:] == ["rl", "sim2real", "calibration"]
+    assert all("effect=identified" in words and made["diagnosis"] == f"run:diagnosis-{again}" for _, words, made in ran[again:])
+    assert not any("effect=identified" in words for _, words, _ in ran[:again])
+    assert ran[again + 1][2]["calibration"].startswith("run:calibration-") and "policy" in ran[again + 1][2]
+    assert ran[again + 1][2]["calibration"] != f"run:calibration-{len(ran)}", "f_RS of the nominal simulator"
+    rows = {row["row"]: row["ours_mean"] for row in json.loads((tmp_path / "paper.json").read_text())}
+    assert rows["rig, circle"] < rows["rig, circle, policy after the diagnosis"] == again + 2.0
+    with pytest.raises(ConfigError, match=r"stage\.corrected=true"):
+        paper.run_paper(settings(rollouts=False, corrected=True), [], tmp_path, lambda w: {})
 
 
 def test_what_stands_on_a_failure_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

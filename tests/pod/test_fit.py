@@ -10,10 +10,11 @@ from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ConfigError
 from softrl.pod.basis import pod_basis
 from softrl.pod.energy import Weights, accumulate, scale_of, solve
-from softrl.pod.fit import equilibria_of, fit_model, linear_model
+from softrl.pod.fit import fit_model, linear_model
 from softrl.pod.polynomial import basis
 from softrl.pod.report import motions, orientation_errors, statics
 from softrl.pod.rom import mechanical_energy
+from softrl.pod.settling import equilibria_of
 from softrl.pod.symmetry import equilibria
 from softrl.robots.robot import Robot
 from tests.pod.conftest import SETTINGS

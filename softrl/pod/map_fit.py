@@ -1,0 +1,87 @@
+"""The maps of a reduced model besides its energy, fitted to equilibria: mass, viscosity, centre of mass, rotation."""
+
+import logging
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from softrl.pod.maps import best_degree, elastic_factors, fit_map, symmetric_roots
+from softrl.pod.settings import FitSettings
+from softrl.pod.symmetry import Equilibria, images_of, reflected, symmetries
+from softrl.robots.robot import Robot
+
+log = logging.getLogger(__name__)
+ROOT_RIDGE, MAP_RIDGE = 1e-8, 1e-12  # roots near the identity go on tamely beyond the samples; maps are exact
+LAG_FLOOR = 0.005  # of the viscosity lags everywhere: keeps the root smooth at rest, where nothing else does
+
+
+class Targets(NamedTuple):
+    """What a map is fitted to: ``values`` (S, columns) and the ``weight`` of each column in the choice of a degree."""
+
+    values: np.ndarray
+    weight: np.ndarray
+    degree_max: int
+    through_origin: bool
+    ridge: float
+
+
+def fit_maps(
+    settings: FitSettings, robot: Robot, samples: Equilibria, frame: np.ndarray, fold: np.ndarray
+) -> dict[str, Any]:
+    """Return the coefficients of all maps besides the energy; each weighs the samples' images as predicts it best."""
+    ratio, images = _lag_ratio(samples), images_of(robot)
+    maps: dict[str, Any] = {"lag_ratio": ratio}
+    least: dict[str, float] = {}
+    identity = symmetries(robot.chamber_direction)[:1]
+    everything = reflected(samples, [*identity, *images])
+    goals = _targets(settings, everything, frame, ratio)
+    points, folds = np.linalg.solve(frame, everything.coordinate.T).T, np.tile(fold, 1 + len(images))
+    own = slice(0, len(fold))
+    for image_weight in settings.image_weights_of(robot):
+        rows = slice(0, len(folds) if image_weight else len(fold))
+        weight = np.where(np.arange(len(folds)) < len(fold), 1.0, image_weight)[rows]
+        for name, goal in goals.items():
+            values = goal.values[rows]
+            found = best_degree(
+                points[rows], values / goal.weight, weight, folds[rows], own, goal.degree_max, goal.through_origin, goal.ridge
+            )
+            if found.error < least.get(name, np.inf):
+                least[name] = found.error
+                maps[name] = fit_map(points[rows], values, weight, found.degree, goal.through_origin, goal.ridge)
+                log.debug("%s of degree %d with images of weight %g", name, found.degree, image_weight)
+    return maps
+
+
+def _targets(settings: FitSettings, images: Equilibria, frame: np.ndarray, ratio: float) -> dict[str, Targets]:
+    """Return by name what the maps are fitted to.
+
+    Viscosity is seen beside the elastic Hessian, which it equals at rest and whose stiff directions it shares wherever
+    they turn: in these terms low degrees predict it three times better.
+    """
+    elastic = frame.T @ np.linalg.inv(images.compliance) @ frame
+    viscous = frame.T @ images.stiffness @ frame
+    lagging = frame.T @ images.lag_stiffness @ frame / ratio + LAG_FLOOR * viscous
+    mass = frame.T @ images.mass @ frame
+    factor = np.linalg.cholesky(mass.mean(axis=0))
+    inverse = np.linalg.inv(factor)
+    weight = np.tile(np.sqrt(np.diag((elastic + viscous).mean(axis=0))), len(frame))
+    roots = symmetric_roots(inverse @ mass @ inverse.T) @ factor.T
+    goals = {"mass_root": Targets(roots.reshape(len(mass), -1), weight, settings.root_degree_max, False, ROOT_RIDGE)}
+    apart = np.linalg.inv(elastic_factors(elastic))
+    for name, matrices in (("stiffness_root", viscous - lagging), ("lag_root", lagging)):
+        roots = symmetric_roots(apart @ matrices @ apart.transpose(0, 2, 1)).reshape(len(mass), -1)
+        goals[name] = Targets(roots, np.ones(roots.shape[1]), settings.root_degree_max, False, ROOT_RIDGE)
+    for name, values in (
+        ("centre_of_mass", images.centre_of_mass),
+        ("rotation", images.rotation),
+        ("lag_rotation", (images.lag_spin @ frame).reshape(len(images.load), -1)),
+    ):
+        goals[name] = Targets(values, np.ones(values.shape[1]), settings.map_degree_max, True, MAP_RIDGE)
+    return goals
+
+
+def _lag_ratio(samples: Equilibria) -> float:
+    """Return the viscosity of the lags over their stiffness, one number for all: 1 where nothing lags."""
+    stiffness = float(np.einsum("sij,sji->", samples.compliance, samples.lag_stiffness))
+    viscosity = float(np.einsum("sij,sji->", samples.compliance, samples.lag_viscosity))
+    return viscosity / stiffness if stiffness > 0.0 else 1.0

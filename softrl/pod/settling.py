@@ -1,0 +1,117 @@
+"""Which energies hold a body: where it must stand, and whether it comes to rest there.
+
+A polynomial of high degree follows the samples closely and may have wells and saddles beyond them, where weight and fast
+motion lead.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats.qmc import Sobol
+
+from softrl.artifacts.reduced_model import ReducedModel
+from softrl.pod.kernel import run_kernel
+from softrl.pod.polynomial import basis, degree_of
+from softrl.pod.potential import Tables, fill_potential
+from softrl.pod.rom import EMPTY, elastic_hessian_at_rest, gradient_of, no_hooks, static_points, tables_of
+from softrl.pod.symmetry import Equilibria
+from softrl.robots.robot import Robot
+
+LOST = 0.1  # of the mean motion: a body that rests farther off was caught by a well
+PRESSURES = 512  # all over their range, at which the body has to stand
+ANCHORS, BEYOND = 256, 1.2  # equilibria to which a high degree is held; their pressures over the robot's range
+THROW_STEPS, THROW_STEP = 40, 0.4  # under each load, in radians of the slowest motion at rest
+
+
+def settles(model: ReducedModel, loads: np.ndarray) -> bool:
+    """Return whether the body stands under each of ``loads`` (S, r), and comes to rest where statics says.
+
+    It is thrown from load to load under its weight, well damped.
+    """
+    if not stands(model):
+        return False
+    root = np.linalg.inv(np.linalg.cholesky(elastic_hessian_at_rest(model)))
+    mass = model.mass_root[:, 0].reshape(model.order, model.order)
+    slowest = 1.0 / np.sqrt(np.linalg.eigvalsh(root @ mass.T @ mass @ root.T)[-1])
+    damped = replace(model, rayleigh_mass_per_s=max(model.rayleigh_mass_per_s, slowest))
+    tables = tables_of(damped)
+    points, lost = static_points(tables, loads)
+    if lost.any() or _least_stiffness(tables, points) <= 0.0:
+        return False
+    held = np.repeat(loads, THROW_STEPS, axis=0)
+    path = np.empty_like(held)
+    failed, _ = run_kernel(*np.zeros((4, model.order)), THROW_STEP / slowest, held, tables, no_hooks(), path, *EMPTY)
+    apart = np.linalg.norm(((path[THROW_STEPS - 1 :: THROW_STEPS] - points) @ model.frame.T)[:, -3:], axis=1)
+    return failed == 0 and bool((apart < LOST * np.linalg.norm(points @ model.frame.T[:, -3:], axis=1).mean()).all())
+
+
+def stands(model: ReducedModel) -> bool:
+    """Return whether the body is stable at rest."""
+    return bool(np.linalg.eigvalsh(elastic_hessian_at_rest(model)).min() > 0.0)
+
+
+def trial_loads(robot: Robot, samples: Equilibria) -> np.ndarray:
+    """Return loads (S, r) under which a body with its weight must stand.
+
+    They are those of the samples, tip forces no larger than the robot's limit, and pressures all over their range.
+    """
+    n = robot.chambers
+    sampled = samples.load.copy()
+    pull = np.linalg.norm(sampled[:, n:], axis=1, keepdims=True)
+    sampled[:, n:] *= np.minimum(1.0, robot.tip_force_max_n / np.maximum(pull, 1e-12))
+    pressures = np.zeros((PRESSURES, n + 3))
+    span = robot.pressure_max_pa - robot.pressure_min_pa
+    pressures[:, :n] = robot.pressure_min_pa + span * Sobol(n, seed=0).random(PRESSURES)
+    return np.concatenate([sampled, pressures])
+
+
+def anchor_loads(draft: ReducedModel) -> np.ndarray:
+    """Return loads (ANCHORS, r) all over the pressures and a little beyond, and tip forces as large as samples' and weight.
+
+    A moving body is not where its pressures alone would bring it: inertia loads it like weight does.
+    """
+    n = draft.chambers
+    unit = Sobol(n + 3, seed=1).random(ANCHORS)
+    middle = 0.5 * (draft.pressure_max_pa + draft.pressure_min_pa)
+    half = 0.5 * BEYOND * (draft.pressure_max_pa - draft.pressure_min_pa)
+    sink = gradient_of(draft.centre_of_mass, draft.order)[:, :, 0] @ draft.gravity_m_s2
+    weight = draft.mass * sink @ np.linalg.inv(draft.frame)
+    largest = np.abs([draft.load_low[n:], draft.load_high[n:]]).max() + np.linalg.norm(weight[n:])
+    height, turn, radius = 2.0 * unit[:, n] - 1.0, 2.0 * np.pi * unit[:, n + 1], np.sqrt(unit[:, n + 2])
+    flat = np.sqrt(1.0 - height**2)
+    force = largest * radius[:, None] * np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
+    return np.hstack([middle + half * (2.0 * unit[:, :n] - 1.0), force])
+
+
+def equilibria_of(model: ReducedModel, loads: np.ndarray) -> Equilibria:
+    """Return the stable equilibria of ``model`` without weight under ``loads`` (S, r), as far as they are found.
+
+    They hold what the fit of an energy reads: coordinates, loads, energies, compliances and their slopes.
+    """
+    r, inverse = model.order, np.linalg.inv(model.frame)
+    points, lost = static_points(tables_of(model, np.zeros(3)), loads)
+    points = points[~lost & (np.linalg.norm(points, axis=1) <= 1.0)]
+    table = basis(r, degree_of(r, len(model.energy)))
+    slope, curve, third = table.gradient_rows(points), table.hessian_rows(points), table.third_rows(points)
+    hessian = inverse.T @ (curve @ model.energy) @ inverse
+    stable = np.linalg.eigvalsh(curve @ model.energy)[:, 0] > 0.0
+    hessian, points = hessian[stable], points[stable]
+    compliance = np.linalg.inv(hessian)
+    moved = compliance @ inverse.T  # dy/dload
+    bent = -np.einsum("sia,sjb,skc,sabc->sijk", moved, moved, moved, third[stable] @ model.energy, optimize=True)
+    none = np.zeros((len(points), 0))
+    return Equilibria(
+        (slope[stable] @ model.energy) @ inverse, points @ model.frame.T, table.values(points) @ model.energy, compliance,
+        bent, *(none for _ in range(7)),
+    )
+
+
+def _least_stiffness(tables: Tables, points: np.ndarray) -> float:
+    """Return the smallest eigenvalue of the potential's Hessian at ``points`` (S, r), J: negative at a saddle."""
+    r = points.shape[1]
+    values, inside, gradient, hessian = np.empty(len(tables.parent)), np.empty(r), np.empty(r), np.empty((r, r))
+    least = np.inf
+    for point in points:
+        fill_potential(point, tables, values, inside, gradient, hessian)
+        least = min(least, float(np.linalg.eigvalsh(hessian)[0]))
+    return least
