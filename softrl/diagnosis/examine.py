@@ -10,11 +10,13 @@ from scipy import stats
 
 from softrl.core.errors import SolverError
 from softrl.diagnosis.flexible import correction, pressures
+from softrl.diagnosis.form import pinned_jacobian, taken_up, weight_error
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes
 from softrl.diagnosis.hypothesise import Path, forward
 from softrl.diagnosis.judge import Gap, Judge, Thresholds
 from softrl.diagnosis.locate import corrected, locate
 from softrl.diagnosis.problem import Problem, Residual
+from softrl.diagnosis.search import jacobian_at
 from softrl.diagnosis.statistics import (
     MIN_BLOCKS,
     UNSEEN,
@@ -34,6 +36,7 @@ WHITENESS_LAGS = 20
 AT_BOUND = 1e-3  # share of a range at whose ends a parameter is said to be at a bound
 NOISE_LEVEL = 0.01  # chance of what is left under noise of its own spectrum
 NOISE_DRAWS = 500
+DIFFERENCE = 0.02  # scaled step of derivatives
 LINE_LEVEL = 1e-8  # chance of a line in the spectrum of noise
 FORM_SHARE = 0.05  # of the residual; found on single hidden effects, each fitted by its own law
 UNDRIVEN_SHARE = 0.5  # of the squared error: effects that remove less explain nothing
@@ -217,7 +220,7 @@ def _unexplained(judge: Judge, final: Trial, offer: Offer, explained: float, lef
         reasons.append(f"what is left follows the pressures and their past ({region})")
     elif left > judge.floor and spectral_line(heldout.runs, drives) < LINE_LEVEL:
         reasons.append("what is left swings at one frequency")
-    elif left > FOLLOWING_FACTOR * judge.material and _uneven(judge, heldout, drives):
+    elif left > FOLLOWING_FACTOR * judge.material and _uneven(judge, final, heldout, drives):
         reasons.append("what is left is no noise: it jumps, or grows where the pressures move")
     return reasons
 
@@ -225,15 +228,12 @@ def _unexplained(judge: Judge, final: Trial, offer: Offer, explained: float, lef
 def intervals(problem: Problem, trial: Trial, thresholds: Thresholds) -> list[Interval]:
     """Return every free parameter with its interval, robust to errors that stay alike within blocks and within runs."""
     space = problem.space(trial.hypothesis)
-    rows = len(trial.fit.residual) // len(problem.run_of_bin)
-    blocks = _independent(problem, trial.fit.residual.reshape(-1, rows), len(space.axes), thresholds)
-    per_row = np.repeat(blocks, rows)
-    spread = np.sqrt(np.diag(sandwich(trial.fit.jacobian, trial.fit.residual, per_row)))
-    freedom = max(int(blocks.max()) + 1 - len(spread), 1)
-    apart = jackknife(trial.fit.jacobian, trial.fit.residual, np.repeat(problem.folds, rows))
-    between = float(stats.t.ppf(thresholds.confidence, int(problem.folds.max()))) * apart
-    reach = np.maximum(float(stats.t.ppf(thresholds.confidence, freedom)) * spread, between)
-    reach = np.hypot(reach, _form_error(trial)) + _step_error(problem, trial)
+    jacobian, residual = trial.fit.jacobian, trial.fit.residual
+    reach = _reach(problem, jacobian, residual, thresholds)
+    pinned = pinned_jacobian(problem, trial)
+    if pinned.any():
+        reach = np.maximum(reach, _with_pinned(problem, jacobian, pinned, residual, reach, thresholds))
+    reach = np.hypot(reach, weight_error(problem, trial)) + _step_error(problem, trial)
     found, bounds = [], space.bounds
     for k, axis in enumerate(space.axes):
         u = float(trial.fit.point[k])
@@ -247,6 +247,37 @@ def intervals(problem: Problem, trial: Trial, thresholds: Thresholds) -> list[In
     return found
 
 
+def _reach(problem: Problem, jacobian: np.ndarray, residual: np.ndarray, thresholds: Thresholds) -> np.ndarray:
+    """Return half the intervals (p,) of least-squares parameters, in scaled units."""
+    rows = len(residual) // len(problem.run_of_bin)
+    blocks = _independent(problem, residual.reshape(-1, rows), jacobian.shape[1], thresholds)
+    spread = np.sqrt(np.diag(sandwich(jacobian, residual, np.repeat(blocks, rows))))
+    freedom = max(int(blocks.max()) + 1 - len(spread), 1)
+    apart = jackknife(jacobian, residual, np.repeat(problem.folds, rows))
+    between = float(stats.t.ppf(thresholds.confidence, int(problem.folds.max()))) * apart
+    reach = np.maximum(float(stats.t.ppf(thresholds.confidence, freedom)) * spread, between)
+    return np.asarray(np.hypot(reach, _form_error(jacobian, residual)))
+
+
+def _with_pinned(
+    problem: Problem,
+    jacobian: np.ndarray,
+    pinned: np.ndarray,
+    residual: np.ndarray,
+    reach: np.ndarray,
+    thresholds: Thresholds,
+) -> np.ndarray:
+    """Return half the intervals (p,) where pinned parameters, of derivatives (rows, q), may have other values as well.
+
+    That the data cannot tell a parameter from its neutral value does not mean that it has it. It is not taken to be
+    farther away than plain to see.
+    """
+    count, both = jacobian.shape[1], np.hstack([jacobian, pinned])
+    moved = taken_up(both, residual[:, None])[:count, 0]
+    freed = _reach(problem, both, residual, thresholds)[:count] + np.abs(moved)
+    return np.asarray(np.minimum(freed, reach + np.abs(taken_up(jacobian, pinned)).sum(axis=1)))
+
+
 def _independent(problem: Problem, residual: np.ndarray, free: int, thresholds: Thresholds) -> np.ndarray:
     """Return blocks (bins,) as long as errors (bins, channels) stay alike, but enough of them for ``free`` parameters."""
     runs = problem.run_of_bin
@@ -257,18 +288,18 @@ def _independent(problem: Problem, residual: np.ndarray, free: int, thresholds: 
     return blocks_of(runs, max(int(min(length, len(runs) / (MIN_BLOCKS + 2 * free))), 1))
 
 
-def _form_error(trial: Trial) -> np.ndarray:
+def _form_error(jacobian: np.ndarray, residual: np.ndarray) -> np.ndarray:
     """Return how far the parameters (p,) may be off, in scaled units, because the body is not quite the robot's.
 
     What is left after the fit holds no part that a parameter could take; but what a body of another form would have left
     may have had one, alike in all runs, which no comparison of runs shows: ``FORM_SHARE`` of it.
     """
-    jacobian, free = trial.fit.jacobian, trial.fit.jacobian.any(axis=0)
+    free = jacobian.any(axis=0)
     size = np.linalg.norm(jacobian[:, free], axis=0)
     scaled = jacobian[:, free] / size
     inverse = np.linalg.pinv(scaled.T @ scaled, rcond=UNSEEN, hermitian=True)
     found = np.zeros(jacobian.shape[1])
-    found[free] = FORM_SHARE * np.linalg.norm(trial.fit.residual) * np.sqrt(np.diag(inverse)) / size
+    found[free] = FORM_SHARE * np.linalg.norm(residual) * np.sqrt(np.diag(inverse)) / size
     return found
 
 
@@ -365,10 +396,23 @@ def _heldout(judge: Judge, trial: Trial) -> Residual:
     return judge.problem.residual(trial.hypothesis, trial.fit.point, trial.placed)
 
 
-def _uneven(judge: Judge, residual: Residual, drives: list[np.ndarray]) -> bool:
-    """Return whether ``residual`` is neither white nor noise of any other colour."""
+def _uneven(judge: Judge, trial: Trial, residual: Residual, drives: list[np.ndarray]) -> bool:
+    """Return whether ``residual`` is neither white nor noise of any other colour, whatever the parameters are."""
     p_values = [whiteness(column, WHITENESS_LAGS)[1] for run in residual.runs for column in run.T]
     if min(p_values) * len(p_values) > NOISE_LEVEL:
         return False
     rng = np.random.default_rng(judge.seed)
-    return unlike_noise(residual.runs, drives, NOISE_DRAWS, rng) < NOISE_LEVEL
+    return unlike_noise(residual.runs, drives, NOISE_DRAWS, rng, _slopes(judge, trial, residual)) < NOISE_LEVEL
+
+
+def _slopes(judge: Judge, trial: Trial, residual: Residual) -> list[np.ndarray]:
+    """Return the derivatives (bins, channels, p) of the held-out ``residual``, run by run, by the trial's parameters."""
+    low, high = judge.problem.space(trial.hypothesis).bounds
+
+    def moved(point: np.ndarray) -> np.ndarray:
+        return judge.problem.residual(trial.hypothesis, point, trial.placed).flat
+
+    columns = jacobian_at(moved, trial.fit.point, residual.flat, low, high, DIFFERENCE)
+    ends = np.cumsum([run.size for run in residual.runs])[:-1]
+    parts = zip(np.split(columns, ends), residual.runs, strict=True)
+    return [part.reshape(*run.shape, -1) for part, run in parts]

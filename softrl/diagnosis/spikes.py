@@ -11,7 +11,7 @@ from softrl.recordings.recording import Recording
 LONGEST = 7  # samples: what lasts longer may be real
 TIMES = 10.0  # a spike stands out from the running median by this many times what four samples out of five do
 LEAST_SHARE = 0.02  # of the range
-JUMP_SHARE = 0.5  # of its height a spike is entered and left by within one sample: no body turns round that fast
+JUMP_SHARE = 0.5  # of its height a spike is entered and left by within one sample, beyond the motion before and after
 
 
 def without_spikes(runs: Sequence[Recording]) -> tuple[tuple[Recording, ...], list[str]]:
@@ -44,7 +44,17 @@ def spikes(values: np.ndarray) -> np.ndarray:
         if first == 0 or end == len(values) or end - first > LONGEST:
             continue
         jump = JUMP_SHARE * float(height[first:end].max())
-        entered, left = values[first] - values[first - 1], values[end] - values[end - 1]
-        if min(np.linalg.norm(entered), np.linalg.norm(left)) > jump and entered @ left < 0.0:
+        entered, left = _aside(values, first, -1), _aside(values, end - 1, 1)
+        if min(np.linalg.norm(entered), np.linalg.norm(left)) > jump and entered @ left > 0.0:
             wrong[first:end] = True
     return wrong
+
+
+def _aside(values: np.ndarray, row: int, towards: int) -> np.ndarray:
+    """Return how far ``values[row]`` (n,) lies off the straight line through the two rows next to it on one side.
+
+    A body that moves fast and turns round goes on as it went before, a mistaken sample does not.
+    """
+    near, far = row + towards, row + 2 * towards
+    far = far if 0 <= far < len(values) else near
+    return np.asarray(values[row] - 2.0 * values[near] + values[far])

@@ -246,11 +246,17 @@ def _above_smooth(series: np.ndarray) -> np.ndarray:
 
 
 def unlike_noise(
-    runs: Sequence[np.ndarray], drives: Sequence[np.ndarray], draws: int, rng: np.random.Generator
+    runs: Sequence[np.ndarray],
+    drives: Sequence[np.ndarray],
+    draws: int,
+    rng: np.random.Generator,
+    slopes: Sequence[np.ndarray] = (),
 ) -> float:
     """Return the chance that noise of the same spectra is as uneven as ``runs`` (steps, n) under ``drives`` (steps, m).
 
-    Uneven in two ways: its innovations have heavy tails, as after jumps, or are larger where the drives move.
+    Uneven in two ways: its innovations have heavy tails, as after jumps, or are larger where the drives move. What
+    parameters with the derivatives ``slopes`` (steps, n, p) could take up counts as neither: a fit to noise leaves them a
+    little off, and what that does is sharp where the drives move.
 
     Notes
     -----
@@ -259,24 +265,42 @@ def unlike_noise(
     """
     memories = [autoregression([run[:, k] for run in runs]) for k in range(runs[0].shape[1])]
     active = [np.abs(np.diff(drive, axis=0, prepend=drive[:1])).sum(axis=1) for drive in drives]
+    news = [_innovations(run, memories) for run in runs]
+    moves = np.concatenate([move[-len(new) :] for move, new in zip(active, news, strict=True)])
+    size = np.concatenate([np.broadcast_to(np.maximum(new.std(axis=0), 1e-150), new.shape) for new in news])
+    ends = np.cumsum([len(new) for new in news])[:-1]
+    taken = _taken_up([_innovations(slope, memories) for slope in slopes], size)
 
     def uneven(series: Sequence[np.ndarray]) -> np.ndarray:
-        tails, power, moves = [], [], []
-        for run, move in zip(series, active, strict=True):
-            new = [whitened(column, memory) for column, memory in zip(run.T, memories, strict=True)]
-            rows = min(len(column) for column in new)
-            squares = np.stack([(c[-rows:] - c.mean()) ** 2 / max(float(c.var()), 1e-300) for c in new], axis=1)
-            tails.append(np.mean(squares**2))
-            power.append(np.sqrt(squares.sum(axis=1)))
-            moves.append(move[-rows:])
-        x, y = np.concatenate(moves), np.concatenate(power)
-        slope = np.corrcoef(x, y)[0, 1] if np.ptp(x) > 0.0 and np.ptp(y) > 0.0 else 0.0
-        return np.array([np.mean(tails), slope])
+        new = np.concatenate([_innovations(run, memories) for run in series]) / size
+        new = new - (taken @ (taken.T @ new.ravel())).reshape(new.shape)
+        parts = np.split(new, ends)
+        squares = [(x - x.mean(axis=0)) ** 2 / np.maximum(x.var(axis=0), 1e-300) for x in parts]
+        power = np.sqrt(np.concatenate(squares).sum(axis=1))
+        slope = np.corrcoef(moves, power)[0, 1] if np.ptp(moves) > 0.0 and np.ptp(power) > 0.0 else 0.0
+        return np.array([np.mean([np.mean(square**2) for square in squares]), slope])
 
     found = uneven(runs)
     drawn = np.array([uneven([phase_randomised(run, rng) for run in runs]) for _ in range(draws)])
     ranks = (1.0 + np.sum(drawn >= found, axis=0)) / (draws + 1.0)
     return float(min(1.0, len(ranks) * ranks.min()))
+
+
+def _innovations(run: np.ndarray, memories: Sequence[np.ndarray]) -> np.ndarray:
+    """Return ``run`` (steps, n, ...) less what each channel's memory predicts; equally many first samples left out."""
+    longest = max(len(memory) for memory in memories)
+    whole = [whitened(run[:, k], memory) for k, memory in enumerate(memories)]
+    return np.stack([column[longest - len(m) :] for column, m in zip(whole, memories, strict=True)], axis=1)
+
+
+def _taken_up(slopes: Sequence[np.ndarray], size: np.ndarray) -> np.ndarray:
+    """Return an orthonormal basis (rows, q) of what parameters with derivatives ``slopes`` (steps, n, p) can do."""
+    if not slopes:
+        return np.zeros((size.size, 0))
+    columns = (np.concatenate(list(slopes)) / size[:, :, None]).reshape(size.size, -1)
+    columns = columns[:, columns.any(axis=0)]
+    basis, seen, _ = np.linalg.svd(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), full_matrices=False)
+    return np.asarray(basis[:, seen > UNSEEN])
 
 
 def follows(target: Sequence[np.ndarray], regressor: Sequence[np.ndarray], length: int) -> tuple[float, float]:

@@ -1,5 +1,6 @@
 """A hose or cable that pulls at the tip."""
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -9,22 +10,36 @@ import numpy as np
 from softrl.effects.effect import FORCE, FORCE_SLOPE, PORT_KERNEL, TIP, Effect, parameter
 from softrl.robots.robot import Robot
 
+AROUND = 4  # directions in which a search for the anchor begins
+FAR = 0.2  # lengths of the robot from the tip at rest where it begins
+
 
 @nb.njit(PORT_KERNEL, cache=True)
 def tether_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
-    """Pull the tip towards the point where the hose would rest."""
+    """Pull the tip towards the anchor, as far as it is farther away than the length that hangs free."""
+    stiffness, free = parameters[0], parameters[4]
+    square = 0.0
     for k in range(3):
-        port[FORCE, k] -= parameters[0] * (port[TIP, k] - parameters[1 + k])
-        port[FORCE_SLOPE + k, k] -= parameters[0]
+        square += (port[TIP, k] - parameters[1 + k]) ** 2
+    distance = math.sqrt(square)
+    if distance <= free:
+        return
+    taut = 1.0 - free / distance if free > 0.0 else 1.0
+    for k in range(3):
+        away = port[TIP, k] - parameters[1 + k]
+        along = away * away / square if free > 0.0 else 1.0
+        port[FORCE, k] -= stiffness * taut * away
+        port[FORCE_SLOPE + k, k] -= stiffness * (taut + (1.0 - taut) * along)
 
 
 @dataclass(frozen=True)
 class Tether(Effect):
-    """Pull ``F = -k (tip - anchor)`` to a point beside the tip at rest; offsets in lengths of the robot.
+    """Pull to a point beside the tip at rest, of a hose that is slack nearer than its free length; lengths of the robot.
 
     Notes
     -----
-    Linear spring (no equation number checked); a hose that goes slack would pull one way only.
+    Linear spring ``F = -k (d - d0) / d (tip - anchor)`` beyond the free length ``d0``, nothing within it (no equation
+    number checked); without free length a plain spring.
     """
 
     site: ClassVar[str] = "load"
@@ -34,8 +49,15 @@ class Tether(Effect):
     stiffness_n_per_m: float = parameter("N/m", 0.0, 500.0, 0.0, typical=30.0)
     offset_x: float = parameter("1", -0.5, 0.5, 0.0, typical=0.1)
     offset_y: float = parameter("1", -0.5, 0.5, 0.0, typical=0.0)
+    free_length: float = parameter("1", 0.0, 0.5, 0.0, typical=0.05, default=0.0)
+
+    @classmethod
+    def shapes(cls) -> list[dict[str, float]]:
+        """Return anchors all round: without a pull they have no slope to follow."""
+        turns = 2.0 * math.pi * np.arange(AROUND) / AROUND
+        return [{"offset_x": FAR * math.cos(turn), "offset_y": FAR * math.sin(turn)} for turn in turns]
 
     def pack(self, robot: Robot) -> np.ndarray:
-        """Return (stiffness N/m, anchor (3,) m)."""
+        """Return (stiffness N/m, anchor (3,) m, free length m)."""
         anchor = robot.length_m * np.array([self.offset_x, self.offset_y, 1.0])
-        return np.array([self.stiffness_n_per_m, *anchor])
+        return np.array([self.stiffness_n_per_m, *anchor, robot.length_m * self.free_length])

@@ -24,6 +24,7 @@ from softrl.recordings.recording import Recording, RecordingSet
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
+BAND = 0.2  # share of a frequency over which the spectrum of a control is averaged
 Answer = dict[str, Any]
 
 
@@ -122,7 +123,7 @@ def shuffled(
 def without_relation(
     source: Path, given: Answer, robot: Robot, nominal: PccSimulator, dt_s: float, seed: int
 ) -> RecordingSet:
-    """Return recordings of the retuned simulator plus the case's own residual with its phases drawn at random.
+    """Return recordings of the retuned simulator plus the case's own residual drawn anew, with its spectrum made smooth.
 
     The residual keeps its size and colour and loses all relation to the commands: there is nothing to be found.
     """
@@ -132,15 +133,27 @@ def without_relation(
     for run in read(source, robot).recordings:
         predicted = seen(replay(plant, run, dt_s))
         left = seen(run) - predicted
-        mixed = predicted + _phases_drawn(left, rng)
+        mixed = predicted + redrawn(left, rng)
         taken.append(replace(run, position=mixed, quaternion=None, pressure_meas=None))
     return RecordingSet(robot_name=robot.name, recordings=tuple(taken))
 
 
-def _phases_drawn(series: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def redrawn(series: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return noise (steps, n) of the size and colour of ``series``, as smooth in frequency as within ``BAND`` either way.
+
+    A line in the spectrum would stay one whatever its phase: where the commands swing at its frequency, or at a whole
+    part of it, it follows them still.
+    """
     lines = np.fft.rfft(series - series.mean(axis=0), axis=0)
-    turned = np.fft.irfft(lines * np.exp(2j * np.pi * rng.uniform(size=lines.shape)), len(series), axis=0)
-    return np.asarray(turned)
+    place = np.arange(1, len(lines))
+    first, end = np.maximum(place / (1.0 + BAND), 1.0).astype(int), np.ceil(place * (1.0 + BAND)).astype(int) + 1
+    end = np.minimum(end, len(lines))
+    total = np.cumsum(np.abs(lines) ** 2, axis=0)
+    power = (total[end - 1] - total[first - 1]) / (end - first)[:, None]
+    drawn = rng.standard_normal((2, *power.shape))
+    lines[0], lines[1:] = 0.0, np.sqrt(0.5 * power) * (drawn[0] + 1j * drawn[1])
+    made = np.fft.irfft(lines, len(series), axis=0)
+    return np.asarray(made * series.std(axis=0) / np.maximum(made.std(axis=0), 1e-300))
 
 
 def seen(run: Recording) -> np.ndarray:

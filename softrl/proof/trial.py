@@ -20,6 +20,7 @@ from softrl.recordings.write import write
 from softrl.robots.robot import Robot
 
 PROBES = 4  # sessions on which a hidden effect's size is measured
+OF_OWN_MASS = ("payload.mass",)  # hidden as a share of the mass that the body has, named as one of the robot's in its data
 RECORDINGS, OUTSIDE, TRUTH = "recordings", "outside", "truth"
 
 
@@ -110,7 +111,8 @@ def make(case: Case, generator: Generator, robot: Robot, nominal: PccSimulator, 
         "recordings_sha256": of_folder(folder / RECORDINGS / name),
         "stratum": case.stratum,
         "measured_pressure": case.measured_pressure,
-        "hidden": [_entry(law, size, case, level) for law, size, level in zip(drawn, sizes, loud, strict=True)],
+        "hidden": [_entry(law, size, case, level, nuisance.mass)
+                   for law, size, level in zip(drawn, sizes, loud, strict=True)],
         "places": [place for _, place in case.entries],
         "signal_to_noise": min(loud, default=0.0),
         "noise_floor_mm": 1e3 * floor,
@@ -204,7 +206,8 @@ def _ratio(
     return float(np.sqrt(max(left_over(nominal, alone, probes, mapped) ** 2 - own**2, 0.0)) / floor)
 
 
-def _entry(law: Hidden, size: float, case: Case, level: float) -> dict[str, Any]:
+def _entry(law: Hidden, size: float, case: Case, level: float, mass: float) -> dict[str, Any]:
+    """Return one hidden law of the key; ``mass`` is the factor on the robot's, of which the library's shares are taken."""
     table = laws.neutral_table()
     law.into(table, size)
     row = table[law.law]
@@ -216,5 +219,8 @@ def _entry(law: Hidden, size: float, case: Case, level: float) -> dict[str, Any]
         "amplitude": size,
         "row": row.tolist(),
         "signal_to_noise": level,
-        "parameters": {name: constant + factor * row[column] for name, (column, factor, constant) in shared.items()},
+        "parameters": {
+            name: (constant + factor * row[column]) * (mass if name in OF_OWN_MASS else 1.0)
+            for name, (column, factor, constant) in shared.items()
+        },
     }

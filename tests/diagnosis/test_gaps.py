@@ -75,6 +75,13 @@ def test_spikes_are_found_and_nothing_else() -> None:
     np.testing.assert_array_equal(spikes(clean + 3.0 * np.outer(wrong, [0.5, 0.7, -0.3])), wrong)
 
 
+def test_a_body_that_turns_round_fast_is_no_spike() -> None:
+    time = 0.02 * np.arange(500)
+    swing = 25.0 * np.exp(-(((time - 5.0) / 0.12) ** 2))[:, None] * [0.4, 1.0, 0.0]
+    corner = np.maximum(20.0 - 125.0 * np.abs(time - 7.0), 0.0)[:, None] * [0.0, 0.7, 0.7]
+    assert not spikes(swing + corner + 0.1 * np.random.default_rng(3).standard_normal((500, 3))).any()
+
+
 def test_a_change_that_stays_is_no_spike() -> None:
     values = np.where(np.arange(500) < 250, 0.0, 1.0)[:, None]
     assert not spikes(values).any()

@@ -155,6 +155,18 @@ def test_noise_is_told_from_jumps_and_from_what_comes_with_motion() -> None:
     assert unlike_noise([0.2 * noise + 20.0 * late], [drive], 200, rng) < 0.02
 
 
+def test_what_parameters_a_little_off_leave_is_no_structure() -> None:
+    rng = np.random.default_rng(15)
+    drive = np.repeat(rng.uniform(size=(20, 1)), 15, axis=0)
+    slope = np.asarray(lfilter([1.0], [1.0, -0.8], np.abs(np.diff(drive, axis=0, prepend=drive[:1])), axis=0))
+    slow = [coloured(rng, 300, 0.98)[:, None] for _ in range(2)]
+    off = [noise + 3.0 * slope for noise in slow]
+    assert unlike_noise(off, [drive, drive], 200, rng) < 0.02
+    assert unlike_noise(off, [drive, drive], 200, rng, [slope[:, :, None]] * 2) > 0.05
+    rough = [noise + 3.0 * slope * rng.standard_normal((300, 1)) for noise in slow]
+    assert unlike_noise(rough, [drive, drive], 200, rng, [slope[:, :, None]] * 2) < 0.02
+
+
 def test_jackknife_sees_what_differs_between_runs() -> None:
     rng, folds, hits, narrow = np.random.default_rng(14), np.repeat(np.arange(6), 100), 0, 0
     for _ in range(200):

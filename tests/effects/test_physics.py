@@ -404,6 +404,20 @@ def test_tether_force_is_the_gradient_of_a_spring() -> None:
     np.testing.assert_allclose(port[FORCE], -40.0 * (tip - anchor))
 
 
+@pytest.mark.parametrize("x", [0.05, 0.16])
+def test_a_hose_is_slack_nearer_than_its_free_length_and_its_slope_is_the_derivative(x: float) -> None:
+    effect = Tether(stiffness_n_per_m=40.0, offset_x=0.0, offset_y=0.0, free_length=0.5)
+    tip = np.array([x, 0.02, ROBOT.length_m + 0.01])
+    distance = np.linalg.norm(tip - [0.0, 0.0, ROBOT.length_m])
+    _, port = effect.apply(ROBOT, np.zeros(1), load_port(tip, np.zeros(3)), DT)
+    pull = 40.0 * max(distance - 0.5 * ROBOT.length_m, 0.0)
+    assert np.linalg.norm(port[FORCE]) == pytest.approx(pull, abs=1e-12)
+    for k in range(3):
+        moved = [effect.apply(ROBOT, np.zeros(1), load_port(tip + step, np.zeros(3)), DT)[1][FORCE]
+                 for step in np.eye(3)[k] * np.array([[1e-6], [-1e-6]])]  # fmt: skip
+        assert (moved[0] - moved[1])[k] / 2e-6 == pytest.approx(port[FORCE_SLOPE + k, k], abs=1e-4)
+
+
 SLOPED = [
     StiffnessScale(1.5),
     StiffnessScale(1.5, chamber=0),

@@ -1,0 +1,67 @@
+"""Intervals allow for what a fit held fixed: parameters at neutral values, and how an arc bears weight."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softrl.diagnosis.examine import intervals
+from softrl.diagnosis.form import pinned_jacobian, taken_up, weight_error
+from softrl.diagnosis.hypothesis import Choice, Hypothesis
+from softrl.diagnosis.problem import Problem
+from softrl.diagnosis.trial import Trial, fit_trials
+from softrl.effects.library import effect_class
+from softrl.pcc.simulator import PccSimulator
+from tests.diagnosis.conftest import configured, made
+
+TUNED = ("bending_stiffness_scale",)
+NEUTRAL = {
+    name: {f.name: float(f.metadata["neutral"]) for f in effect_class(name).parameter_fields()}
+    for name in ("frame", "marker_offset", "payload")
+}
+
+
+def fitted(body: PccSimulator, choice: Choice, **hidden: float) -> tuple[Problem, Trial]:
+    config = configured()
+    runs = made(body, (effect_class(choice.name)(**(NEUTRAL[choice.name] | hidden)),), sessions=3).recordings
+    problem = Problem(body.robot, body, runs, config.numerics, "motion", "command", False, False)
+    return problem, fit_trials(problem, None, [(Hypothesis((choice,), TUNED), [])], config.search)[0]
+
+
+def test_what_a_pinned_parameter_leaves_to_the_others_stands_in_their_intervals(body: PccSimulator) -> None:
+    others = tuple(f.name for f in effect_class("frame").parameter_fields() if f.name not in ("turn_y_rad", "shift_x"))
+    problem, both = fitted(body, Choice("frame", pinned=others), turn_y_rad=0.02, shift_x=0.004)
+    _, alone = fitted(body, Choice("frame", pinned=(*others, "shift_x")), turn_y_rad=0.02, shift_x=0.004)
+    thresholds = configured().thresholds
+    free, held = intervals(problem, both, thresholds)[0], intervals(problem, alone, thresholds)[0]
+    assert abs(held.value - 0.02) > 0.002 > abs(free.value - 0.02), "the turn takes over from the shift"
+    assert free.low <= 0.02 <= free.high and held.low <= 0.02 <= held.high
+    assert held.high - held.low < 0.2, "not everything is possible"
+
+
+def test_derivatives_by_pinned_parameters_are_those_of_free_ones(body: PccSimulator) -> None:
+    problem, both = fitted(body, Choice("marker_offset"), x=0.01, y=0.0, z=0.02)
+    zero = both._replace(
+        hypothesis=Hypothesis((Choice("marker_offset", pinned=("x", "z")),), TUNED),
+        fit=both.fit._replace(point=both.fit.point[[1, 3]], jacobian=both.fit.jacobian[:, [1, 3]]),
+    )
+    start = problem.residual(zero.hypothesis, zero.fit.point).flat
+    found = pinned_jacobian(problem, zero._replace(fit=zero.fit._replace(residual=start)))
+    np.testing.assert_allclose(found, both.fit.jacobian[:, [0, 2]], atol=0.02 * np.abs(both.fit.jacobian).max())
+
+
+def test_an_arc_bears_a_weight_at_its_tip_uncertainly_and_a_valve_bears_none(body: PccSimulator) -> None:
+    problem, trial = fitted(body, Choice("payload"), mass=0.4)
+    mass = intervals(problem, trial, configured().thresholds)[0]
+    assert mass.low < 0.38 < 0.42 < mass.high
+    assert mass.value == pytest.approx(0.4, rel=0.02) and mass.high - mass.low < 0.3
+    assert weight_error(problem, trial).all()
+    assert not weight_error(replace(problem, target="pressure"), trial).any()
+
+
+def test_moves_take_up_a_change_as_far_as_the_parameters_can() -> None:
+    rng = np.random.default_rng(0)
+    jacobian, wanted = rng.standard_normal((50, 3)) * [1.0, 1e3, 1e-3], np.array([[1.0], [-2e-3], [3e3]])
+    np.testing.assert_allclose(taken_up(jacobian, -jacobian @ wanted), wanted, rtol=1e-9)
+    jacobian[:, 1] = 0.0
+    assert taken_up(jacobian, rng.standard_normal((50, 2)))[1].tolist() == [0.0, 0.0]
