@@ -188,20 +188,24 @@ def _rough_fit(fitting: Problem, bases: list[_Base], choice: Choice, look: list[
 
     first = len(current.fit.point) - len(current.hypothesis.tuned)
     own = np.arange(first, first + len(effect_axes(choice)))
-    found = []
+    found: list[Fit] = []
     for base, begin, _ in look:
         trial = bases[base].trial
         known = np.insert(trial.fit.jacobian, [first] * len(own), 0.0, axis=1)
         try:
-            fit = refine(residual, join(trial, begin), known, own, low, high, steps)
+            # what the others do from nominal changes with the effect: their derivatives anew, too
+            fresh = np.arange(len(low)) if base > 0 else own
+            fit = refine(residual, join(trial, begin), known, fresh, low, high, steps)
         except SolverError:
             continue
-        left = float(squares_left_out(fitting, hypothesis, fit, low, high).mean())
-        found.append((left, np.r_[fit.point[own], np.delete(fit.point, own)]))
+        found.append(fit)
     if not found:
         return Lead(choice, np.r_[look[0].point, current.fit.point], -np.inf)
-    left, point = min(found, key=lambda pair: pair[0])
-    return Lead(choice, point, 1.0 - left / max(before, 1e-300))
+    fit = min(found, key=lambda one: one.cost)
+    left = 2.0 * fit.cost / len(current.squares)
+    if left < before:  # runs left out are predicted no better than those that are fitted
+        left = float(squares_left_out(fitting, hypothesis, fit, low, high).mean())
+    return Lead(choice, np.r_[fit.point[own], np.delete(fit.point, own)], 1.0 - left / max(before, 1e-300))
 
 
 def _begins(fitting: Problem, base: _Base, choice: Choice, points: list[np.ndarray]) -> list[tuple[float, np.ndarray]]:

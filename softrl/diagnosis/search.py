@@ -9,7 +9,7 @@ from softrl.core.errors import SolverError
 
 REUSE = 0.2  # a step that lowers the cost by more than this share updates the Jacobian instead of computing it anew
 MOVES = 4  # steps of a fit that is moved on without some of its rows
-SETTLED = 0.005  # relative decrease of the cost that ends it
+SETTLED = 0.01  # relative decrease of the cost that ends it
 Residual = Callable[[np.ndarray], np.ndarray]
 
 
