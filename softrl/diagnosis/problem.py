@@ -16,7 +16,8 @@ from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
 AT_REST_SHARE = 0.02  # a run whose first pressures stay below this share of the limit begins at rest
-MIN_FOLDS = 3  # parts of the data that are left out in turn
+MIN_FOLDS = 3  # parts of the data that are left out in turn, at least
+FOLDS, FOLD_S = 8, 20.0  # with fewer runs than that: so many parts, where each is as long
 ORIENTATION_LEVER = 0.5  # lengths of the robot: turns orientation errors into displacements
 
 
@@ -153,8 +154,13 @@ class Problem:
 
     @cached_property
     def folds(self) -> np.ndarray:
-        """Fold (bins,) of every bin: one a run, or with fewer than ``MIN_FOLDS`` runs equal parts of each run."""
-        parts = -(-MIN_FOLDS // len(self.runs))
+        """Fold (bins,) of every bin: one a run, or with fewer than ``MIN_FOLDS`` runs equal parts of each run.
+
+        Leaving out half of a run would ask for more than the runs to come do: fits to them see all of it.
+        """
+        whole, runs = sum(run.time[-1] - run.time[0] for run in self.runs), len(self.runs)
+        wanted = MIN_FOLDS if runs >= MIN_FOLDS else max(MIN_FOLDS, min(FOLDS, int(whole / FOLD_S)))
+        parts = -(-wanted // runs)
         found = []
         for number, bins in enumerate(self.bins):
             count = int(bins[-1]) + 1

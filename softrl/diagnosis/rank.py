@@ -17,6 +17,8 @@ log = logging.getLogger(__name__)
 MIN_AMPLITUDE = 0.25  # a search begins at least at this share of an effect's typical size
 ROUGH_STARTS = 2  # of every effect that are followed
 LOOK_SHARE = 0.2  # of the best effect's gain, along straight lines, which another needs to be fitted at all
+PLAIN_LOOK = 0.2  # gain along straight lines of the best effect below which they tell little behind a bent curve
+IN_VAIN = 0.1  # of the squared error at nominal parameters: where more stays although they went far, the curve is bent
 SECOND_LOOK = 0.5  # of an effect's best begin's gain, which another begin of it needs to be followed
 ROUGH_DIFFERENCE = 0.02  # scaled step of differences
 FAR = 0.5  # a parameter retuned by more than this factor, in logarithms, is no longer near nominal
@@ -61,9 +63,10 @@ def _leads(
     """Return the leads of ``tasks`` (choice, starting points), and the best look; ``reach`` is the best of others."""
     looks = parallel(_look, [(fitting, bases, choice, points) for choice, points in tasks], search.workers)
     reach = max([reach, *(look[0].share for look in looks if look)])
-    followed = [bool(look) and look[0].share >= LOOK_SHARE * reach for look in looks]
+    bent = reach < PLAIN_LOOK and any(b.trial.fit.cost > IN_VAIN * bases[-1].trial.fit.cost for b in bases[:-1])
+    followed = [bool(look) and (bent or look[0].share >= LOOK_SHARE * reach) for look in looks]
     jobs = [
-        (fitting, bases, choice, look, search.rough_steps)
+        (fitting, bases, choice, _begun(look, bent), search.rough_steps)
         for (choice, _), look, kept in zip(tasks, looks, followed, strict=True)
         if kept
     ]
@@ -127,7 +130,7 @@ def _settled(fitting: Problem, trial: Trial, steps: int) -> Trial:
         high,
         steps,
     )
-    return trial._replace(fit=fit, squares=squares_left_out(fitting, fit, low, high))
+    return trial._replace(fit=fit, squares=squares_left_out(fitting, trial.hypothesis, fit, low, high))
 
 
 def _plain(choice: Choice, shape: np.ndarray | None) -> np.ndarray:
@@ -157,6 +160,16 @@ def _look(fitting: Problem, bases: list[_Base], choice: Choice, points: list[np.
     return sorted(found, key=lambda begin: -begin.share)
 
 
+def _begun(look: list[_Begin], bent: bool) -> list[_Begin]:
+    """Return the begins that are followed: those that seem good enough, and if ``bent`` the best from every base.
+
+    Behind a strongly bent curve an effect and the stiffness have to change together before anything is gained, which no
+    straight line shows.
+    """
+    best = {begin.base: begin for begin in reversed(look)} if bent else {}
+    return [b for b in look if b.share >= SECOND_LOOK * look[0].share or b is best.get(b.base)]
+
+
 def _left_behind(bases: list[_Base], choice: Choice, points: list[np.ndarray], look: list[_Begin]) -> Lead:
     """Return an effect that is not followed, with what it seems to save."""
     begin = look[0] if look else _Begin(0, points[0], -np.inf)
@@ -175,22 +188,24 @@ def _rough_fit(fitting: Problem, bases: list[_Base], choice: Choice, look: list[
 
     first = len(current.fit.point) - len(current.hypothesis.tuned)
     own = np.arange(first, first + len(effect_axes(choice)))
-    found = []
-    for base, begin, share in look:
-        if share < SECOND_LOOK * look[0].share:
-            continue
+    found: list[Fit] = []
+    for base, begin, _ in look:
         trial = bases[base].trial
         known = np.insert(trial.fit.jacobian, [first] * len(own), 0.0, axis=1)
         try:
-            fit = refine(residual, join(trial, begin), known, own, low, high, steps)
+            # what the others do from nominal changes with the effect: their derivatives anew, too
+            fresh = np.arange(len(low)) if base > 0 else own
+            fit = refine(residual, join(trial, begin), known, fresh, low, high, steps)
         except SolverError:
             continue
-        left = float(squares_left_out(fitting, fit, low, high).mean())
-        found.append((left, np.r_[fit.point[own], np.delete(fit.point, own)]))
+        found.append(fit)
     if not found:
         return Lead(choice, np.r_[look[0].point, current.fit.point], -np.inf)
-    left, point = min(found, key=lambda pair: pair[0])
-    return Lead(choice, point, 1.0 - left / max(before, 1e-300))
+    fit = min(found, key=lambda one: one.cost)
+    left = 2.0 * fit.cost / len(current.squares)
+    if left < before:  # runs left out are predicted no better than those that are fitted
+        left = float(squares_left_out(fitting, hypothesis, fit, low, high).mean())
+    return Lead(choice, np.r_[fit.point[own], np.delete(fit.point, own)], 1.0 - left / max(before, 1e-300))
 
 
 def _begins(fitting: Problem, base: _Base, choice: Choice, points: list[np.ndarray]) -> list[tuple[float, np.ndarray]]:

@@ -8,6 +8,8 @@ import numpy as np
 from softrl.core.errors import SolverError
 
 REUSE = 0.2  # a step that lowers the cost by more than this share updates the Jacobian instead of computing it anew
+MOVES = 4  # steps of a fit that is moved on without some of its rows
+SETTLED = 0.01  # relative decrease of the cost that ends it
 Residual = Callable[[np.ndarray], np.ndarray]
 
 
@@ -117,6 +119,32 @@ def refine(
         if not again or np.abs(point - np.clip(start, low, high)).max(initial=0.0) < 0.05:
             break
     return Fit(point, value, jacobian, cost, used)
+
+
+def moved_on(residual: Residual, fit: Fit, rows: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return the whole residual (rows,) after a few steps from ``fit`` that lower it on ``rows`` (rows,) alone.
+
+    The Jacobian is that of the fit, updated after every step.
+    """
+    whole = fit.residual
+
+    def partly(u: np.ndarray) -> np.ndarray:
+        nonlocal tried
+        tried = residual(u)
+        return tried[rows]
+
+    point, value, jacobian, tried = fit.point, fit.residual[rows], fit.jacobian[rows], whole
+    cost, damping = 0.5 * float(value @ value), 1e-3
+    for _ in range(MOVES):
+        found = _try_steps(partly, point, value, jacobian, cost, low, high, damping)
+        if found.point is None:
+            break
+        whole, decrease = tried, (cost - found.cost) / max(cost, 1e-300)
+        jacobian = _updated(jacobian, found.point - point, found.value - value)
+        point, value, cost, damping = found.point, found.value, found.cost, found.damping
+        if decrease < SETTLED:
+            break
+    return whole
 
 
 def _own_columns(

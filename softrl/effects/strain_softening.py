@@ -13,40 +13,53 @@ from softrl.effects.effect import (
     ELASTIC,
     ELASTIC_SLOPE,
     PORT_KERNEL,
+    REST,
     STRAIN,
     Effect,
     parameter,
 )
+from softrl.robots.robot import Robot
 
 
 @nb.njit(PORT_KERNEL, cache=True)
 def strain_softening_kernel(
     parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool
 ) -> None:
-    """Scale the elastic resistance by ``1 / sqrt(1 + (curvature e)^2)``."""
-    chamber = int(parameters[1])
+    """Scale the elastic resistance by ``residual + (1 - residual) / sqrt(1 + (stiffness e / level)^2)``."""
+    fading, chamber = 1.0 - parameters[1], int(parameters[2])
     for i in range(port.shape[1]):
         if chamber < 0 or chamber == i:
-            bent = parameters[0] * port[STRAIN, i]
+            curvature = parameters[0] * port[REST, i]
+            bent = curvature * port[STRAIN, i]
             kept = 1.0 / math.sqrt(1.0 + bent * bent)
-            port[ADDED, i] += (kept - 1.0) * port[ELASTIC, i]
-            port[ADDED_SLOPE, i] += (kept - 1.0) * port[ELASTIC_SLOPE, i]
-            port[ADDED_SLOPE, i] -= kept * kept * kept * parameters[0] * bent * port[ELASTIC, i]
+            less = fading * (kept - 1.0)
+            port[ADDED, i] += less * port[ELASTIC, i]
+            port[ADDED_SLOPE, i] += less * port[ELASTIC_SLOPE, i]
+            port[ADDED_SLOPE, i] -= fading * kept * kept * kept * curvature * bent * port[ELASTIC, i]
 
 
 @dataclass(frozen=True)
 class StrainSoftening(Effect):
-    """Resistance over the model's ``1 / sqrt(1 + (curvature e)^2)``: linear at first, then level.
+    """Resistance over the model's ``residual + (1 - residual) / sqrt(1 + (s e)^2)``: linear at first, then nearly level.
+
+    With ``s`` the model's stiffness at rest over the pressure at which the wall gives way, which is the robot's largest
+    over ``softness``. Beyond it the slope is ``residual`` times the model's.
 
     Notes
     -----
-    The level is the model's stiffness over ``curvature`` (an empirical form, no equation number checked).
-    Static, odd in strain, without memory; it never turns into a falling branch, so a body does not snap.
+    An empirical form (no equation number checked). A pressure and no strain says where the wall gives way, because
+    that is what recordings show, however stiff it was before. Static, odd in strain, without memory; it never turns into
+    a falling branch, so a body does not snap.
     """
 
     site: ClassVar[str] = "body"
     title: ClassVar[str] = "strain softening of the wall"
     kernel: ClassVar = strain_softening_kernel
 
-    curvature: float = parameter("1", 0.0, 200.0, 0.0, typical=10.0)
+    softness: float = parameter("1", 0.0, 20.0, 0.0, typical=1.0)
+    residual: float = parameter("1", 0.0, 1.0, 0.0, typical=0.03, default=0.0)
     chamber: int = -1
+
+    def pack(self, robot: Robot) -> np.ndarray:
+        """Return (softness 1/Pa, residual, chamber)."""
+        return super().pack(robot) / [robot.pressure_max_pa, 1.0, 1.0]

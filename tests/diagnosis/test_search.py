@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softrl.core.errors import SolverError
-from softrl.diagnosis.search import jacobian_at, least_squares
+from softrl.diagnosis.search import jacobian_at, least_squares, moved_on
 
 FAR = np.array([10.0, 10.0])
 
@@ -45,3 +45,19 @@ def test_failed_evaluations_are_walked_around() -> None:
 def test_jacobian_turns_backward_at_the_upper_bound() -> None:
     columns = jacobian_at(rosenbrock, np.array([1.0, 1.0]), rosenbrock(np.ones(2)), -FAR, np.ones(2), 1e-6)
     np.testing.assert_allclose(columns, [[-20.0, 10.0], [-1.0, 0.0]], atol=1e-4)
+
+
+def test_a_fit_moved_on_without_some_rows_is_the_fit_to_the_others() -> None:
+    """Where the curve is nearly vertical one linear step leads far beyond it."""
+    x = np.linspace(-1.0, 1.0, 60)
+    rng = np.random.default_rng(4)
+    seen = np.tanh(8.0 * (x - 0.1)) + 0.02 * rng.standard_normal(60)
+    rows = np.arange(60) % 3 != 0
+    low, high = np.array([0.1, -1.0]), np.array([50.0, 1.0])
+
+    def residual(u: np.ndarray) -> np.ndarray:
+        return np.tanh(u[0] * (x - u[1])) - seen
+
+    fit = least_squares(residual, np.array([3.0, 0.0]), low, high, 30)
+    alone = least_squares(lambda u: residual(u)[rows], np.array([3.0, 0.0]), low, high, 30)
+    np.testing.assert_allclose(moved_on(residual, fit, rows, low, high), residual(alone.point), atol=1e-3)

@@ -206,10 +206,19 @@ def test_strain_stiffening_doubles_at_ten_percent_and_is_odd() -> None:
 
 def test_strain_softening_levels_off_and_never_falls() -> None:
     strain = np.linspace(0.0, 2.0, 400)
-    total = STIFFNESS * strain + pull(StrainSoftening(curvature=20.0), strain)
+    effect = StrainSoftening(softness=20.0 * FULL / STIFFNESS)
+    total = STIFFNESS * strain + pull(effect, strain)
     assert (np.diff(total) > 0.0).all()
     np.testing.assert_allclose(total[-1], STIFFNESS / 20.0, rtol=1e-3)
-    np.testing.assert_allclose(pull(StrainSoftening(curvature=20.0), -strain), STIFFNESS * strain - total, atol=1e-9)
+    np.testing.assert_allclose(pull(effect, -strain), STIFFNESS * strain - total, atol=1e-9)
+
+
+def test_strain_softening_keeps_its_residual_slope() -> None:
+    strain = np.linspace(0.0, 2.0, 400)
+    total = STIFFNESS * strain + pull(StrainSoftening(softness=50.0 * FULL / STIFFNESS, residual=0.1), strain)
+    slope = np.diff(total) / np.diff(strain)
+    assert (np.diff(slope) < 1e-6 * STIFFNESS).all()
+    np.testing.assert_allclose(slope[[0, -1]], [STIFFNESS, 0.1 * STIFFNESS], rtol=0.03)
 
 
 def test_viscoelastic_stress_relaxes_to_the_known_modulus() -> None:
