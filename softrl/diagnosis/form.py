@@ -12,7 +12,7 @@ from softrl.diagnosis.trial import Trial, columns_of
 from softrl.pcc.simulator import PccSimulator
 
 STEP = 0.02  # of differences, scaled units
-ARC_SHARE = 0.2  # of its weight: what an arc of constant curvature may bear it wrongly by, see ``weight_error``
+ARC_SHARE = 0.12  # of its weight: what an arc of constant curvature may bear it wrongly by, see ``weight_error``
 NUDGE = 0.05  # share of the weight by which it is varied
 
 
