@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from softrl.core.errors import SolverError
-from softrl.diagnosis.examine import Finding, Named, by_effect, intervals
+from softrl.diagnosis.examine import Finding, Named
 from softrl.diagnosis.hypothesis import Hypothesis
+from softrl.diagnosis.intervals import by_effect, intervals
 from softrl.diagnosis.judge import Thresholds
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.search import least_squares

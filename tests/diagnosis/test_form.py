@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrl.diagnosis.examine import intervals
 from softrl.diagnosis.form import pinned_jacobian, taken_up, weight_error
 from softrl.diagnosis.hypothesis import Choice, Hypothesis
+from softrl.diagnosis.intervals import intervals
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.trial import Trial, fit_trials
 from softrl.effects.library import effect_class

@@ -1,0 +1,133 @@
+"""How certain the parameters of a fit are: errors that stay alike, what is pinned, the body's form, the time step."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from softrl.core.errors import SolverError
+from softrl.diagnosis.form import pinned_jacobian, taken_up, weight_error
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes
+from softrl.diagnosis.judge import Thresholds
+from softrl.diagnosis.problem import Problem
+from softrl.diagnosis.statistics import MIN_BLOCKS, UNSEEN, blocks_of, correlation_time, jackknife, sandwich
+from softrl.diagnosis.trial import Trial
+
+AT_BOUND = 1e-3  # share of a range at whose ends a parameter is said to be at a bound
+FORM_SHARE = 0.05  # of the residual; found on single hidden effects, each fitted by its own law
+
+
+class Interval(NamedTuple):
+    """A parameter's value and interval."""
+
+    owner: str
+    name: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    at_bound: bool
+
+
+def intervals(problem: Problem, trial: Trial, thresholds: Thresholds) -> list[Interval]:
+    """Return every free parameter with its interval, robust to errors that stay alike within blocks and within runs."""
+    space = problem.space(trial.hypothesis)
+    jacobian, residual = trial.fit.jacobian, trial.fit.residual
+    reach = _reach(problem, jacobian, residual, thresholds)
+    pinned = pinned_jacobian(problem, trial)
+    if pinned.any():
+        reach = np.maximum(reach, _with_pinned(problem, jacobian, pinned, residual, reach, thresholds))
+    reach = np.hypot(reach, weight_error(problem, trial)) + _step_error(problem, trial)
+    found, bounds = [], space.bounds
+    for k, axis in enumerate(space.axes):
+        u = float(trial.fit.point[k])
+        free = bool(trial.fit.jacobian[:, k].any())
+        low, high = (u - reach[k], u + reach[k]) if free else (-np.inf, np.inf)
+        ends = sorted((axis.physical(float(low)), axis.physical(float(high))))
+        value = axis.physical(u)
+        low, high = min(ends[0], value), max(ends[1], value)
+        at_bound = bool(min(u - bounds[0][k], bounds[1][k] - u) < AT_BOUND * (bounds[1][k] - bounds[0][k]))
+        found.append(Interval(axis.owner, axis.name, axis.unit, value, low, high, at_bound))
+    return found
+
+
+def by_effect(hypothesis: Hypothesis, found: list[Interval]) -> dict[Choice, list[Interval]]:
+    """Return the intervals of each effect's parameters."""
+    left, sorted_out = list(found), {}
+    for choice in hypothesis.effects:
+        size = len(effect_axes(choice))
+        sorted_out[choice], left = left[:size], left[size:]
+    return sorted_out
+
+
+def _reach(problem: Problem, jacobian: np.ndarray, residual: np.ndarray, thresholds: Thresholds) -> np.ndarray:
+    """Return half the intervals (p,) of least-squares parameters, in scaled units."""
+    rows = len(residual) // len(problem.run_of_bin)
+    blocks = _independent(problem, residual.reshape(-1, rows), jacobian.shape[1], thresholds)
+    spread = np.sqrt(np.diag(sandwich(jacobian, residual, np.repeat(blocks, rows))))
+    freedom = max(int(blocks.max()) + 1 - len(spread), 1)
+    apart = jackknife(jacobian, residual, np.repeat(problem.folds, rows))
+    between = float(stats.t.ppf(thresholds.confidence, int(problem.folds.max()))) * apart
+    reach = np.maximum(float(stats.t.ppf(thresholds.confidence, freedom)) * spread, between)
+    return np.asarray(np.hypot(reach, _form_error(jacobian, residual)))
+
+
+def _with_pinned(
+    problem: Problem,
+    jacobian: np.ndarray,
+    pinned: np.ndarray,
+    residual: np.ndarray,
+    reach: np.ndarray,
+    thresholds: Thresholds,
+) -> np.ndarray:
+    """Return half the intervals (p,) where pinned parameters, of derivatives (rows, q), may have other values as well.
+
+    That the data cannot tell a parameter from its neutral value does not mean that it has it. It is not taken to be
+    farther away than plain to see.
+    """
+    count, both = jacobian.shape[1], np.hstack([jacobian, pinned])
+    moved = taken_up(both, residual[:, None])[:count, 0]
+    freed = _reach(problem, both, residual, thresholds)[:count] + np.abs(moved)
+    return np.asarray(np.minimum(freed, reach + np.abs(taken_up(jacobian, pinned)).sum(axis=1)))
+
+
+def _independent(problem: Problem, residual: np.ndarray, free: int, thresholds: Thresholds) -> np.ndarray:
+    """Return blocks (bins,) as long as errors (bins, channels) stay alike, but enough of them for ``free`` parameters."""
+    runs = problem.run_of_bin
+    longest = max(
+        correlation_time(residual[runs == run, k]) for run in np.unique(runs) for k in range(residual.shape[1])
+    )
+    length = max(thresholds.block_s / problem.numerics.bin_s, 2.0 * longest)
+    return blocks_of(runs, max(int(min(length, len(runs) / (MIN_BLOCKS + 2 * free))), 1))
+
+
+def _form_error(jacobian: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """Return how far the parameters (p,) may be off, in scaled units, because the body is not quite the robot's.
+
+    What is left after the fit holds no part that a parameter could take; but what a body of another form would have left
+    may have had one, alike in all runs, which no comparison of runs shows: ``FORM_SHARE`` of it.
+    """
+    free = jacobian.any(axis=0)
+    size = np.linalg.norm(jacobian[:, free], axis=0)
+    scaled = jacobian[:, free] / size
+    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=UNSEEN, hermitian=True)
+    found = np.zeros(jacobian.shape[1])
+    found[free] = FORM_SHARE * np.linalg.norm(residual) * np.sqrt(np.diag(inverse)) / size
+    return found
+
+
+def _step_error(problem: Problem, trial: Trial) -> np.ndarray:
+    """Return how far the parameters (p,) move as the time step goes to zero, in scaled units.
+
+    One Gauss-Newton step at half the time step, doubled: the integrators are of first order.
+    """
+    finer = replace(problem, numerics=replace(problem.numerics, dt_s=0.5 * problem.numerics.dt_s))
+    try:
+        residual = finer.residual(trial.hypothesis, trial.fit.point, trial.placed).flat
+    except SolverError:
+        return np.zeros(len(trial.fit.point))
+    size = np.maximum(np.linalg.norm(trial.fit.jacobian, axis=0), 1e-300)
+    scaled = trial.fit.jacobian / size
+    moved = np.linalg.solve(scaled.T @ scaled + 1e-6 * np.eye(len(size)), scaled.T @ (residual - trial.fit.residual))
+    return np.asarray(np.minimum(2.0 * np.abs(moved / size), 1.0))

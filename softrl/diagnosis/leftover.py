@@ -1,0 +1,121 @@
+"""What effects leave on held-out runs: how much of it they explain, and whether the rest is structure or noise."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from softrl.diagnosis.flexible import correction, pressures
+from softrl.diagnosis.judge import Gap, Judge
+from softrl.diagnosis.locate import corrected, locate
+from softrl.diagnosis.problem import Problem, Residual
+from softrl.diagnosis.search import jacobian_at
+from softrl.diagnosis.statistics import spectral_line, unlike_noise, whiteness
+from softrl.diagnosis.trial import Trial
+
+WHITENESS_LAGS = 20
+NOISE_LEVEL = 0.01  # chance of what is left under noise of its own spectrum
+NOISE_DRAWS = 500
+DIFFERENCE = 0.02  # scaled step of derivatives
+LINE_LEVEL = 1e-8  # chance of a line in the spectrum of noise
+UNDRIVEN_SHARE = 0.5  # of the squared error: effects that remove less explain nothing
+UNKNOWN_TIMES = 1.2  # what is missing must stand out more than what is named: nobody can check it
+REST_FACTOR = 2.5  # times what counts: what is left beside effects that explain most of it, and is no detail of them
+FOLLOWING_FACTOR = 3.0  # times what counts: structure below this may be a detail of the body
+FOLLOWING_LEVEL = 1e-3
+
+
+class Offer(NamedTuple):
+    """A map without physics from pressures and their past to what is left: its held-out gain, and whether it pays."""
+
+    gap: Gap
+    pays: bool
+    squares: np.ndarray
+
+
+def heldout_residual(judge: Judge, trial: Trial) -> Residual:
+    """Return what a trial leaves on the judge's runs, as it was placed."""
+    return judge.problem.residual(trial.hypothesis, trial.fit.point, trial.placed)
+
+
+def offer_of(problem: Problem, judge: Judge, trial: Trial) -> Offer:
+    """Return what a map from pressures and their past to the residual, fitted on the runs of ``problem``, removes held out."""
+    training = problem.residual(trial.hypothesis, trial.fit.point, trial.placed)
+    heldout = heldout_residual(judge, trial)
+    offered = correction(problem, training.runs, judge.problem)
+    runs = [values - extra for values, extra in zip(heldout.runs, offered, strict=True)]
+    squares = Residual(runs, {}).squares
+    return Offer(judge.gap(trial.squares, squares), judge.pays(trial.squares, squares), squares)
+
+
+def explained_by(judge: Judge, base: Trial, final: Trial, offer: Offer) -> tuple[float, float]:
+    """Return (share of the squared error that can be explained which effects explain, error above the floor left).
+
+    What can be explained is what the effects remove, and what a map without physics could remove beyond them. Effects
+    that remove less than ``UNDRIVEN_SHARE`` of the whole have to answer for the whole.
+    """
+    whole, left = float(judge.excess(base.mean_square)), float(judge.excess(final.mean_square))
+    removed = whole**2 - left**2
+    if removed <= UNDRIVEN_SHARE * whole**2:
+        return (removed / whole**2 if whole > 0.0 else 0.0), left
+    rest = float(judge.excess(offer.squares.mean())) if offer.pays else left
+    return removed / (whole**2 - min(rest, left) ** 2), left
+
+
+def reasons_of(judge: Judge, final: Trial, offer: Offer, explained: float, left: float) -> list[str]:
+    """Return why the effects do not explain what is measured, one clause each; empty if they do.
+
+    Noise with a memory is no reason: what is left has to follow the pressures, to be a line in the spectrum, or to be
+    unlike noise of its own spectrum. Where effects explain most of it, what is left must follow the pressures plainly.
+    """
+    if left <= judge.material:
+        return []
+    follows = offer.pays and judge.stands_out(final.squares, offer.squares, UNKNOWN_TIMES)
+    if explained >= judge.thresholds.explained_share:
+        plain = follows and left > REST_FACTOR * judge.material
+        return ["what the effects named leave follows the pressures and their past"] if plain else []
+    heldout, reasons = heldout_residual(judge, final), []
+    drives = [pressures(judge.problem, k) for k in range(len(judge.problem.runs))]
+    if follows:
+        reasons.append("what is left follows the pressures and their past")
+    elif left > FOLLOWING_FACTOR * judge.material and (region := _followed(judge, heldout)):
+        reasons.append(f"what is left follows the pressures and their past ({region})")
+    elif left > judge.floor and spectral_line(heldout.runs, drives) < LINE_LEVEL:
+        reasons.append("what is left swings at one frequency")
+    elif left > FOLLOWING_FACTOR * judge.material and _uneven(judge, final, heldout, drives):
+        reasons.append("what is left is no noise: it jumps, or grows where the pressures move")
+    return reasons
+
+
+def _followed(judge: Judge, residual: Residual) -> str:
+    """Return in words what the residual follows beyond chance, or nothing."""
+    rows = corrected(locate(judge.problem, residual, judge.floor, ""))
+    share = FOLLOWING_FACTOR * judge.material / judge.rms(residual.squares)
+    least = max(share, UNKNOWN_TIMES * judge.thresholds.noise_share)
+    rows = [row for row in rows if row["effect_size"] > least]
+    named = [row for row in rows if row["p_value"] < FOLLOWING_LEVEL and row["region"] not in (None, "band")]
+    if not named:
+        return ""
+    chamber = f", chamber {named[0]['chamber']}" if named[0]["chamber"] else ""
+    return f"{named[0]['region']}{chamber}"
+
+
+def _uneven(judge: Judge, trial: Trial, residual: Residual, drives: list[np.ndarray]) -> bool:
+    """Return whether ``residual`` is neither white nor noise of any other colour, whatever the parameters are."""
+    p_values = [whiteness(column, WHITENESS_LAGS)[1] for run in residual.runs for column in run.T]
+    if min(p_values) * len(p_values) > NOISE_LEVEL:
+        return False
+    rng = np.random.default_rng(judge.seed)
+    return unlike_noise(residual.runs, drives, NOISE_DRAWS, rng, _slopes(judge, trial, residual)) < NOISE_LEVEL
+
+
+def _slopes(judge: Judge, trial: Trial, residual: Residual) -> list[np.ndarray]:
+    """Return the derivatives (bins, channels, p) of the held-out ``residual``, run by run, by the trial's parameters."""
+    low, high = judge.problem.space(trial.hypothesis).bounds
+
+    def moved(point: np.ndarray) -> np.ndarray:
+        return judge.problem.residual(trial.hypothesis, point, trial.placed).flat
+
+    columns = jacobian_at(moved, trial.fit.point, residual.flat, low, high, DIFFERENCE)
+    ends = np.cumsum([run.size for run in residual.runs])[:-1]
+    parts = zip(np.split(columns, ends), residual.runs, strict=True)
+    return [part.reshape(*run.shape, -1) for part, run in parts]
