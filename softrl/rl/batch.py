@@ -10,6 +10,7 @@ from softrl.rl.workspace import Workspace
 from softrl.surrogate.twin import TwinState
 
 OBSERVATION_LIMIT = 10.0
+TIP, THETA = slice(0, 3), slice(3, 6)  # columns of an observation: where the tip is, and the last command as an action
 
 
 class Scales(NamedTuple):
@@ -87,6 +88,8 @@ class Batch:
     approach : steps at the first target before an episode counts; the twin needs none
     episode_steps : of a training episode
     expert_columns : columns of an observation that the expert's answer depends on
+    differences : (k, m), observations to those differences of theirs that tell how the last command is to change, where
+        a robot in motion is to come to its target whatever shifts it; None where each command is found anew
     """
 
     approach = 0
@@ -99,6 +102,7 @@ class Batch:
         self.curve, self.phase, self.direction = (np.zeros(size, dtype=int) for _ in range(3))
         self.elapsed, self.push = np.zeros(size, dtype=int), np.zeros((size, 3))
         self.episode_steps, self.expert_columns = task.episode_steps + self.approach, task.seen_by_expert()
+        self.differences: np.ndarray | None = None
 
     def start(
         self,

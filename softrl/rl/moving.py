@@ -11,7 +11,7 @@ import numpy as np
 
 from softrl.artifacts.policy import observation_size
 from softrl.core.errors import ConfigError
-from softrl.rl.batch import Batch, Step, action_of, command_of, observe, remembered
+from softrl.rl.batch import THETA, TIP, Batch, Step, action_of, command_of, observe, remembered
 from softrl.rl.inversion import Inversion, Plan, Route, plan
 from softrl.rl.running import Run
 from softrl.rl.tasks.task import Goals, Task
@@ -83,6 +83,7 @@ class MovingBatch(Batch):
         super().__init__(replace(task, horizon=motion.horizon), space, goals, size)
         self.observation_size = observation_size(motion.horizon, motion.memory_steps)
         self.expert_columns = np.arange(self.observation_size)
+        self.differences = differences(motion.horizon, motion.memory_steps)
         self._route, self._plans, self._maps = route, plans, PressureToJoints(space.surrogate)
         self._episodes: list[_Episode] = [_Episode(None, [])] * size  # type: ignore[arg-type]
         self._length = np.zeros(size, dtype=int)
@@ -173,6 +174,18 @@ class MovingBatch(Batch):
         episode.plan, episode.shift = prepared, np.zeros_like(prepared.predicted)
         if self.push[i].any():
             episode.shift = self._route.predict(prepared.request, self.push[i]) - prepared.predicted
+
+
+def differences(horizon: int, memory: int) -> np.ndarray:
+    """Return (k, m) that takes observations to targets and past tips less the tip, past commands less the last one."""
+    targets = [7 + 4 * i for i in range(horizon)]
+    past = [observation_size(horizon) + 6 * j for j in range(memory)]
+    parts = []
+    for first, now in [(at, TIP) for at in targets + past] + [(at + 3, THETA) for at in past]:
+        part = np.zeros((observation_size(horizon, memory), 3))
+        part[first : first + 3], part[now] = np.eye(3), -np.eye(3)
+        parts.append(part)
+    return np.hstack(parts)
 
 
 def cornered(goals: Goals, rng: np.random.Generator) -> Goals:

@@ -13,6 +13,7 @@ from softrl.core.errors import ConfigError
 from softrl.core.scaling import Scaler
 from softrl.rl.actor import Actor, act_scaled
 from softrl.rl.agents.agent import Agent, Best, Lesson, Practice, actor_from
+from softrl.rl.batch import THETA
 from softrl.rl.vector_env import TwinVecEnv
 from softrl.surrogate.mlp import train_network
 
@@ -78,7 +79,8 @@ def clone(bc: Bc, layers: list[torch.nn.Module], squash: str, env: TwinVecEnv, p
     then folded into SB3's shape, the linear path carried by three units in the linear range of tanh. It sees the
     columns that the expert looks at; the others get no weight. An actor squashed by tanh must bend its answers back by
     arctanh first, which costs it a factor of four in error. Where a clone's errors add up it acts itself in the rounds
-    after the first (DAgger), by a linear map until the last.
+    after the first (DAgger), by a linear map until the last; that of a robot in motion changes the last command by what
+    differs from the present, so that it rests nowhere but at its target.
     """
     best = Best(practice.judge)
     best.consider(actor_from(layers, squash), 0)
@@ -101,15 +103,36 @@ def _fit(
 ) -> None:
     """Fit the ``layers`` to observations (rows, k) and actions (rows, 3); without iterations by a linear map."""
     observation, action = rows
+    batch = env.batch
+    if iterations == 0 and batch.differences is not None and squash == "clip":
+        _put(layers, _fold(_changes(observation, action, batch.differences, bc.hidden - CARRIERS)))
+        return
     wanted = np.arctanh(np.clip(action, -EDGE, EDGE)) if squash == "tanh" else action
-    columns = env.batch.expert_columns
+    columns = batch.expert_columns
     columns = columns[np.ptp(observation[:, columns], axis=0) > 0.0]
     scaler = Scaler.fit(observation[:, columns])
     fitted = train_network(scaler.scale(observation[:, columns]), wanted, bc.hidden - CARRIERS, iterations, seed)
+    _put(layers, _fold(_unscaled(fitted, scaler, columns, observation.shape[1])))
+
+
+def _changes(observation: np.ndarray, action: np.ndarray, differences: np.ndarray, hidden: int) -> dict[str, np.ndarray]:
+    """Return the network, without its tanh part, that adds to the last command what ``differences`` (k, m) ask for."""
+    seen = observation @ differences
+    size = np.maximum(seen.std(axis=0), 1e-12)
+    answer = np.linalg.lstsq(seen / size, action - observation[:, THETA], rcond=None)[0] / size[:, None]
+    skip = differences @ answer
+    skip[THETA] += np.eye(3)
+    none = np.zeros(hidden)
+    return {
+        "skip": skip, "weight_0": np.zeros((len(skip), hidden)), "bias_0": none, "weight_1": np.zeros((hidden, hidden)),
+        "bias_1": none, "weight_2": np.zeros((hidden, 3)), "bias_2": np.zeros(3),
+    }  # fmt: skip
+
+
+def _put(layers: list[torch.nn.Module], plain: list[tuple[np.ndarray, np.ndarray]]) -> None:
+    """Put weight (out, in) and bias (out,) of plain layers into those of a network."""
     linear = [layer for layer in layers if isinstance(layer, torch.nn.Linear)]
-    for layer, (weight, bias) in zip(
-        linear, _fold(_unscaled(fitted, scaler, columns, observation.shape[1])), strict=True
-    ):
+    for layer, (weight, bias) in zip(linear, plain, strict=True):
         layer.weight.data = torch.tensor(weight, dtype=torch.float32)
         layer.bias.data = torch.tensor(bias, dtype=torch.float32)
 
