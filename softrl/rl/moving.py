@@ -141,9 +141,11 @@ class MovingBatch(Batch):
         for past, now in ((self._past_tip, told_as_joints(self.space, self.tip)), (self._past_theta, self.theta)):
             past[:, 1:] = past[:, :-1].copy()
             past[:, 0] = now
-        self.theta = command_of(action, self.scales.joint_low, self.scales.joint_high)
+        requests = self._maps.pressure(command_of(action, self.scales.joint_low, self.scales.joint_high))
+        # what pressures in range can ask for: a policy that remembers more would have to take it back first
+        self.theta = self._maps.joints(requests)
         reached = np.empty((self.size, 3))
-        for i, (episode, request) in enumerate(zip(self._episodes, self._maps.pressure(self.theta), strict=True)):
+        for i, (episode, request) in enumerate(zip(self._episodes, requests, strict=True)):
             reached[i] = episode.run.advance(request)
             episode.requests.append(request)
             self.tip[i] = self._read(reached[i])
