@@ -80,8 +80,9 @@ def answer(prediction: Prediction, differences: np.ndarray, bend: float) -> np.n
 def _rows(trace: Trace, differences: np.ndarray, horizon: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return past (rows, 6 memory), commands to come (rows, 3 h) and tips to come (rows, 3 h), in differences."""
     seen, elapsed = trace
-    steps = len(seen) - horizon
-    whole = elapsed[horizon:] == elapsed[:steps] + horizon  # no episode ends on the way
+    steps, memory = len(seen) - horizon, (differences.shape[1] - 3 * horizon) // 6
+    # no episode ends on the way; a hidden force that came with its beginning is told by no past that was before it
+    whole = (elapsed[horizon:] == elapsed[:steps] + horizon) & (elapsed[:steps] >= memory)
     now = seen[:steps][whole]
     ahead = np.stack([seen[k : k + steps][whole] for k in range(1, horizon + 1)], axis=1)
     moved = [(ahead[:, :, part] - now[:, None, part]).reshape(len(now), -1) for part in (THETA, TIP)]
