@@ -136,7 +136,7 @@ def _in_motion(
         log.info("round %d: the next tips are told to %s %% of the joints", number + 1, np.round(50.0 * found.left, 2))
         for bend in practice.bends:
             _put(layers, _fold(_linear(answer(found, differences, bend), bc.hidden - CARRIERS)))
-            best.consider(actor_from(layers, "clip"), number + 1)
+            log.info("bend %g: reward %.4f", bend, best.consider(actor_from(layers, "clip"), number + 1))
         actor = best.lesson().actor
 
 
