@@ -31,6 +31,9 @@ class ReducedModel(Artifact):
     rotation : (3, monomials) rad, rotation vector of the tip relative to rest
     give : (9, monomials) kg s^2, change of mass times centre of mass by gravity, volumes and tip held
     give_rotation : (9, monomials) rad s^2/m, turn of the tip by gravity, volumes and tip held
+    give_root : (3 (r + 3), monomials) kg^0.5 s^2, A (r, 3) and B (3, 3) of the joint mass [R A; 0 B]'[R A; 0 B] of y and
+        the shapes by which the body gives to gravity or acceleration
+    drag_root : (3 (r + 3), monomials) (N/m)^0.5 s^2, likewise of the viscosity that does not lag, with R U' for R
     rest_tip : (3,) m;  rest_volume : (n,) m^3;  mass : kg
     gravity_m_s2 : (3,) in the base frame, acting unless another is given
     pressure_min_pa, pressure_max_pa : the robot's limits
@@ -62,6 +65,8 @@ class ReducedModel(Artifact):
     rotation: np.ndarray
     give: np.ndarray
     give_rotation: np.ndarray
+    give_root: np.ndarray
+    drag_root: np.ndarray
     rest_tip: np.ndarray
     rest_volume: np.ndarray
     mass: float
@@ -103,6 +108,8 @@ class ReducedModel(Artifact):
             ("rotation", 3),
             ("give", 9),
             ("give_rotation", 9),
+            ("give_root", 3 * (order + 3)),
+            ("drag_root", 3 * (order + 3)),
         ):
             if len(getattr(self, name)) != rows:
                 raise ArtifactError(f"ReducedModel.{name} has {len(getattr(self, name))} rows; expected {rows}")

@@ -35,6 +35,8 @@ class Snapshots(Artifact):
     give_spin : (samples, 3, 3) rad s^2/m, rotation of the plate by gravity, volumes and tip held
     give_mass : (samples, 3, 3) kg s^4, of the shapes by which the body gives to unit gravity
     give_coupling : (samples, 3, n + 3) of these shapes with the motion by the loads, in the mass, kg s^2 m per Pa and N
+    give_viscosity, give_drag : (samples, 3, 3) kg s^2 and (samples, 3, n + 3), likewise in what stiffness-proportional
+        damping multiplies
     tip_spin : (samples, 3, n + 3) rotation of the plate by the loads, rad per Pa and N
     tip_quaternion : (samples, 4) w x y z of the plate relative to rest
     displacement : (samples, nodes, 3) m, float32, on the mesh's corner nodes
@@ -72,6 +74,8 @@ class Snapshots(Artifact):
     give_spin: np.ndarray
     give_mass: np.ndarray
     give_coupling: np.ndarray
+    give_viscosity: np.ndarray
+    give_drag: np.ndarray
     tip_spin: np.ndarray
     tip_quaternion: np.ndarray
     displacement: np.ndarray

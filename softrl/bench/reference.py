@@ -56,6 +56,7 @@ class Reference:
         self._elements = deformable
         self.rows = self._rows(mesh)
         self._forms()
+        self._begin(quadratic.points, 0.0)
 
     def step(self, state: State, load: np.ndarray, dt: float) -> ReferenceStep:
         """Return the pose ``dt`` seconds after ``state`` under ``load``: the objective of ``FemModel.step``."""
@@ -63,16 +64,16 @@ class Reference:
         before, flight = state.pose.position, state.pose.position + dt * state.velocity
         spent = {"assembly": 0.0, "solve": 0.0}
         began = self._now()
-        damping = model.rayleigh_stiffness_s / dt * self.viscosity(before + 0.5 * dt * state.velocity)
+        self._begin(before, model.rayleigh_stiffness_s / dt)
         inertia = np.repeat(model.nodal_mass, 3) * (1.0 / dt**2 + model.rayleigh_mass_per_s / dt)
         lumped = sp.diags(self._ordered(inertia))
         spent["assembly"] += self._now() - began
         pose = coupling.move(state.pose, state.change)
         for iteration in range(1, model.newton.max_iterations + 1):
             began = self._now()
-            gradient = self._gradient(pose, load, dt, before, flight, damping)
+            gradient = self._gradient(pose, load, dt, before, flight)
             residual = coupling.reduce(gradient, pose)
-            matrix = self.stiffness(pose.position) + damping + lumped - self._pressure_stiffness(pose, load)
+            matrix = self.stiffness(pose.position) + lumped - self._pressure_stiffness(pose, load)
             reduced = self._reduced(matrix, gradient, pose)
             middle = self._now()
             factors = splu(reduced, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
@@ -85,38 +86,47 @@ class Reference:
                 return ReferenceStep(pose, iteration, spent["assembly"], spent["solve"])
         raise SolverError(f"the reference step of {dt:g} s did not converge in {model.newton.max_iterations} iterations")
 
+    def _begin(self, before: np.ndarray, rate: float) -> None:
+        """Hold what viscosity of ``rate`` 1/s counts a change from: the nodes ``before`` (nodes, 3) m."""
+        self._past, self._rate = self.basis.interpolate(self._vector(before)), rate
+        self._swept_before = (self._help.det(self._help.grad(self._past)) * self.basis.dx).sum(axis=1)
+
     def stiffness(self, position: np.ndarray) -> sp.csr_matrix:
-        """Return the elastic stiffness at nodes ``position`` (nodes, 3) m in scikit-fem's order."""
+        """Return the elastic and viscous stiffness at nodes ``position`` (nodes, 3) m in scikit-fem's order."""
         x = self.basis.interpolate(self._vector(position))
         if not self._bulk:
-            return self._stiffness.assemble(self.basis, x=x, push=0.0)
+            return self._stiffness.assemble(self.basis, x=x, past=self._past, push=0.0, rate=self._rate)
         push, swell = self._dilatation(x)
-        weight = sp.diags(self._bulk / self._volume)
-        return self._stiffness.assemble(self.basis, x=x, push=push[:, None]) + swell.T @ weight @ swell
-
-    def viscosity(self, position: np.ndarray) -> sp.csr_matrix:
-        """Return what stiffness-proportional damping multiplies, at nodes ``position`` (nodes, 3) m."""
-        x = self.basis.interpolate(self._vector(position))
-        shear = self._viscosity.assemble(self.basis, x=x)
-        swell = self._dilatation(x)[1]
-        return shear + swell.T @ sp.diags(self._viscous_bulk / self._volume) @ swell
+        weight = sp.diags((self._bulk + self._rate * self._viscous_bulk) / self._volume)
+        plain = self._stiffness.assemble(self.basis, x=x, past=self._past, push=push[:, None], rate=self._rate)
+        return plain + swell.T @ weight @ swell
 
     def force(self, position: np.ndarray) -> np.ndarray:
-        """Return the elastic forces (nodes, 3) N at nodes ``position`` (nodes, 3) m."""
+        """Return the elastic and viscous forces (nodes, 3) N at nodes ``position`` (nodes, 3) m."""
         x = self.basis.interpolate(self._vector(position))
         push = self._dilatation(x)[0][:, None] if self._bulk else 0.0
-        return self._force.assemble(self.basis, x=x, push=push)[self.rows]
+        return self._force.assemble(self.basis, x=x, past=self._past, push=push, rate=self._rate)[self.rows]
 
     def _dilatation(self, x: Any) -> tuple[np.ndarray, sp.csr_matrix]:
         """Return the pressure (elements,) Pa of the mean change of volume, and d volume / d nodes (elements, dofs)."""
         swept = (self._help.det(self._help.grad(x)) * self.basis.dx).sum(axis=1)
         swell = self._swell.assemble(self.basis, self._mean, x=x).tocsr()[self._elements]
-        return self._bulk * (swept / self._volume - 1.0), swell
+        late = self._rate * self._viscous_bulk * (swept - self._swept_before) / self._volume
+        return self._bulk * (swept / self._volume - 1.0) + late, swell
 
     def _forms(self) -> None:
         fem, ddot, det, inv = self._fem, self._help.ddot, self._help.det, self._help.inv
         grad, mul, trace, transpose = self._help.grad, self._help.mul, self._help.trace, self._help.transpose
         lam, mu = self._lame
+        first, second = self._viscous
+
+        def strain(slope: Any, f: Any) -> Any:
+            product = mul(transpose(f), slope)
+            return 0.5 * (product + transpose(product))
+
+        def stress(f: Any, past: Any) -> Any:
+            change = 0.5 * (mul(transpose(f), f) - mul(transpose(past), past))
+            return first * trace(change) * self._help.eye(np.ones_like(f[0, 0]), 3) + 2.0 * second * change
 
         @fem.BilinearForm
         def stiffness(u: Any, v: Any, w: Any) -> Any:
@@ -125,30 +135,26 @@ class Reference:
             slope = (lam + mu) * (j - 1.0) - mu + w["push"]
             a, b = mul(inverse, grad(u)), mul(inverse, grad(v))
             ta, tb = trace(a), trace(b)
-            second = j * (ta * tb - ddot(a, transpose(b)))
-            return mu * ddot(grad(u), grad(v)) + (lam + mu) * j**2 * ta * tb + slope * second
+            bent = j * (ta * tb - ddot(a, transpose(b)))
+            ue, ve = strain(grad(u), f), strain(grad(v), f)
+            rub = first * trace(ue) * trace(ve) + 2.0 * second * ddot(ue, ve)
+            rub = rub + ddot(stress(f, grad(w["past"])), mul(transpose(grad(u)), grad(v)))
+            return mu * ddot(grad(u), grad(v)) + (lam + mu) * j**2 * ta * tb + slope * bent + w["rate"] * rub
 
         @fem.LinearForm
         def force(v: Any, w: Any) -> Any:
             f = grad(w["x"])
             j = det(f)
             slope = (lam + mu) * (j - 1.0) - mu + w["push"]
-            return mu * ddot(f, grad(v)) + slope * j * trace(mul(inv(f), grad(v)))
-
-        first, second = self._viscous
-
-        @fem.BilinearForm
-        def viscosity(u: Any, v: Any, w: Any) -> Any:
-            f = transpose(grad(w["x"]))
-            a, b = mul(f, grad(u)), mul(f, grad(v))
-            return first * trace(a) * trace(b) + 0.5 * second * ddot(a + transpose(a), b + transpose(b))
+            rub = ddot(stress(f, grad(w["past"])), mul(transpose(f), grad(v)))
+            return mu * ddot(f, grad(v)) + slope * j * trace(mul(inv(f), grad(v))) + w["rate"] * rub
 
         @fem.BilinearForm
         def swell(u: Any, mean: Any, w: Any) -> Any:
             f = grad(w["x"])
             return mean * det(f) * trace(mul(inv(f), grad(u)))
 
-        self._stiffness, self._force, self._viscosity, self._swell = stiffness, force, viscosity, swell
+        self._stiffness, self._force, self._swell = stiffness, force, swell
 
     def _rows(self, mesh: Any) -> np.ndarray:
         """Return scikit-fem's numbers (nodes, 3) of the components of the model's nodes."""
@@ -169,7 +175,7 @@ class Reference:
         return self._vector(values.reshape(-1, 3))
 
     def _gradient(
-        self, pose: Pose, load: np.ndarray, dt: float, before: np.ndarray, flight: np.ndarray, damping: sp.csr_matrix
+        self, pose: Pose, load: np.ndarray, dt: float, before: np.ndarray, flight: np.ndarray
     ) -> np.ndarray:
         """Return the gradient (nodes, 3) N of the step's objective in the nodes."""
         model, q = self.model, self.model.quadratic
@@ -182,7 +188,7 @@ class Reference:
         )
         outer = push + mass * model.gravity_m_s2 + model.coupling.spread(0)[:, None] * load[model.chambers :]
         moving = mass * ((pose.position - flight) / dt**2 + model.rayleigh_mass_per_s / dt * moved)
-        return self.force(pose.position) + moving + (damping @ self._vector(moved))[self.rows] - outer
+        return self.force(pose.position) + moving - outer
 
     def _pressure_stiffness(self, pose: Pose, load: np.ndarray) -> sp.csr_matrix:
         """Return the derivative of the pressure's forces by the nodes, in scikit-fem's order."""

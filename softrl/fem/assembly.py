@@ -6,6 +6,7 @@ from typing import Any
 import numba as nb
 import numpy as np
 
+from softrl.fem.damping import add_rub
 from softrl.fem.material import LAW, STRESS, TANGENT, VISCOUS, add_second_derivative_of_volume, cofactor_of
 
 _law = nb.types.FunctionType(LAW)
@@ -58,12 +59,13 @@ def _assembler(nodes: int, points: int) -> Any:
     """Return the kernel for elements of so many nodes and integration points: constants make its loops fast."""
 
     @nb.njit(
-        nb.float64(_law, _f1, nb.float64, _f2, _i2, _f4, _f2, nb.int64, _i3, _f2, _f3),
+        nb.float64(_law, _f1, nb.float64, _f1, _f2, _f2, _i2, _f4, _f2, nb.int64, _i3, _f2, _f3),
         cache=True, fastmath={"contract", "reassoc", "nsz", "arcp"},
     )
     def assemble_elastic(
-        law: Any, parameters: np.ndarray, bulk: float, x: np.ndarray, elements: np.ndarray, gradients: np.ndarray,
-        weights: np.ndarray, order: int, slots: np.ndarray, gradient: np.ndarray, blocks: np.ndarray,
+        law: Any, parameters: np.ndarray, bulk: float, rub: np.ndarray, x: np.ndarray, before: np.ndarray,
+        elements: np.ndarray, gradients: np.ndarray, weights: np.ndarray, order: int, slots: np.ndarray,
+        gradient: np.ndarray, blocks: np.ndarray,
     ) -> float:
         """Return the elastic energy in J at nodes ``x`` (nodes, 3) m, infinite where the law ends.
 
@@ -72,7 +74,10 @@ def _assembler(nodes: int, points: int) -> Any:
 
         ``bulk`` in Pa adds bulk/2 (J - 1)^2 with J averaged over the element: one condition of volume an element
         does not lock, one at each integration point does. At order ``VISCOUS`` only the rate of that mean is weighed.
+
+        ``rub`` (3,) Pa are moduli lambda, mu and bulk that resist a change from the nodes ``before``, see ``fem.damping``.
         """
+        rubs, old, past = rub[1] > 0.0, np.empty((nodes, 3)), np.empty((points, 3, 3))
         cofactor, normal = np.empty((points, 3, 3)), np.empty((nodes, 3))
         volume = push = 0.0
         f, p, tangent = np.empty((3, 3)), np.zeros((3, 3)), np.zeros((9, 9))
@@ -84,10 +89,18 @@ def _assembler(nodes: int, points: int) -> Any:
             for a in range(nodes):
                 for i in range(3):
                     local[a, i] = x[elements[e, a], i]
+                    old[a, i] = before[elements[e, a], i]
             if order >= TANGENT:
                 stiff[:] = 0.0
+            if rubs:
+                for q in range(points):
+                    past[q] = 0.0
+                    for a in range(nodes):
+                        for i in range(3):
+                            for j in range(3):
+                                past[q, i, j] += old[a, i] * gradients[e, q, a, j]
             if bulk > 0.0:
-                volume = swept = 0.0
+                volume = swept = swept_before = 0.0
                 for q in range(points):
                     f[:] = 0.0
                     for a in range(nodes):
@@ -95,9 +108,15 @@ def _assembler(nodes: int, points: int) -> Any:
                             for j in range(3):
                                 f[i, j] += local[a, i] * gradients[e, q, a, j]
                     volume += weights[e, q]
+                    if rubs:
+                        swept_before += weights[e, q] * cofactor_of(past[q], cofactor[q])
                     swept += weights[e, q] * cofactor_of(f, cofactor[q])
                 push = bulk * (swept / volume - 1.0) if order < VISCOUS else 0.0
                 energy += 0.5 * push * (swept - volume)
+                if rubs:
+                    slow = rub[2] * (swept - swept_before) / volume
+                    energy += 0.5 * slow * (swept - swept_before)
+                    push += slow
                 normal[:] = 0.0
             for q in range(points):
                 f[:] = 0.0
@@ -110,6 +129,8 @@ def _assembler(nodes: int, points: int) -> Any:
                 if density == np.inf:
                     return np.inf
                 energy += weight * density
+                if rubs:
+                    energy += weight * add_rub(rub[0], rub[1], f, past[q], p, tangent, order)
                 if order < STRESS:
                     continue
                 if bulk > 0.0:
@@ -152,7 +173,7 @@ def _assembler(nodes: int, points: int) -> Any:
                         for i in range(3):
                             for k in range(3):
                                 for b in range(nodes):
-                                    stiff[a, i, k, b] += bulk / volume * normal[a, i] * normal[b, k]
+                                    stiff[a, i, k, b] += (bulk + rub[2]) / volume * normal[a, i] * normal[b, k]
                 for a in range(nodes):
                     for b in range(nodes):
                         slot = slots[e, a, b]

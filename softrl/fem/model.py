@@ -17,6 +17,8 @@ from softrl.fem.material import ENERGY, STRESS, TANGENT, VISCOUS, Material
 from softrl.fem.newton import NewtonSettings, Objective, Solve, Value, factorise, minimise
 from softrl.fem.solver import LinearSolver, linear_solver
 
+NO_RUB = np.zeros(3)  # nothing resists a change
+
 
 @dataclass(frozen=True)
 class State:
@@ -71,7 +73,7 @@ class FemModel:
     material : the hyperelastic law
     density_kg_m3 : of the whole mesh, ribs and plate too
     rayleigh_mass_per_s, rayleigh_stiffness_s : damping force (a M + b K(x)) v; K is that of ``fem.damping``, the
-        elastic stiffness at rest carried along with the deformation, taken at the last step
+        elastic stiffness at rest carried along with the deformation
     newton : settings of the iteration
     gravity_m_s2 : (3,) zero unless given
     stiffness_scale : factor on the elastic energy
@@ -239,35 +241,24 @@ class FemModel:
 
         Notes
         -----
-        The new nodes x minimise  |x - x_n - dt v_n|_M^2 / (2 dt^2) + |x - x_n|_(aM + bK_n)^2 / (2 dt) + W(x) - p.V(x)
-        - F.tip - m g.x, with K_n the viscous stiffness at x_n + dt v_n / 2: the variational form of implicit Euler with
-        Rayleigh damping. Halfway K_n sees a turning part as it is; at x_n it would take the turn, in second order,
-        for a strain, and resist bending by a fifth too much at 0.01 s. First order in ``dt``; it damps motions
-        faster than about 2 pi dt.
+        The new nodes x minimise  |x - x_n - dt v_n|_M^2 / (2 dt^2) + a |x - x_n|_M^2 / (2 dt) + b R(x, x_n) / dt + W(x)
+        - p.V(x) - F.tip - m g.x  with R half the change of Green's strain squared in the elastic moduli at rest: the
+        variational form of implicit Euler with Rayleigh damping, in which a turn costs nothing however far it is. First
+        order in ``dt``; it damps motions faster than about 2 pi dt.
         """
         before, extrapolated = state.pose.position, self.coupling.move(state.pose, state.change)
-        damping = None
-        if self.rayleigh_stiffness_s > 0:
-            halfway = before + 0.5 * dt * state.velocity
-            damping = self.viscous(Pose(halfway, state.pose.centre, state.pose.rotation))
         free_flight = before + dt * state.velocity
-        static = self._potential(load, gravity_m_s2)
+        rub = self.rayleigh_stiffness_s / dt * np.array([*self._viscous_moduli, self._viscous_bulk])
+        static = self._potential(load, gravity_m_s2, rub, before)
         inertia = self.nodal_mass[:, None] / dt**2
         drag = self.nodal_mass[:, None] * self.rayleigh_mass_per_s / dt
-        rate = self.rayleigh_stiffness_s / dt
 
         def objective(pose: Pose, order: int) -> Value:
             energy, gradient, blocks = static(pose, order)
             ahead, moved = pose.position - free_flight, pose.position - before
             push = inertia * ahead + drag * moved
             energy += 0.5 * float((inertia * ahead * ahead).sum() + (drag * moved * moved).sum())
-            if damping is not None:
-                viscous = rate * multiply_blocks(damping, self.pairs.first, self.pairs.second, moved)
-                push += viscous
-                energy += 0.5 * float((viscous * moved).sum())
             if blocks is not None:
-                if damping is not None:
-                    blocks += rate * damping
                 blocks[self.pairs.diagonal[:, None], range(3), range(3)] += inertia + drag
             return Value(energy, gradient + push, blocks)
 
@@ -282,8 +273,8 @@ class FemModel:
         """Return the node-pair blocks of what stiffness-proportional damping multiplies, N/m."""
         blocks = np.zeros((len(self.pairs.first), 3, 3))
         self._assemble(
-            viscous, self._viscous_moduli, self._viscous_bulk, pose.position, self._elements, self._gradients,
-            self._weights, VISCOUS, self.pairs.element_slots, np.zeros_like(pose.position), blocks,
+            viscous, self._viscous_moduli, self._viscous_bulk, NO_RUB, pose.position, pose.position, self._elements,
+            self._gradients, self._weights, VISCOUS, self.pairs.element_slots, np.zeros_like(pose.position), blocks,
         )
         return blocks
 
@@ -296,18 +287,22 @@ class FemModel:
         centres[0] = q.plate_centroid()  # so that a force on the tip makes no moment
         return Coupling(q.points, q.region, bodies, np.array(centres), self.pairs)
 
-    def _elastic(self, pose: Pose, order: int) -> Value:
-        """Return the elastic energy with as many derivatives as ``order`` asks."""
+    def _elastic(self, pose: Pose, order: int, rub: np.ndarray = NO_RUB, before: np.ndarray | None = None) -> Value:
+        """Return the elastic energy, and what a change from ``before`` costs, with as many derivatives as ``order`` asks."""
         gradient = np.zeros_like(pose.position)
         blocks = np.zeros((len(self.pairs.first) if order >= TANGENT else 1, 3, 3))
         energy = self._assemble(
-            type(self._material).kernel, self._parameters, self._bulk_pa, pose.position, self._elements, self._gradients,
-            self._weights, order, self.pairs.element_slots, gradient, blocks,
+            type(self._material).kernel, self._parameters, self._bulk_pa, rub, pose.position,
+            pose.position if before is None else before, self._elements, self._gradients, self._weights, order,
+            self.pairs.element_slots, gradient, blocks,
         )
         return Value(energy, gradient, blocks if order >= TANGENT else None)
 
-    def _potential(self, load: np.ndarray, gravity_m_s2: np.ndarray | None = None) -> Objective:
-        """Return W(x) - p.V(x) - F.tip - m g.x as a function of the pose."""
+    def _potential(
+        self, load: np.ndarray, gravity_m_s2: np.ndarray | None = None, rub: np.ndarray = NO_RUB,
+        before: np.ndarray | None = None,
+    ) -> Objective:
+        """Return W(x) - p.V(x) - F.tip - m g.x as a function of the pose, and what a change from ``before`` costs."""
         pressure = np.ascontiguousarray(load[: self.chambers], dtype=float)
         force = np.asarray(load[self.chambers :], dtype=float)
         gravity = self.gravity_m_s2 if gravity_m_s2 is None else gravity_m_s2
@@ -315,7 +310,7 @@ class FemModel:
         spread = self._tip_share
 
         def objective(pose: Pose, order: int) -> Value:
-            energy, gradient, blocks = self._elastic(pose, order)
+            energy, gradient, blocks = self._elastic(pose, order, rub, before)
             energy -= float(pressure @ self.volumes(pose) + force @ pose.centre[0] + (weight * pose.position).sum())
             if order >= STRESS:
                 push = np.zeros_like(gradient)

@@ -94,9 +94,10 @@ def run(
     Notes
     -----
     The mesh is the stress-free shape. Equilibria are without gravity, which a reduced model adds through what each tells
-    of the centre of mass; the trajectories, which are there to judge it, begin at rest under the weight. Loads whose equilibrium is not found, or only behind a jump (``fem.continuation``), are counted in
-    ``failed``, listed in ``failed_loads.csv`` with the reason, and left out. Finished chains and
-    trajectories are kept under the working directory until the stage ends, so that a killed run goes on.
+    of the centre of mass; the trajectories, which are there to judge it, begin at rest under the weight. Loads whose
+    equilibrium is not found, or only behind a jump (``fem.continuation``), are counted in ``failed``, listed in
+    ``failed_loads.csv`` with the reason, and left out. Finished chains and trajectories are kept under the working
+    directory until the stage ends, so that a killed run goes on.
     """
     body = Body(config, robot, mesh, material_of(config.law, config.moduli_pa, config.poisson))
     pulled = _pulled(body)
@@ -161,6 +162,8 @@ class Row(NamedTuple):
     give_spin: np.ndarray
     give_mass: np.ndarray
     give_coupling: np.ndarray
+    give_viscosity: np.ndarray
+    give_drag: np.ndarray
     tip_spin: np.ndarray
     tip_quaternion: np.ndarray
     displacement: np.ndarray

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrl.fem.assembly import multiply_blocks
 from softrl.fem.coupling import Pose
 from softrl.fem.model import FemModel, Tangent
 
@@ -24,6 +25,8 @@ class Weight(NamedTuple):
     give_spin : (3, 3) rotation of the plate by gravity, volumes and tip held, rad s^2/m
     give_mass : (3, 3) of the shapes by which the body gives to unit gravity, kg s^4
     give_coupling : (3, w) of these shapes with the motion by the loads, in the mass, kg s^2 m per Pa and N
+    give_viscosity, give_drag : (3, 3) and (3, w), likewise in what stiffness-proportional damping multiplies, kg s^2, and
+        m s^2 per Pa and N times N/m
     """
 
     centre_slope: np.ndarray
@@ -32,6 +35,8 @@ class Weight(NamedTuple):
     give_spin: np.ndarray
     give_mass: np.ndarray
     give_coupling: np.ndarray
+    give_viscosity: np.ndarray
+    give_drag: np.ndarray
 
 
 def weight_at(model: FemModel, pose: Pose, tangent: Tangent) -> Weight:
@@ -43,10 +48,12 @@ def weight_at(model: FemModel, pose: Pose, tangent: Tangent) -> Weight:
     held = free - tangent.change @ np.linalg.solve(tangent.compliance, model.load_directions(pose).T @ free)
     give = pull.T @ held
     shapes, moved = (np.stack([model.coupling.expand(x, pose) for x in part.T]) for part in (held, tangent.change))
-    heavy = mass * shapes
+    blocks, heavy = model.viscous(pose), mass * shapes
+    tough = np.stack([multiply_blocks(blocks, model.pairs.first, model.pairs.second, shape) for shape in shapes])
     return Weight(
         pull.T @ tangent.change / mass.sum(), tangent.change[spin], 0.5 * (give + give.T), held[spin],
         np.einsum("ani,bni->ab", shapes, heavy), np.einsum("ani,bni->ab", heavy, moved),
+        np.einsum("ani,bni->ab", shapes, tough), np.einsum("ani,bni->ab", tough, moved),
     )
 
 

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 
-from softrl.pod.kernel import CLOSE, LONGEST_STEP, MAX_ITERATIONS, lag_hold
+from softrl.pod.inside import AXES, Inside, begin_inside, end_inside, join, make_even, shared_energy, stored_in
+from softrl.pod.kernel import AGAIN, CLOSE, LONGEST_STEP, MAX_ITERATIONS, lag_hold, share_of
 from softrl.pod.linear import newton_direction
 from softrl.pod.potential import FAST, PIVOT, Tables, diagonal, fill_potential
 
@@ -49,6 +50,7 @@ class Lanes(NamedTuple):
     points : (r, lanes) in the unit ball;  radius : (lanes,) of the states they belong to
     root, other, product : (r r, lanes);  slope : (r r r, lanes);  pairs : (r (r + 1) / 2, lanes)
     values : (k, lanes) monomials
+    rows : (3 (r + 3), lanes);  gives : (9, lanes)
     some : (5, lanes) scratch
     """
 
@@ -71,6 +73,8 @@ class Lanes(NamedTuple):
     slope: np.ndarray
     pairs: np.ndarray
     values: np.ndarray
+    rows: np.ndarray
+    gives: np.ndarray
     some: np.ndarray
 
 
@@ -83,7 +87,8 @@ def _make_lanes(r: int, lanes: int, monomials: int) -> Lanes:
         np.zeros((r, lanes)), np.zeros((r, lanes)), np.zeros((r, lanes)), np.zeros((r, lanes)), np.zeros((r, lanes)),
         np.zeros((r, lanes)), np.zeros((r, lanes)), np.zeros(lanes),
         np.zeros((r * r, lanes)), np.zeros((r * r, lanes)), np.zeros((r * r, lanes)), np.zeros((r**3, lanes)),
-        np.zeros((r * (r + 1) // 2, lanes)), np.zeros((monomials, lanes)), np.zeros((5, lanes)),
+        np.zeros((r * (r + 1) // 2, lanes)), np.zeros((monomials, lanes)),
+        np.zeros((AXES * (r + AXES), lanes)), np.zeros((AXES * AXES, lanes)), np.zeros((5, lanes)),
     )  # fmt: skip
 
 
@@ -158,25 +163,71 @@ def _squares_of(matrix: np.ndarray, vector: np.ndarray, part: np.ndarray, total:
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _scale_to(vector: np.ndarray, energy: np.ndarray, matrix: np.ndarray, up: bool, some: np.ndarray) -> None:
-    """Scale ``vector`` (r, lanes) until its squares in ``matrix`` are ``energy`` (lanes,), upwards only where ``up``."""
+def _scale_down(vector: np.ndarray, energy: np.ndarray, matrix: np.ndarray, some: np.ndarray) -> None:
+    """Scale ``vector`` (r, lanes) until its squares in ``matrix`` are no more than ``energy`` (lanes,)."""
     _squares_of(matrix, vector, some[0], some[1])
     for lane in range(len(energy)):
         now = some[1, lane]
-        if now > 0.0 and (up or now > energy[lane]):
+        if now > energy[lane]:
             share = math.sqrt(energy[lane] / now)
             for i in range(len(vector)):
                 vector[i, lane] *= share
 
 
 @nb.njit(cache=True)
-def _fill_mass(y: np.ndarray, tables: Any, held: Lanes) -> None:
-    """Fill roots, their gradients and masses at ``y`` (r, lanes)."""
-    _to_balls(y, held.points, held.radius)
-    _fill_monomials(held.points, tables, held.values[: tables.mass_root.shape[1]])
+def _make_insides(r: int, lanes: int) -> Inside:
+    """Return room for the insides of ``lanes`` lanes: the first axis of every array is the lane."""
+    square, wide = (lanes, AXES, AXES), (lanes, r, AXES)
+    return Inside(
+        np.zeros(wide), np.zeros(square), np.zeros(wide), np.zeros(square), np.zeros(square), np.zeros(square),
+        np.zeros((lanes, AXES)), np.zeros(wide), np.zeros((lanes, AXES * (r + AXES))), np.zeros((lanes, AXES * AXES)),
+    )  # fmt: skip
+
+
+@nb.njit(cache=True)
+def _inside_of(insides: Inside, lane: int) -> Inside:
+    """Return the inside of one lane."""
+    return Inside(
+        insides.couple[lane], insides.own[lane], insides.drag[lane], insides.tough[lane], insides.give[lane],
+        insides.inverse[lane], insides.push[lane], insides.pull[lane], insides.rows[lane], insides.gives[lane],
+    )  # fmt: skip
+
+
+@nb.njit(cache=True)
+def _fill_mass(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any, insides: Inside, held: Lanes) -> None:
+    """Fill roots and masses, those of the insides too, a step ahead of ``y`` (r, lanes)."""
+    _fill_ahead(y, velocity, dt, held)
+    wide = max(tables.mass_root.shape[1], tables.give_root.shape[1], tables.give.shape[1])
+    _fill_monomials(held.points, tables, held.values[:wide])
     _fill_rows(tables.mass_root, held.values, held.root)
-    _fill_rows(tables.mass_slope, held.values, held.slope)
     _fill_squares(held.root, held.mass)
+    _fill_rows(tables.give_root, held.values, held.rows)
+    _fill_rows(tables.give, held.values, held.gives)
+    for lane in range(y.shape[1]):
+        root, rows, gives = held.root[:, lane].copy(), held.rows[:, lane].copy(), held.gives[:, lane].copy()
+        join(root, rows, insides.couple[lane], insides.own[lane])
+        make_even(gives, insides.give[lane])
+
+
+@nb.njit(cache=True)
+def _fill_ahead(y: np.ndarray, velocity: np.ndarray, dt: float, held: Lanes) -> None:
+    """Fill ``points`` and ``radius`` of where ``y`` (r, lanes) is ``dt`` later if nothing turns it."""
+    for i in range(len(y)):
+        for lane in range(y.shape[1]):
+            held.trial[i, lane] = y[i, lane] + dt * velocity[i, lane]
+    _to_balls(held.trial, held.points, held.radius)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _scale_rates(velocity: np.ndarray, inner: np.ndarray, kinetic: np.ndarray, insides: Inside, held: Lanes) -> None:
+    """Scale all rates to twice the kinetic energies ``kinetic`` (lanes,)."""
+    _squares_of(held.mass, velocity, held.some[0], held.some[1])
+    for lane in range(velocity.shape[1]):
+        more = shared_energy(velocity[:, lane], inner[lane], _inside_of(insides, lane))
+        share = share_of(kinetic[lane], held.some[1, lane] + more)
+        for i in range(len(velocity)):
+            velocity[i, lane] *= share
+        inner[lane, 1] *= share
 
 
 @nb.njit(cache=True)
@@ -266,23 +317,24 @@ def _fill_behind(root: np.ndarray, factor: np.ndarray, product: np.ndarray) -> N
 
 
 @nb.njit(cache=True)
-def _fill_viscosity(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any, held: Lanes) -> None:
-    """Fill viscosity and its lagging share half a step ahead."""
+def _fill_viscosity(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any, insides: Inside, held: Lanes) -> None:
+    """Fill viscosity and its lagging share half a step ahead, and the insides'."""
     wide = max(tables.elastic.shape[1], tables.stiffness_root.shape[1], tables.lag_root.shape[1])
-    for i in range(len(y)):
-        for lane in range(y.shape[1]):
-            held.trial[i, lane] = y[i, lane] + 0.5 * dt * velocity[i, lane]
-    _to_balls(held.trial, held.points, held.some[0])
-    _fill_monomials(held.points, tables, held.values[:wide])
+    _fill_ahead(y, velocity, 0.5 * dt, held)
+    _fill_monomials(held.points, tables, held.values[: max(wide, tables.drag_root.shape[1])])
     _fill_rows(tables.elastic, held.values, held.pairs)
     _fill_rows(tables.stiffness_root, held.values, held.root)
     _fill_rows(tables.lag_root, held.values, held.other)
     _fill_factor(held.pairs, tables.elastic[:, 0], held.matrix, held.some)
-    _fill_behind(held.root, held.matrix, held.product)
-    _fill_squares(held.product, held.stiff)
     if tables.lag_root.shape[1] > 0:
         _fill_behind(held.other, held.matrix, held.product)
         _fill_squares(held.product, held.loose)
+    _fill_behind(held.root, held.matrix, held.product)
+    _fill_squares(held.product, held.stiff)
+    _fill_rows(tables.drag_root, held.values, held.rows)
+    for lane in range(y.shape[1]):
+        root, rows = held.product[:, lane].copy(), held.rows[:, lane].copy()
+        join(root, rows, insides.drag[lane], insides.tough[lane])
 
 
 @nb.njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -423,16 +475,21 @@ def run_block(
     r, lanes = y.shape
     held, start, hold = _make_lanes(r, lanes, len(tables.parent)), np.empty((r, lanes)), lag_hold(dt, tables)
     waiting, progress = np.empty(lanes, dtype=np.bool_), np.empty((lanes, 2))
-    kinetic, stored = np.empty(lanes), np.full(lanes, np.inf)
-    failed, farthest = 0, 0.0
-    _fill_mass(y, tables, held)
+    kinetic, stored, bent = np.empty(lanes), np.full(lanes, np.inf), np.empty(lanes)
+    insides, inner = _make_insides(r, lanes), np.zeros((lanes, 2, AXES))
+    _to_balls(y, held.points, held.radius)
+    failed, farthest = 0, held.radius.max()
+    _fill_mass(y, velocity, dt, tables, insides, held)
     for step in range(load.shape[1]):
-        farthest = max(farthest, held.radius.max())
+        _fill_rows(tables.mass_slope, held.values, held.slope)
         _fill_turning(velocity, held)
         if tables.scales[2] > 0.0:
-            _fill_viscosity(y, velocity, dt, tables, held)
-            _scale_to(lag, stored, held.loose, False, held.some)
+            _fill_viscosity(y, velocity, dt, tables, insides, held)
+            _scale_down(lag, stored, held.loose, held.some)
         _begin(y, start, velocity, lag, load[:, step].copy(), dt, tables, held)
+        for lane in range(lanes):
+            inside, inertia, right = _inside_of(insides, lane), held.inertia[:, :, lane], held.right[:, lane]
+            begin_inside(inner[lane], y[:, lane], start[:, lane], dt, tables, inside, inertia, right)
         waiting[:], progress[:] = True, -1.0
         for _ in range(MAX_ITERATIONS):
             _fill_wanted(y, waiting, tables, held)
@@ -448,11 +505,20 @@ def run_block(
                 velocity[i, lane] = (y[i, lane] - start[i, lane]) / dt
                 lag[i, lane] = hold * lag[i, lane] + (1.0 - hold) * velocity[i, lane] if hold > 0.0 else 0.0
         _squares_of(held.mass, velocity, held.some[0], kinetic)
+        for lane in range(lanes):
+            inside = _inside_of(insides, lane)
+            bent[lane] = end_inside(inner[lane], y[:, lane], dt, inside)
+            kinetic[lane] += shared_energy(velocity[:, lane], inner[lane], inside)
         for i in range(r):
             for lane in range(lanes):
                 kinetic[lane] -= 2.0 * dt * held.turning[i, lane] * velocity[i, lane]
         np.maximum(kinetic, 0.0, kinetic)
         _squares_of(held.loose, lag, held.some[0], stored)
-        _fill_mass(y, tables, held)
-        _scale_to(velocity, kinetic, held.mass, True, held.some)
-    return failed, max(farthest, held.radius.max())
+        _to_balls(y, held.points, held.radius)
+        farthest = max(farthest, held.radius.max())
+        for _ in range(AGAIN):  # the mass ahead hangs on the scaled velocity
+            _fill_mass(y, velocity, dt, tables, insides, held)
+            _scale_rates(velocity, inner, kinetic, insides, held)
+        for lane in range(lanes):
+            inner[lane, 0] *= min(1.0, share_of(bent[lane], stored_in(inner[lane, 0], insides.give[lane])))
+    return failed, farthest

@@ -71,6 +71,7 @@ def with_elastic_viscosity(model: ReducedModel) -> ReducedModel:
         stiffness_root=np.eye(model.order).reshape(-1, 1),
         lag_root=model.lag_root[:, :0],
         lag_rotation=model.lag_rotation[:, :0],
+        drag_root=0.0 * model.drag_root[:, :1],
     )
 
 

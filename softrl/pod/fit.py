@@ -103,6 +103,8 @@ def linear_model(model: ReducedModel) -> ReducedModel:
         rotation=model.rotation[:, : 1 + r].copy(),
         give=model.give[:, :1].copy(),
         give_rotation=model.give_rotation[:, :1].copy(),
+        give_root=model.give_root[:, :1].copy(),
+        drag_root=model.drag_root[:, :1].copy(),
     )
 
 
@@ -121,6 +123,8 @@ def _draft(robot: Robot, snapshots: Snapshots, samples: Equilibria, pod: PodBasi
         rotation=np.zeros((3, 1)),
         give=np.zeros((9, 1)),
         give_rotation=np.zeros((9, 1)),
+        give_root=np.zeros((3 * (r + 3), 1)),
+        drag_root=np.zeros((3 * (r + 3), 1)),
         rest_tip=snapshots.rest_tip,
         rest_volume=snapshots.rest_volume,
         mass=snapshots.mass,

@@ -6,6 +6,16 @@ from typing import Any
 import numba as nb
 import numpy as np
 
+from softrl.pod.inside import (
+    AXES,
+    begin_inside,
+    end_inside,
+    fill_drag,
+    fill_inertia,
+    make_inside,
+    shared_energy,
+    stored_in,
+)
 from softrl.pod.linear import newton_direction
 from softrl.pod.ports import add_effects, commit_effects, fill_ports, make_ports
 from softrl.pod.potential import (
@@ -24,7 +34,7 @@ TOLERANCE = 1e-9  # change of y: below a nanometre at the tip
 CLOSE = 1e-6  # likewise where the Jacobian is exact: such a step leaves an error that is far below TOLERANCE
 MAX_ITERATIONS = 60
 LONGEST_STEP = 0.5  # of y, in one iteration
-
+AGAIN = 3  # times that a velocity is scaled to its energy, each with the mass where the last leads: enough for 1e-6
 
 
 @nb.njit(cache=True, fastmath=FAST)
@@ -40,16 +50,20 @@ def _spun(coefficients: np.ndarray, values: np.ndarray, degrees: np.ndarray, bey
 def tip_pose(
     y: np.ndarray,
     lag: np.ndarray,
+    gives: np.ndarray,
     tables: Any,
     values: np.ndarray,
     point: np.ndarray,
     position: np.ndarray,
     quaternion: np.ndarray,
 ) -> None:
-    """Fill the tip's position (3,) m and quaternion (4,) w x y z at ``y`` and lagged rate ``lag`` (r,)."""
+    """Fill the tip's position (3,) m and quaternion (4,) w x y z at ``y``.
+
+    ``lag`` (r,) is the lagged rate; ``gives`` (3,) how far the inside gives beyond what weight makes it give.
+    """
     n, r = len(y) - 3, len(y)
     beyond = max(to_ball(y, point) - 1.0, 0.0)
-    few = values[: max(tables.rotation.shape[1], tables.lag_rotation.shape[1])]
+    few = values[: max(tables.rotation.shape[1], tables.lag_rotation.shape[1], tables.give_rotation.shape[1])]
     fill_monomials(point, tables.parent, tables.variable, few)
     square = lagged = 0.0
     for k in range(3):
@@ -64,8 +78,6 @@ def tip_pose(
     quaternion[0] = math.cos(half)
     for k in range(3):
         quaternion[1 + k] *= factor
-    if tables.lag_rotation.shape[1] == 0:
-        return
     w, a, b, c = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
     turn = (0.0, 0.0, 0.0)
     for k in range(3):
@@ -73,6 +85,8 @@ def tip_pose(
         for j in range(r):
             angle += polynomial(tables.lag_rotation[k * r + j], few) * lag[j]
         angle *= 0.5 * tables.scales[5]
+        for j in range(AXES):
+            angle += 0.5 * polynomial(tables.give_rotation[k * AXES + j], few) * gives[j]
         lagged += angle * angle
         turn = (turn[1], turn[2], angle)
     v, (x, y_, z) = 1.0 / math.sqrt(1.0 + lagged), turn
@@ -127,13 +141,16 @@ def fill_viscosity(
     elastic: np.ndarray, root: np.ndarray, lag_root: np.ndarray, tables: Any, factor: np.ndarray, product: np.ndarray,
     stiff: np.ndarray, loose: np.ndarray,
 ) -> None:
-    """Fill viscosity and its lagging share (r, r) from the elastic Hessian (pairs,) and the roots (r r,)."""
+    """Fill viscosity and its lagging share (r, r) from the elastic Hessian (pairs,) and the roots (r r,).
+
+    ``product`` (r r,) is left with the root of the former.
+    """
     fill_elastic_factor(elastic, tables.elastic[:, 0], factor)
-    fill_behind(root, factor, product)
-    fill_square(product, stiff)
     if tables.lag_root.shape[1] > 0:
         fill_behind(lag_root, factor, product)
         fill_square(product, loose)
+    fill_behind(root, factor, product)
+    fill_square(product, stiff)
 
 
 @nb.njit(cache=True, fastmath=FAST)
@@ -155,14 +172,14 @@ def lag_hold(dt: float, tables: Any) -> float:
 
 @nb.njit(cache=True, fastmath=FAST)
 def begin_step(
-    y: np.ndarray, velocity: np.ndarray, lag: np.ndarray, load: np.ndarray, dt: float, tables: Any, held: Any,
-    start: np.ndarray, inertia: np.ndarray, right: np.ndarray,
+    y: np.ndarray, velocity: np.ndarray, lag: np.ndarray, inner: np.ndarray, load: np.ndarray, dt: float, tables: Any,
+    held: Any, start: np.ndarray, inertia: np.ndarray, right: np.ndarray,
 ) -> None:
     """Fill what is constant in a step, ``inertia`` (r, r) y - ``right`` (r,), and move ``y`` ahead.
 
-    ``held`` are mass, viscosity, its lagging share (r, r) and the force of turning (r,).
+    ``held`` are mass, viscosity, its lagging share (r, r), the force of turning (r,) and the ``pod.inside``.
     """
-    mass, stiff, loose, turning = held
+    mass, stiff, loose, turning, inside = held
     r, hold = len(y), lag_hold(dt, tables)
     mass_scale, stiffness_damping = tables.scales[0], tables.scales[2]
     free, drag, late = mass_scale / dt**2, tables.scales[1] / dt, stiffness_damping / dt
@@ -179,6 +196,7 @@ def begin_step(
             inertia[i, j] = free * mass[i, j] + damping
             total += free * mass[i, j] * y[j] + damping * start[j] - held_back * loose[i, j] * lag[j]
         right[i] = total
+    begin_inside(inner, y, start, dt, tables, inside, inertia, right)
 
 
 @nb.njit(cache=True)
@@ -220,70 +238,85 @@ def iterate(
 
 @nb.njit(cache=True)
 def end_step(
-    y: np.ndarray, velocity: np.ndarray, lag: np.ndarray, dt: float, tables: Any, held: Any, start: np.ndarray
-) -> tuple[float, float]:
-    """Bring ``velocity`` and ``lag`` up to date; return twice the kinetic energy, and what the lag stores.
+    y: np.ndarray, velocity: np.ndarray, lag: np.ndarray, inner: np.ndarray, dt: float, tables: Any, held: Any,
+    start: np.ndarray,
+) -> tuple[float, float, float]:
+    """Bring ``velocity``, ``lag`` and ``inner`` up to date; return the energies by which ``_set_out`` scales them.
 
-    Neither the force of turning nor the change of mass may alter the kinetic energy; nor may the lag's store grow as
-    the viscosity changes: ``scale_to`` sees to both where the body has arrived.
+    They are twice the kinetic energy, what the lag stores and twice what the inside stores. Neither the force of turning
+    nor the change of mass may alter the first; nor may the others grow as viscosity and stiffness change.
     """
-    mass, _, loose, turning = held
+    mass, _, loose, turning, inside = held
     r, hold = len(y), lag_hold(dt, tables)
     for i in range(r):
         velocity[i] = (y[i] - start[i]) / dt
         lag[i] = hold * lag[i] + (1.0 - hold) * velocity[i] if hold > 0.0 else 0.0
-    kinetic = square_of(mass, velocity)
+    bent = end_inside(inner, y, dt, inside)
+    kinetic = square_of(mass, velocity) + shared_energy(velocity, inner, inside)
     for i in range(r):
         kinetic -= 2.0 * dt * turning[i] * velocity[i]
-    return max(kinetic, 0.0), square_of(loose, lag)
+    return max(kinetic, 0.0), square_of(loose, lag), bent
 
 
 @nb.njit(cache=True)
-def scale_to(vector: np.ndarray, energy: float, matrix: np.ndarray, up: bool) -> None:
-    """Scale ``vector`` until its square in ``matrix`` is ``energy``, upwards only where ``up``."""
-    now = square_of(matrix, vector)
-    if now > 0.0 and (up or now > energy):
-        share = math.sqrt(energy / now)
-        for i in range(len(vector)):
-            vector[i] *= share
+def share_of(energy: float, now: float) -> float:
+    """Return the factor that brings what has the energy ``now`` to ``energy``; 1 for what has none."""
+    return math.sqrt(energy / now) if now > 0.0 else 1.0
 
 
 @nb.njit(cache=True)
 def _set_out(
-    y: np.ndarray, velocity: np.ndarray, lag: np.ndarray, dt: float, kinetic: float, stored: float, tables: Any,
-    work: Any, held: Any,
+    y: np.ndarray, velocity: np.ndarray, lag: np.ndarray, inner: np.ndarray, dt: float,
+    energies: tuple[float, float, float], tables: Any, work: Any, held: Any,
 ) -> float:
-    """Fill what is held during the step from ``y``, and scale velocity and lag to their energies; return ``|y|``.
+    """Fill what is held during the step from ``y``, and scale what moves to its energies; return ``|y|``.
 
     Parameters
     ----------
-    kinetic : twice the kinetic energy that the velocity is scaled to; negative to leave it
-    stored : the lag is scaled down where it would hold more, in the measure of ``loose``
+    energies : twice the kinetic energy that the rates are scaled to, negative to leave them; lag and inside are scaled
+        down where they would store more than the other two
     work : monomials, point (r,), two matrices (r, r), a vector (r,), rows (r r,), (r r,), (r r r,), (pairs,)
     held : as for ``begin_step``
     """
-    values, point, scratch, factor, halfway, root, other, slope, elastic = work
-    mass, stiff, loose, turning = held
+    values, point, scratch, factor, ahead, root, other, slope, elastic = work
+    mass, stiff, loose, turning, inside = held
+    kinetic, stored, bent = energies
     radius = to_ball(y, point)
-    few = values[: tables.mass_root.shape[1]]
-    fill_monomials(point, tables.parent, tables.variable, few)
-    fill_rows(tables.mass_root, few, root)
+    few, beyond = values[: max(tables.mass_root.shape[1], tables.give_root.shape[1], tables.give.shape[1])], 0.0
+    for _ in range(AGAIN if kinetic >= 0.0 else 1):  # the mass ahead hangs on the scaled velocity
+        for i in range(len(y)):
+            ahead[i] = y[i] + dt * velocity[i]
+        beyond = to_ball(ahead, point)
+        fill_monomials(point, tables.parent, tables.variable, few)
+        fill_rows(tables.mass_root, few, root)
+        fill_square(root, mass)
+        fill_inertia(root, tables, few, inside)
+        if kinetic >= 0.0:
+            share = share_of(kinetic, square_of(mass, velocity) + shared_energy(velocity, inner, inside))
+            for i in range(len(y)):
+                velocity[i] *= share
+            for k in range(AXES):
+                inner[1, k] *= share
     fill_rows(tables.mass_slope, few, slope)
-    fill_square(root, mass)
-    if kinetic >= 0.0:
-        scale_to(velocity, kinetic, mass, True)
-    fill_turning(radius, velocity, point, root, slope, scratch, turning)
+    share = min(1.0, share_of(bent, stored_in(inner[0], inside.give)))
+    for k in range(AXES):
+        inner[0, k] *= share
+    fill_turning(beyond, velocity, point, root, slope, scratch, turning)
     if tables.scales[2] > 0.0:
         for i in range(len(y)):
-            halfway[i] = y[i] + 0.5 * dt * velocity[i]
-        to_ball(halfway, point)
-        few = values[: max(tables.elastic.shape[1], tables.stiffness_root.shape[1], tables.lag_root.shape[1])]
+            ahead[i] = y[i] + 0.5 * dt * velocity[i]
+        to_ball(ahead, point)
+        wide = max(tables.elastic.shape[1], tables.stiffness_root.shape[1], tables.lag_root.shape[1])
+        few = values[: max(wide, tables.drag_root.shape[1])]
         fill_monomials(point, tables.parent, tables.variable, few)
         fill_rows(tables.elastic, few, elastic)
         fill_rows(tables.stiffness_root, few, root)
         fill_rows(tables.lag_root, few, other)
         fill_viscosity(elastic, root, other, tables, factor, slope[: len(root)], stiff, loose)
-        scale_to(lag, stored, loose, False)
+        fill_drag(slope[: len(root)], tables, few, inside)
+        share = min(1.0, share_of(stored, square_of(loose, lag)))
+        for i in range(len(y)):
+            lag[i] *= share
     return radius
 
 
@@ -292,6 +325,7 @@ def run_kernel(
     y: np.ndarray,
     velocity: np.ndarray,
     lag: np.ndarray,
+    inner: np.ndarray,
     rest: np.ndarray,
     dt: float,
     load: np.ndarray,
@@ -301,13 +335,13 @@ def run_kernel(
     position: np.ndarray,
     quaternion: np.ndarray,
 ) -> tuple[int, float]:
-    """Advance ``y``, ``velocity`` and ``lag`` (r,) in place by implicit Euler over every row of ``load`` (steps, r) Pa and N.
+    """Advance ``y``, ``velocity``, ``lag`` (r,) and ``inner`` (2, 3) by implicit Euler over ``load`` (steps, r) Pa and N.
 
     Mass is that at the start of a step, and so is the force of inertia by which a turning body leaves the straight way;
     viscosity is that half a step ahead, as in the full model. After a step the velocity is scaled so that neither that
     force nor the change of mass alters the kinetic energy: energy is created nowhere. A share of the viscosity lags: it
     acts on ``lag``, the rate as the body's inside follows it, ``tau d lag/dt = rate - lag``, and ``lag`` is scaled down
-    where it would gain energy.
+    where it would gain energy. So is ``inner``, by which the inside gives to acceleration (``pod.inside``).
 
     Parameters
     ----------
@@ -336,11 +370,11 @@ def run_kernel(
         fill_ports(y, rest, gradient, hessian, dt, load[0, :n], tables, ports, True)
         ports.strains[0], ports.tips[0] = ports.strains[1], ports.tips[1]
     work = (values, point, scratch, factor, direction, rows[0], rows[1], rows[2], rows[3])
-    held = (mass, stiff, loose, turning)
-    farthest = _set_out(y, velocity, lag, dt, -1.0, np.inf, tables, work, held)
+    held = (mass, stiff, loose, turning, make_inside(r))
+    farthest = _set_out(y, velocity, lag, inner, dt, (-1.0, np.inf, np.inf), tables, work, held)
     for step in range(len(load)):
         pressure = load[step, :n]
-        begin_step(y, velocity, lag, load[step], dt, tables, held, start, inertia, right)
+        begin_step(y, velocity, lag, inner, load[step], dt, tables, held, start, inertia, right)
         progress[0] = -1.0
         longest = np.inf
         for iteration in range(MAX_ITERATIONS):
@@ -362,10 +396,10 @@ def run_kernel(
             failed += 1
         if with_effects:  # the potential's derivatives are those a last, negligible step ago
             commit_effects(y, rest, bare, hessian, dt, pressure, tables, hooks, ports)
-        kinetic, stored = end_step(y, velocity, lag, dt, tables, held, start)
-        farthest = max(farthest, _set_out(y, velocity, lag, dt, kinetic, stored, tables, work, held))
+        energies = end_step(y, velocity, lag, inner, dt, tables, held, start)
+        farthest = max(farthest, _set_out(y, velocity, lag, inner, dt, energies, tables, work, held))
         if len(path) > 0:
             path[step] = y
         if len(position) > 0:
-            tip_pose(y, lag, tables, values, point, position[step], quaternion[step])
+            tip_pose(y, lag, inner[0], tables, values, point, position[step], quaternion[step])
     return failed, farthest

@@ -69,17 +69,26 @@ def _targets(
     """
     elastic = frame.T @ np.linalg.inv(images.compliance) @ frame
     viscous = frame.T @ images.stiffness @ frame
-    lagging = frame.T @ images.lag_stiffness @ frame / ratio + LAG_FLOOR * viscous
+    lag = _beside_gives(images)
+    lagging = frame.T @ lag.stiffness @ frame / ratio + LAG_FLOOR * viscous
     mass = frame.T @ images.mass @ frame
     factor = np.linalg.cholesky(mass.mean(axis=0))
     inverse = np.linalg.inv(factor)
     weight = np.tile(np.sqrt(np.diag((elastic + viscous).mean(axis=0))), len(frame))
     roots = symmetric_roots(inverse @ mass @ inverse.T) @ factor.T
     goals = {"mass_root": Targets(_flat(roots), weight, settings.root_degree_max, False, ROOT_RIDGE)}
-    apart = np.linalg.inv(elastic_factors(elastic))
-    for name, matrices in (("stiffness_root", viscous - lagging), ("lag_root", lagging)):
-        roots = _flat(symmetric_roots(apart @ matrices @ apart.transpose(0, 2, 1)))
-        goals[name] = Targets(roots, np.ones(roots.shape[2]), settings.root_degree_max, False, ROOT_RIDGE)
+    elastic_factor = elastic_factors(elastic)
+    apart = np.linalg.inv(elastic_factor)
+    for name, matrices in (("lag_root", lagging), ("stiffness_root", viscous - lagging)):
+        tough = symmetric_roots(apart @ matrices @ apart.transpose(0, 2, 1))
+        goals[name] = Targets(_flat(tough), np.ones(tough[0].size), settings.root_degree_max, False, ROOT_RIDGE)
+    tough = tough @ elastic_factor.transpose(0, 2, 1)
+    for name, root, across, own in (
+        ("give_root", roots, images.give_coupling, images.give_mass),
+        ("drag_root", tough, images.give_drag, images.give_viscosity),
+    ):
+        rows = _flat(_rows_beside(root, across @ frame, own))
+        goals[name] = Targets(rows, np.ones(rows.shape[2]), settings.root_degree_max, False, ROOT_RIDGE)
     for name, values, slopes, degree_max in (
         ("centre_of_mass", images.centre_of_mass, images.centre_slope, settings.energy_degree_max),
         ("rotation", images.rotation, images.rotation_slope, settings.map_degree_max),
@@ -87,13 +96,37 @@ def _targets(
         both = np.concatenate([values[:, None], slopes.transpose(0, 2, 1) * largest[:, None]], axis=1)
         goals[name] = Targets(both, np.ones(3), degree_max, True, MAP_RIDGE)
     for name, values, through_origin in (
-        ("lag_rotation", images.lag_spin @ frame, True),
+        ("lag_rotation", lag.spin @ frame, True),
         ("give", images.give, False),
         ("give_rotation", images.give_spin, False),
     ):
         flat = _flat(values)
         goals[name] = Targets(flat, np.ones(flat.shape[2]), settings.map_degree_max, through_origin, MAP_RIDGE)
     return goals
+
+
+class Lag(NamedTuple):
+    """What lags beside what gives: (S, r, r) stiffness and viscosity, (S, 3, r) turn of the tip; see ``Equilibria``."""
+
+    stiffness: np.ndarray
+    viscosity: np.ndarray
+    spin: np.ndarray
+
+
+def _beside_gives(samples: Equilibria) -> Lag:
+    """Return the lags without their share in the shapes by which the body gives; nothing is taken where nothing gives."""
+    shared = np.linalg.pinv(samples.give) @ samples.give_drag
+    return Lag(
+        samples.lag_stiffness - shared.transpose(0, 2, 1) @ samples.give @ shared,
+        samples.lag_viscosity - shared.transpose(0, 2, 1) @ samples.give_viscosity @ shared,
+        samples.lag_spin + samples.give_spin @ shared,
+    )
+
+
+def _rows_beside(root: np.ndarray, across: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Return A above B (S, r + 3, 3) with R'A = ``across``' (S, r, 3) and A'A + B'B = ``own`` (S, 3, 3), R the ``root``."""
+    above = np.linalg.solve(root.transpose(0, 2, 1), across.transpose(0, 2, 1))
+    return np.concatenate([above, symmetric_roots(own - above.transpose(0, 2, 1) @ above)], axis=1)
 
 
 def _flat(values: np.ndarray) -> np.ndarray:
@@ -103,6 +136,7 @@ def _flat(values: np.ndarray) -> np.ndarray:
 
 def _lag_ratio(samples: Equilibria) -> float:
     """Return the viscosity of the lags over their stiffness, one number for all: 1 where nothing lags."""
-    stiffness = float(np.einsum("sij,sji->", samples.compliance, samples.lag_stiffness))
-    viscosity = float(np.einsum("sij,sji->", samples.compliance, samples.lag_viscosity))
+    lag = _beside_gives(samples)
+    stiffness = float(np.einsum("sij,sji->", samples.compliance, lag.stiffness))
+    viscosity = float(np.einsum("sij,sji->", samples.compliance, lag.viscosity))
     return viscosity / stiffness if stiffness > 0.0 else 1.0

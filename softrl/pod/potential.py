@@ -31,7 +31,8 @@ class Tables(NamedTuple):
     mass_slope : (r r r, k) gradient of ``mass_root`` by y, the first axis by which coordinate
     elastic : (pairs, k) J, Hessian of the elastic energy alone at scale 1
     weight : (3, r, k) N/(m/s^2) m, mass times the gradient of the centre of mass by y
-    rotation : (3, k) rad;  lag_rotation : (3 r, k) rad per y, of the lags
+    rotation : (3, k) rad, with what weight turns;  lag_rotation : (3 r, k) rad per y, of the lags
+    give : (9, k) kg s^2;  give_rotation : (9, k) rad s^2/m;  give_root, drag_root : (3 (r + 3), k), see ``pod.inside``
     rest_volume : (n,) m^3;  rest_tip : (3,) m
     rest_slope : (n,) Pa, pressure per relative volume of one chamber at rest, other volumes held and tip free
     gravity : (3,) m/s^2, contained in gradient and hessian
@@ -56,6 +57,10 @@ class Tables(NamedTuple):
     weight: np.ndarray
     rotation: np.ndarray
     lag_rotation: np.ndarray
+    give: np.ndarray
+    give_root: np.ndarray
+    drag_root: np.ndarray
+    give_rotation: np.ndarray
     rest_volume: np.ndarray
     rest_tip: np.ndarray
     rest_slope: np.ndarray

@@ -11,6 +11,7 @@ from softrl.artifacts.reduced_model import ReducedModel
 from softrl.core.errors import SolverError
 from softrl.effects.effect import PORT_KERNEL
 from softrl.pod.batch import run_batch
+from softrl.pod.inside import AXES
 from softrl.pod.inverse import solve_pressures
 from softrl.pod.kernel import run_kernel, tip_pose
 from softrl.pod.polynomial import basis, degree_of
@@ -22,7 +23,7 @@ FAILED_SHARE = 0.01  # of the steps: more that do not converge are no motion
 QUASI_STATIC_S = 1e6  # one implicit step of this length is an equilibrium
 LOAD_STEPS = 4  # an equilibrium is approached in this many equal steps of the load
 WALL = 3.0  # of the largest curvature at rest: what rises outside the samples
-MAPS = ("mass_root", "stiffness_root", "lag_root", "lag_rotation")
+MAPS = ("mass_root", "stiffness_root", "lag_root", "lag_rotation", "give_root", "drag_root")
 PORT = nb.types.FunctionType(PORT_KERNEL)
 
 
@@ -46,10 +47,10 @@ def tables_of(
     r, n = model.order, model.chambers
     mass = mass_scale * model.mass
     weight = gradient_of(model.centre_of_mass, r)  # (r, 3, k)
-    give = mass_scale**2 / youngs_modulus_scale  # to weight, and softer, a body gives more
-    drop = mass * gravity @ model.centre_of_mass
-    settling = 0.5 * give * np.kron(gravity, gravity) @ model.give
-    turn = give / mass_scale * np.einsum("j,ijk->ik", gravity, model.give_rotation.reshape(3, 3, -1))
+    more = mass_scale / youngs_modulus_scale  # heavier, and softer, a body gives more
+    give, give_rotation = mass_scale * more * model.give, more * model.give_rotation
+    drop, settling = mass * gravity @ model.centre_of_mass, 0.5 * np.kron(gravity, gravity) @ give
+    turn = np.einsum("j,ijk->ik", gravity, give_rotation.reshape(3, 3, -1))
     degree = max(2, *(degree_of(r, len(part)) for part in (model.energy, drop, settling)))
     potential = np.zeros(basis(r, degree).monomials)
     potential[: len(model.energy)] = youngs_modulus_scale * model.energy
@@ -58,7 +59,7 @@ def tables_of(
     gradient, hessian = basis(r, degree).derivative(potential), basis(r, degree).hessian(potential)
     turning = gradient_of(model.mass_root, r)
     rotation = _sum(model.rotation, turn)
-    maps = (gradient, weight, rotation, *(getattr(model, name) for name in MAPS))
+    maps = (gradient, weight, rotation, give, give_rotation, *(getattr(model, name) for name in MAPS))
     full = basis(r, max(degree_of(r, table.shape[-1]) for table in maps if table.shape[-1]))
     inverse = np.linalg.inv(model.frame)
     quadratic = youngs_modulus_scale * elastic_hessian_at_rest(model)
@@ -84,6 +85,10 @@ def tables_of(
                 mass * weight.transpose(1, 0, 2),
                 rotation,
                 model.lag_rotation,
+                give,
+                more * model.give_root,
+                more * model.drag_root,
+                give_rotation,
                 model.rest_volume,
                 model.rest_tip,
                 np.diag(np.linalg.inv(compliance[:n, :n])) * model.rest_volume,
@@ -155,6 +160,7 @@ def no_hooks() -> tuple[Any, ...]:
     return _NO_HOOKS[0]
 
 
+STILL = np.zeros((2, AXES))  # an inside that gives to nothing
 EMPTY = (np.empty((0, 3)), np.empty((0, 4)))
 
 
@@ -190,6 +196,7 @@ def static_points(tables: Tables, loads: np.ndarray) -> tuple[np.ndarray, np.nda
             y,
             velocity,
             np.zeros(r),
+            STILL.copy(),
             np.zeros(r),
             QUASI_STATIC_S,
             np.ascontiguousarray(ramp * load),
@@ -199,9 +206,8 @@ def static_points(tables: Tables, loads: np.ndarray) -> tuple[np.ndarray, np.nda
             *EMPTY,
         )
         again = y.copy()
-        missed, _ = run_kernel(
-            again, *np.zeros((3, r)), QUASI_STATIC_S, load[None].copy(), tables, no_hooks(), path[:0], *EMPTY
-        )
+        still = *np.zeros((2, r)), STILL.copy(), np.zeros(r)
+        missed, _ = run_kernel(again, *still, QUASI_STATIC_S, load[None].copy(), tables, no_hooks(), path[:0], *EMPTY)
         found[s], failed[s] = again, missed > 0 or not np.isfinite(again).all()
     return found, failed
 
@@ -212,7 +218,7 @@ def tip_poses(model: ReducedModel, coordinate: np.ndarray) -> tuple[np.ndarray, 
     position, quaternion = np.empty((len(coordinate), 3)), np.empty((len(coordinate), 4))
     values, point, still = np.empty(len(tables.parent)), np.empty(model.order), np.zeros(model.order)
     for k, y in enumerate(coordinate @ tables.inverse.T):
-        tip_pose(y, still, tables, values, point, position[k], quaternion[k])
+        tip_pose(y, still, STILL[0], tables, values, point, position[k], quaternion[k])
     return position, quaternion
 
 
@@ -275,7 +281,7 @@ def roll_poses(
     held = np.ascontiguousarray(loads, dtype=float)
     failed, farthest = 0, 0.0
     for b in range(batch):
-        moving = first[b].copy(), rate[b].copy(), rate[b].copy(), np.zeros(r)
+        moving = first[b].copy(), rate[b].copy(), rate[b].copy(), STILL.copy(), np.zeros(r)
         missed, far = run_kernel(*moving, dt_s, held[b], tables, no_hooks(), path[b], position, quaternion[b])
         failed, farthest = failed + missed, max(farthest, far)
     _check(path, failed, farthest, model, dt_s)
@@ -320,24 +326,33 @@ def mechanical_energy(
     velocity: np.ndarray,
     gravity_m_s2: np.ndarray | None = None,
     lag: np.ndarray | None = None,
+    inner: np.ndarray | None = None,
     dt_s: float = 0.0,
 ) -> np.ndarray:
     """Return kinetic, elastic and weight's energy (S,) J at z and its rate (S, n + 3), within the samples' ball.
 
-    ``lag`` (S, n + 3) is the lagged rate, in which further elastic energy is stored; none if None. Between steps of
-    ``dt_s`` that store is the one half a step ahead.
+    ``lag`` (S, n + 3) is the lagged rate, in which further elastic energy is stored; between steps of ``dt_s`` that
+    store is the one half a step ahead. ``inner`` (S, 2, 3) is how far the inside gives, and its rate. None: nothing.
     """
     r = model.order
     inverse = np.linalg.inv(model.frame)
     y, rate = coordinate @ inverse.T, velocity @ inverse.T
-    widest = max(len(model.energy), model.centre_of_mass.shape[1], model.give.shape[1], model.mass_root.shape[1])
+    maps = (model.energy, model.centre_of_mass, model.give, model.mass_root, model.give_root)
+    widest = max(part.shape[-1] for part in maps)
     values = basis(r, degree_of(r, widest)).values(y)
     gravity = np.asarray(model.gravity_m_s2 if gravity_m_s2 is None else gravity_m_s2, dtype=float)
     height = values[:, : model.centre_of_mass.shape[1]] @ model.centre_of_mass.T
     settling = 0.5 * values[:, : model.give.shape[1]] @ (np.kron(gravity, gravity) @ model.give)
     root = values[:, : model.mass_root.shape[1]] @ model.mass_root.T
     moving = np.einsum("sij,sj->si", root.reshape(-1, r, r), rate)
-    energy = 0.5 * (moving**2).sum(axis=1) + values[:, : len(model.energy)] @ model.energy - model.mass * height @ gravity - settling
+    energy = 0.5 * (moving**2).sum(axis=1) + values[:, : len(model.energy)] @ model.energy
+    energy -= model.mass * height @ gravity + settling
+    if inner is not None:
+        give = (values[:, : model.give.shape[1]] @ model.give.T).reshape(-1, 3, 3)
+        rows = (values[:, : model.give_root.shape[1]] @ model.give_root.T).reshape(-1, r + 3, 3)
+        pushed = np.einsum("sij,sj->si", rows, inner[:, 1])
+        energy += 0.5 * (pushed**2).sum(axis=1) + (moving * pushed[:, :r]).sum(axis=1)
+        energy += 0.5 * np.einsum("sj,sjk,sk->s", inner[:, 0], give, inner[:, 0])
     if lag is None or not model.lag_root.size:
         return energy
     loose = _lag_roots(model, y + 0.5 * dt_s * rate)

@@ -13,7 +13,7 @@ from softrl.artifacts.reduced_model import ReducedModel
 from softrl.pod.kernel import run_kernel
 from softrl.pod.polynomial import basis, degree_of
 from softrl.pod.potential import Tables, fill_potential
-from softrl.pod.rom import EMPTY, elastic_hessian_at_rest, gradient_of, no_hooks, static_points, tables_of
+from softrl.pod.rom import EMPTY, STILL, elastic_hessian_at_rest, gradient_of, no_hooks, static_points, tables_of
 from softrl.pod.symmetry import Equilibria
 from softrl.robots.robot import Robot
 
@@ -40,7 +40,8 @@ def settles(model: ReducedModel, loads: np.ndarray) -> bool:
         return False
     held = np.repeat(loads, THROW_STEPS, axis=0)
     path = np.empty_like(held)
-    failed, _ = run_kernel(*np.zeros((4, model.order)), THROW_STEP / slowest, held, tables, no_hooks(), path, *EMPTY)
+    still = *np.zeros((3, model.order)), STILL.copy(), np.zeros(model.order)
+    failed, _ = run_kernel(*still, THROW_STEP / slowest, held, tables, no_hooks(), path, *EMPTY)
     apart = np.linalg.norm(((path[THROW_STEPS - 1 :: THROW_STEPS] - points) @ model.frame.T)[:, -3:], axis=1)
     return failed == 0 and bool((apart < LOST * np.linalg.norm(points @ model.frame.T[:, -3:], axis=1).mean()).all())
 
@@ -103,7 +104,7 @@ def equilibria_of(model: ReducedModel, loads: np.ndarray) -> Equilibria:
     none = np.zeros((len(points), 0))
     return Equilibria(
         (slope[stable] @ model.energy) @ inverse, points @ model.frame.T, table.values(points) @ model.energy, compliance,
-        bent, *(none for _ in range(13)),
+        bent, *(none for _ in range(15)),
     )
 
 

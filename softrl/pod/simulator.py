@@ -13,7 +13,7 @@ from softrl.core.errors import ArtifactError, ConfigError, SolverError
 from softrl.core.simulator import Hook, Motion
 from softrl.pod.kernel import run_kernel, tip_pose
 from softrl.pod.potential import Tables
-from softrl.pod.rom import LOAD_STEPS, QUASI_STATIC_S, no_hooks, tables_of, typed_hooks, warn_beyond
+from softrl.pod.rom import LOAD_STEPS, QUASI_STATIC_S, STILL, no_hooks, tables_of, typed_hooks, warn_beyond
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
@@ -27,12 +27,14 @@ _reported: dict[str, float] = {}
 class RomState(NamedTuple):
     """Coordinates z (n + 3,), chambers' volumes then tip relative to stress-free rest, m^3 and m; their velocity.
 
-    ``lag`` (n + 3,) is the velocity as the body's inside follows it.
+    ``lag`` (n + 3,) is the velocity as the body's inside follows it, ``inner`` (2, 3) how far that gives beyond what
+    weight makes it give, in units of acceleration, m/s^2, and its rate.
     """
 
     coordinates: np.ndarray
     velocity: np.ndarray
     lag: np.ndarray
+    inner: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -105,11 +107,12 @@ class RomSimulator:
         for _ in range(LOAD_STEPS):
             before = y.copy()
             # a step on the way may fail, as where the tip is thrown out of a surface: what counts is where it comes to rest
-            self._run(y, *np.zeros((3, r)), QUASI_STATIC_S, load, loads_only, 0, failed_share=1.0)
+            still = *np.zeros((2, r)), STILL.copy(), np.zeros(r)
+            self._run(y, *still, QUASI_STATIC_S, load, loads_only, 0, failed_share=1.0)
             load[:] = load[-1]
             if np.abs(y - before).max() < 1e-8:
                 break
-        self._run(y, *np.zeros((3, r)), QUASI_STATIC_S, load, loads_only, 0)
+        self._run(y, *np.zeros((2, r)), STILL.copy(), np.zeros(r), QUASI_STATIC_S, load, loads_only, 0)
         return y
 
     def _run(
@@ -117,6 +120,7 @@ class RomSimulator:
         y: np.ndarray,
         velocity: np.ndarray,
         lag: np.ndarray,
+        inner: np.ndarray,
         rest: np.ndarray,
         dt_s: float,
         load: np.ndarray,
@@ -124,11 +128,11 @@ class RomSimulator:
         poses: int,
         failed_share: float = FAILED_SHARE,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Advance ``y``, ``velocity`` and ``lag`` in place; return ``poses`` positions (., 3) and quaternions (., 4)."""
+        """Advance what moves in place; return ``poses`` positions (., 3) and quaternions (., 4)."""
         position, quaternion = np.empty((poses, 3)), np.empty((poses, 4))
         path = np.empty((0, len(y)))
         failed, farthest = run_kernel(
-            y, velocity, lag, rest, dt_s, load, self._tables, hooks, path, position, quaternion
+            y, velocity, lag, inner, rest, dt_s, load, self._tables, hooks, path, position, quaternion
         )
         if failed > failed_share * len(load) or not np.isfinite(y).all():
             raise SolverError(
@@ -158,12 +162,12 @@ class RomSimulator:
     def equilibrium(self, pressure: np.ndarray) -> RomState:
         """Return the state at rest under ``pressure`` (n,) Pa and weight."""
         z = self.reduced_model.frame @ self._equilibrium(no_hooks(), np.asarray(pressure, dtype=float))
-        return RomState(z, np.zeros_like(z), np.zeros_like(z))
+        return RomState(z, np.zeros_like(z), np.zeros_like(z), STILL.copy())
 
     def reset(self, rng: np.random.Generator | None = None) -> RomState:
         """Return the state at rest under zero pressure and weight; ``rng`` is unused."""
         z = self.reduced_model.frame @ self._rest
-        return RomState(z, np.zeros_like(z), np.zeros_like(z))
+        return RomState(z, np.zeros_like(z), np.zeros_like(z), STILL.copy())
 
     def step(
         self,
@@ -180,17 +184,19 @@ class RomSimulator:
         from the equilibrium under weight alone.
         """
         tables = self._tables
-        y, velocity, lag = (tables.inverse @ part for part in state)
+        y, velocity, lag = (tables.inverse @ part for part in state[:3])
+        inner = state.inner.copy()
         held = self._loads(pressure, tip_force)
-        self._run(y, velocity, lag, self._rest, float(dt_s), held, _running(body, load), 0)
-        return RomState(*(tables.frame @ part for part in (y, velocity, lag)))
+        self._run(y, velocity, lag, inner, self._rest, float(dt_s), held, _running(body, load), 0)
+        return RomState(*(tables.frame @ part for part in (y, velocity, lag)), inner)
 
     def observe(self, state: RomState) -> tuple[np.ndarray, np.ndarray]:
         """Return tip position (3,) m and quaternion (4,) w x y z."""
         tables = self._tables
         position, quaternion = np.empty(3), np.empty(4)
         values, point = np.empty(len(tables.parent)), np.empty(len(tables.frame))
-        tip_pose(tables.inverse @ state.coordinates, tables.inverse @ state.lag, tables, values, point, position, quaternion)
+        y, lag = tables.inverse @ state.coordinates, tables.inverse @ state.lag
+        tip_pose(y, lag, state.inner[0], tables, values, point, position, quaternion)
         return position, quaternion
 
     def simulate(
@@ -208,7 +214,7 @@ class RomSimulator:
         hooks = typed_hooks(body, load) if body or load else no_hooks()
         rest = self._equilibrium(hooks) if load else self._rest
         held = self._loads(pressure, tip_force)
-        moving = rest.copy(), *np.zeros((2, len(rest)))
+        moving = rest.copy(), *np.zeros((2, len(rest))), STILL.copy()
         position, quaternion = self._run(*moving, rest, float(time[1] - time[0]), held, hooks, len(held))
         return Motion(np.asarray(time, dtype=float), position, quaternion, held[:, : self.robot.chambers].copy())
 

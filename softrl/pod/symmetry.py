@@ -39,6 +39,8 @@ class Equilibria(NamedTuple):
     give_spin: np.ndarray
     give_mass: np.ndarray
     give_coupling: np.ndarray
+    give_viscosity: np.ndarray
+    give_drag: np.ndarray
     rotation: np.ndarray
     rotation_slope: np.ndarray
 
@@ -67,6 +69,8 @@ def equilibria(snapshots: Snapshots) -> Equilibria:
         snapshots.give_spin,
         snapshots.give_mass,
         snapshots.give_coupling @ inverse,
+        snapshots.give_viscosity,
+        snapshots.give_drag @ inverse,
         rotation := rotation_vector(snapshots.tip_quaternion),
         per_spin(rotation) @ snapshots.tip_spin,
     )
@@ -136,6 +140,8 @@ def reflected(samples: Equilibria, operations: list[Symmetry]) -> Equilibria:
                 np.linalg.det(vector) * vector @ samples.give_spin @ vector.T,
                 vector @ samples.give_mass @ vector.T,
                 vector @ samples.give_coupling @ g.T,
+                vector @ samples.give_viscosity @ vector.T,
+                vector @ samples.give_drag @ g.T,
                 np.linalg.det(vector) * samples.rotation @ vector.T,
                 np.linalg.det(vector) * vector @ samples.rotation_slope @ g.T,
             )

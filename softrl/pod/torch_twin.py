@@ -5,6 +5,7 @@ import torch
 from torch import Tensor
 
 from softrl.artifacts.reduced_model import ReducedModel
+from softrl.pod.kernel import AGAIN
 from softrl.pod.potential import PIVOT
 from softrl.pod.rom import tables_of
 
@@ -35,6 +36,9 @@ class TorchRom(torch.nn.Module):
     stiffness_root: Tensor
     lag_root: Tensor
     mass_slope: Tensor
+    give: Tensor
+    give_root: Tensor
+    drag_root: Tensor
     elastic: Tensor
     degrees: Tensor
     quadratic: Tensor
@@ -52,7 +56,8 @@ class TorchRom(torch.nn.Module):
         tables = tables_of(model, gravity_m_s2, youngs_modulus_scale, damping_scale, mass_scale)
         self.order = r = model.order
         for name in (
-            "frame", "inverse", "gradient", "mass_root", "stiffness_root", "lag_root", "mass_slope", "degrees", "quadratic"
+            "frame", "inverse", "gradient", "mass_root", "stiffness_root", "lag_root", "mass_slope", "degrees", "quadratic",
+            "give", "give_root", "drag_root",
         ):  # fmt: skip
             self.register_buffer(name, torch.tensor(getattr(tables, name), dtype=dtype))
         pairs = np.zeros((r, r), dtype=int)
@@ -62,7 +67,7 @@ class TorchRom(torch.nn.Module):
             self.register_buffer(name, torch.tensor(getattr(tables, name)[pairs.ravel()], dtype=dtype))
         scales = [float(scale) for scale in tables.scales]
         self.mass_scale, self.mass_damping, self.stiffness_damping, self.wall, self.lag_time = scales[:5]
-        roots = (tables.mass_root, tables.stiffness_root, tables.lag_root)
+        roots = tables.mass_root, tables.stiffness_root, tables.lag_root, tables.give, tables.give_root, tables.drag_root
         most = max(tables.gradient.shape[1], tables.elastic.shape[1], *(root.shape[1] for root in roots))
         self._levels: list[tuple[Tensor, Tensor]] = []
         for degree in range(1, int(tables.degrees[most - 1]) + 1):
@@ -75,46 +80,65 @@ class TorchRom(torch.nn.Module):
     ) -> Tensor:
         """Return M a + M' v - grad(v'M v) / 2 + D v + dW/dz - weight - load, (B, n + 3) Pa and N; zero along a motion.
 
-        Without ``lag``, the lagged rate (B, n + 3), the body's inside is taken to keep up, as in a slow motion.
+        Without ``lag``, the lagged rate (B, n + 3), the body's inside is taken to keep up, as in a slow motion; that it
+        gives to acceleration, a few per cent of inertia in a fast one, is left out.
         """
         y, rate, change = z @ self.inverse.T, velocity @ self.inverse.T, acceleration @ self.inverse.T
-        mass, turning = self._inertia(y, rate)
-        stiff, loose = self._viscosity(y)
+        mass, turning, *_ = self._inertia(y, rate)
+        stiff, loose, *_ = self._viscosity(y)
         late = rate if lag is None else lag @ self.inverse.T
         viscous = self.stiffness_damping * (_times(stiff, rate) + _times(loose, late)) + _times(self.mass_damping * mass, rate)
         inside = _times(self.mass_scale * mass, change) - self.mass_scale * turning + viscous + self._slope(y)
         return inside @ self.inverse - load
 
     def step(
-        self, z: Tensor, velocity: Tensor, lag: Tensor, load: Tensor, dt_s: float
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Return z, its rate and the lagged rate ``dt_s`` later, (B, n + 3) each, by implicit Euler, the load held.
+        self, z: Tensor, velocity: Tensor, lag: Tensor, inner: Tensor, load: Tensor, dt_s: float
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return z, its rate, the lagged rate (B, n + 3) and ``inner`` (B, 2, 3) ``dt_s`` later, by implicit Euler.
 
-        The iteration runs outside the graph; a last Newton step from its end carries the exact first derivatives.
+        The load is held. The iteration runs outside the graph; a last Newton step from its end carries the exact first
+        derivatives. ``inner`` is that of ``pod.inside``.
         """
         start, rate, late = z @ self.inverse.T, velocity @ self.inverse.T, lag @ self.inverse.T
-        mass, turning = self._inertia(start, rate)
-        stiff, loose = self._viscosity(start + 0.5 * dt_s * rate)
-        hold = self.lag_time / (self.lag_time + dt_s)
-        force = load @ self.frame + self.mass_scale * turning - self.stiffness_damping * hold * _times(loose, late)
-        damping = self.mass_damping * mass + self.stiffness_damping * (stiff + (1.0 - hold) * loose)
-        free = self.mass_scale * mass / dt_s**2
-        inertia = free + damping / dt_s
-        right = _times(free, start + dt_s * rate) + _times(damping, start) / dt_s + force
+        mass, turning, couple, own, give = self._inertia(start + dt_s * rate, rate)
+        stiff, loose, drag, tough = self._viscosity(start + 0.5 * dt_s * rate)
+        hold, viscous = self.lag_time / (self.lag_time + dt_s), self.stiffness_damping / dt_s
+        free, rub = self.mass_scale / dt_s**2, self.mass_damping / dt_s
+        ahead, (gives, giving) = start + dt_s * rate, inner.unbind(1)
+        flown = free * (gives + dt_s * giving) + rub * gives
+        moved = free * ahead + rub * start
+        inertia = (free + rub) * mass + viscous * (stiff + (1.0 - hold) * loose)
+        right = load @ self.frame + self.mass_scale * turning - dt_s * viscous * hold * _times(loose, late)
+        right = right + _times(mass, moved) + viscous * _times(stiff + (1.0 - hold) * loose, start)
+        right = right + _times(couple, flown) + viscous * _times(drag, gives)
+        pull = (free + rub) * couple + viscous * drag
+        push = _times(own, flown) + viscous * _times(tough, gives)
+        push = push + _times(couple.transpose(1, 2), moved) + viscous * _times(drag.transpose(1, 2), start)
+        apart = torch.linalg.pinv((free + rub) * own + viscous * tough + give, rtol=1e-12, hermitian=True)
+        share = pull @ apart
+        inertia, right = inertia - share @ pull.transpose(1, 2), right - _times(share, push)
         with torch.no_grad():
-            y = self._solve(start + dt_s * rate, inertia, right)
+            y = self._solve(ahead, inertia, right)
             jacobian = self._curvature(y) + inertia
         left = self._slope(y) + _times(inertia, y) - right
         y = y - torch.linalg.solve(jacobian, left.unsqueeze(-1)).squeeze(-1)
-        moved = (y - start) / dt_s
+        given = _times(apart, push - _times(pull.transpose(1, 2), y))
+        moved, giving = (y - start) / dt_s, (given - gives) / dt_s
         late = hold * late + (1.0 - hold) * moved
-        later, _ = self._inertia(y, moved)
-        spared = _dot(moved, _times(mass, moved)) - 2.0 * dt_s * _dot(turning, moved)
-        moved = moved * _root_ratio(spared.clamp(min=0.0), _dot(moved, _times(later, moved)))
-        _, tighter = self._viscosity(y + 0.5 * dt_s * moved)
+        spared = _dot(moved, _times(mass, moved)) + _shared(moved, giving, couple, own) - 2.0 * dt_s * _dot(turning, moved)
+        bent = _dot(given, _times(give, given))
+        for _ in range(AGAIN):
+            later, _, couple, own, give = self._inertia(y + dt_s * moved, moved)
+            now = _dot(moved, _times(later, moved)) + _shared(moved, giving, couple, own)
+            ratio = _root_ratio(spared.clamp(min=0.0), now)
+            moved, giving = moved * ratio, giving * ratio
+        now = _dot(given, _times(give, given))
+        given = given * _root_ratio(torch.minimum(bent, now), now)
+        _, tighter, _, _ = self._viscosity(y + 0.5 * dt_s * moved)
         stored, held = _dot(late, _times(loose, late)), _dot(late, _times(tighter, late))
         late = late * _root_ratio(torch.minimum(stored, held), held)
-        return y @ self.frame.T, moved @ self.frame.T, late @ self.frame.T
+        inner = torch.stack([given, giving], dim=1)
+        return y @ self.frame.T, moved @ self.frame.T, late @ self.frame.T, inner
 
     def _solve(self, y: Tensor, inertia: Tensor, right: Tensor) -> Tensor:
         """Return the solution of the implicit step, by Newton with halved steps where the slope along them turns."""
@@ -185,11 +209,16 @@ class TorchRom(torch.nn.Module):
         bending = bending + 6.0 * self.wall * beyond
         return inner + cross + cross.transpose(1, 2) + (bending - along) * outer + along * identity
 
-    def _inertia(self, y: Tensor, rate: Tensor) -> tuple[Tensor, Tensor]:
-        """Return mass (B, r, r) in y, and the force (B, r) of inertia at constant ``rate``, both at scale 1."""
+    def _inertia(self, y: Tensor, rate: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """Return mass (B, r, r) in y, and the force (B, r) of inertia at constant ``rate``, both at scale 1.
+
+        After them come the inside's mass with the coordinates (B, r, 3), its own (B, 3, 3) and its stiffness (B, 3, 3).
+        """
         u, radius = self._ball(y)
-        values, r = self._monomials(u, self.mass_root.shape[1]), self.order
-        root = (values @ self.mass_root.T).reshape(-1, r, r)
+        maps = self.mass_root, self.give_root, self.give
+        values, r = self._monomials(u, max(part.shape[1] for part in maps)), self.order
+        root, rows, give = (values[:, : part.shape[1]] @ part.T for part in maps)
+        root, give = root.reshape(-1, r, r), give.reshape(-1, 3, 3)
         slope = (values[:, : self.mass_slope.shape[1]] @ self.mass_slope.T).reshape(-1, r, r, r)  # by, row, column
 
         def tangent(x: Tensor) -> Tensor:
@@ -200,18 +229,21 @@ class TorchRom(torch.nn.Module):
         changed = torch.einsum("bja,bj->ba", turned, along)
         force = tangent(_times(turned, moved))
         force = force - torch.einsum("bjai,bj,ba->bi", slope, along, moved) - _times(root.transpose(1, 2), changed)
-        return root.transpose(1, 2) @ root, force
+        couple, own = _beside(root, rows)
+        return root.transpose(1, 2) @ root, force, couple, own, 0.5 * (give + give.transpose(1, 2))
 
-    def _viscosity(self, y: Tensor) -> tuple[Tensor, Tensor]:
-        """Return viscosity without what lags, and what lags (B, r, r) in y."""
+    def _viscosity(self, y: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return viscosity without what lags, and what lags (B, r, r) in y.
+
+        After them come the inside's viscosity with the coordinates (B, r, 3) and its own (B, 3, 3).
+        """
         u, _ = self._ball(y)
-        roots = self.stiffness_root, self.lag_root
+        roots = self.stiffness_root, self.lag_root, self.drag_root
         values = self._monomials(u, max(self.elastic.shape[1], *(root.shape[1] for root in roots)))
         behind = self._elastic_factor(values).transpose(1, 2)
-        stiff, loose = (
-            _square((values[:, : root.shape[1]] @ root.T).reshape(-1, self.order, self.order) @ behind) for root in roots
-        )
-        return stiff, loose
+        stiff, loose, rows = (values[:, : root.shape[1]] @ root.T for root in roots)
+        stiff, loose = (root.reshape(-1, self.order, self.order) @ behind for root in (stiff, loose))
+        return _square(stiff), _square(loose), *_beside(stiff, rows)
 
     def _elastic_factor(self, values: Tensor) -> Tensor:
         """Return U (B, r, r) of ``pod.potential.fill_elastic_factor``."""
@@ -249,6 +281,17 @@ def _root_ratio(goal: Tensor, now: Tensor) -> Tensor:
     still = now <= 0.0
     ratio = torch.where(still, torch.ones_like(now), goal) / torch.where(still, torch.ones_like(now), now)
     return ratio.clamp(min=1e-30).sqrt().unsqueeze(1)
+
+
+def _beside(root: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
+    """Return R'A (B, r, 3) and A'A + B'B (B, 3, 3) of ``root`` R (B, r, r) and ``rows``, A above B."""
+    rows = rows.reshape(len(rows), -1, 3)
+    return root.transpose(1, 2) @ rows[:, : root.shape[1]], rows.transpose(1, 2) @ rows
+
+
+def _shared(moved: Tensor, giving: Tensor, couple: Tensor, own: Tensor) -> Tensor:
+    """Return twice the kinetic energy (B,) of the inside and of what it shares with the coordinates."""
+    return _dot(giving, _times(own, giving)) + 2.0 * _dot(moved, _times(couple, giving))
 
 
 def _square(root: Tensor) -> Tensor:

@@ -163,8 +163,8 @@ def solved_inside(cells: int, exact, material, size=0.02, element_order: int = 2
         gradient = np.zeros_like(pose.position)
         blocks = np.zeros((len(pairs.first), 3, 3))
         energy = ASSEMBLERS[q.elements.shape[1]](
-            type(material).kernel, parameters, bulk, pose.position, q.elements, q.gradients, q.weights, order,
-            pairs.element_slots, gradient, blocks,
+            type(material).kernel, parameters, bulk, np.zeros(3), pose.position, pose.position, q.elements, q.gradients,
+            q.weights, order, pairs.element_slots, gradient, blocks,
         )
         return Value(energy, gradient, blocks if order >= TANGENT else None)
 

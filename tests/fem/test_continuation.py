@@ -62,7 +62,7 @@ def test_a_strip_that_stiffens_or_softens_fast_but_smoothly_is_followed(rise: fl
 
 def test_a_smooth_path_takes_no_more_factorisations_than_newton_from_prediction_to_prediction(box: Mesh) -> None:
     model, robot = model_of(box), box_robot(2)
-    loads, scale = sobol_loads(robot, 6, 0.25, 0), load_scale(robot)
+    loads, scale = sobol_loads(robot, 6, 0.25, np.zeros(3), 0), load_scale(robot)
     before, pose = np.zeros(5), model.rest()
     for load, end in zip(loads, follow(model, loads, scale, 0.8), strict=True):
         assert isinstance(end, Equilibrium) and end.cost.halvings == 0

@@ -12,6 +12,8 @@ from softrl.robots.robot import Robot
 YOUNG_PA, MASS_KG = 1e6, 0.5
 LAG_SHARE, LAG_RATIO = 0.2, 1.3  # of the viscosity lags, by so many times the stiffness damping
 STROKE_N_PER_PA = 1e-3  # effective area of a chamber
+GIVE = np.diag([8e-5, 7e-5, 4e-5])  # kg s^2, the inside; with mass and viscosity of its own, and shared with the tip
+GIVE_MASS, GIVE_COUPLING, GIVE_DRAG = 2e-8 * np.eye(3), 0.3 * GIVE, 0.02 * np.eye(3)
 
 
 def robot_with(chambers: int) -> Robot:
@@ -158,28 +160,39 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
 
 
 def march(law: Law, loads: np.ndarray, dt: float, mass_damping: float, stiffness_damping: float) -> np.ndarray:
-    """Return z (steps, n + 3) by implicit Euler in SI with mass, damping at the start of each step; from rest.
+    """Return z (steps, n + 3) by implicit Euler in SI, from rest, the inside's three coordinates solved for with the rest.
 
-    The stiffness in the damping is the law's Hessian half a step ahead; a share of it lags.
+    Mass is that a step ahead; the stiffness in the damping is the law's Hessian half a step ahead, a share of it lags.
     """
-    z, v, u, path = np.zeros(loads.shape[1]), np.zeros(loads.shape[1]), np.zeros(loads.shape[1]), []
+    r = loads.shape[1]
+    z, v, u, path = np.zeros(r + 3), np.zeros(r + 3), np.zeros(r), []
     hold = LAG_RATIO * stiffness_damping / (LAG_RATIO * stiffness_damping + dt)
     for load in loads:
-        mass, stiffness = law.mass(z), law.hessian(z + 0.5 * dt * v)
-        damping = mass_damping * mass + stiffness_damping * (1.0 - LAG_SHARE * hold) * stiffness
-        pull = LAG_SHARE * stiffness_damping * hold * stiffness @ u
-        load = load + law.turning(z, v)
+        stiffness = law.hessian((z + 0.5 * dt * v)[:r])
+        mass = joint(law.mass((z + dt * v)[:r]), GIVE_COUPLING, GIVE_MASS)
+        viscosity = joint((1.0 - LAG_SHARE * hold) * stiffness, GIVE_DRAG, GIVE)
+        damping = mass_damping * mass + stiffness_damping * viscosity
+        force = np.r_[load + law.turning((z + dt * v)[:r], v[:r]), np.zeros(3)]
+        force[:r] -= LAG_SHARE * stiffness_damping * hold * stiffness @ u
         trial = z + dt * v
         for _ in range(40):
-            residual = mass @ (trial - z - dt * v) / dt**2 + damping @ (trial - z) / dt + pull + law.gradient(trial) - load
-            step = np.linalg.solve(law.hessian(trial) + mass / dt**2 + damping / dt, residual)
+            held = np.r_[law.gradient(trial[:r]), GIVE @ trial[r:]]
+            residual = mass @ (trial - z - dt * v) / dt**2 + damping @ (trial - z) / dt + held - force
+            matrix = joint(law.hessian(trial[:r]), 0.0 * GIVE, GIVE) + mass / dt**2 + damping / dt
+            step = np.linalg.solve(matrix, residual)
             trial = trial - step
-            if np.abs(step[law.chambers :]).max() < 1e-15:
+            if np.abs(step[law.chambers : r]).max() < 1e-15:
                 break
         v, z = (trial - z) / dt, trial
-        u = hold * u + (1.0 - hold) * v
-        path.append(z)
+        u = hold * u + (1.0 - hold) * v[:r]
+        path.append(z[:r])
     return np.array(path)
+
+
+def joint(matrix: np.ndarray, with_tip: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Return a matrix (n + 6, n + 6) of the coordinates and the inside, which shares with the tip alone."""
+    across = np.vstack([np.zeros((len(matrix) - 3, 3)), with_tip])
+    return np.block([[matrix, across], [across.T, own]])
 
 
 def synthetic_snapshots(robot: Robot, samples: int, seed: int, trajectories: int = 2, steps: int = 60) -> Snapshots:
@@ -191,6 +204,8 @@ def synthetic_snapshots(robot: Robot, samples: int, seed: int, trajectories: int
     z = np.array([law.equilibrium(load) for load in loads])
     compliance = np.array([np.linalg.inv(law.hessian(point)) for point in z])
     compliance = 0.5 * (compliance + compliance.transpose(0, 2, 1))
+    shared = joint(np.zeros((n + 3, n + 3)), GIVE_DRAG, np.zeros((3, 3)))[: n + 3, n + 3 :]
+    shared = shared @ np.linalg.inv(GIVE) @ shared.T  # of what lags, the share in the shapes that give
     turned = np.array([law.rotation(point) for point in z])
     masses, stiffness = np.array([law.mass(point) for point in z]), np.array([law.hessian(point) for point in z])
     nodes = np.stack([rng.uniform(-0.05, 0.05, 40), rng.uniform(-0.05, 0.05, 40), rng.uniform(0, 0.18, 40)], axis=1)
@@ -211,15 +226,17 @@ def synthetic_snapshots(robot: Robot, samples: int, seed: int, trajectories: int
         compliance_slope=np.array([law.compliance_slope(point) for point in z]),
         tangent_stiffness=compliance @ stiffness @ compliance,
         tangent_mass=compliance @ masses @ compliance,
-        lag_stiffness=LAG_RATIO * LAG_SHARE * stiffness,
-        lag_viscosity=LAG_RATIO**2 * LAG_SHARE * stiffness,
+        lag_stiffness=LAG_RATIO * LAG_SHARE * stiffness + shared,
+        lag_viscosity=LAG_RATIO**2 * LAG_SHARE * stiffness + shared,
         lag_spin=np.zeros((samples, 3, n + 3)),
         centre_of_mass=np.array([law.centre_of_mass(point) for point in z]),
         centre_slope=np.array([differences(law.centre_of_mass, point) for point in z]) @ compliance,
-        give=np.zeros((samples, 3, 3)),
+        give=np.tile(GIVE, (samples, 1, 1)),
         give_spin=np.zeros((samples, 3, 3)),
-        give_mass=np.zeros((samples, 3, 3)),
-        give_coupling=np.zeros((samples, 3, n + 3)),
+        give_mass=np.tile(GIVE_MASS, (samples, 1, 1)),
+        give_coupling=np.hstack([np.zeros((3, n)), GIVE_COUPLING]) @ compliance,
+        give_viscosity=np.tile(GIVE, (samples, 1, 1)),
+        give_drag=np.hstack([np.zeros((3, n)), GIVE_DRAG]) @ compliance,
         tip_spin=np.linalg.inv(per_spin(turned)) @ np.array([differences(law.rotation, point) for point in z]) @ compliance,
         tip_quaternion=np.array([quaternion(turn) for turn in turned]),
         displacement=shape.astype(np.float32),

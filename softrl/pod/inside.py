@@ -1,0 +1,177 @@
+"""How the body's inside gives to acceleration, compiled: shapes in which volumes and tip stay, with mass of their own.
+
+``inner`` (2, 3) is how far the inside gives beyond what weight makes it give, in units of the acceleration to which it
+would, and its rate. Its equations are linear in a step, so that it is eliminated from them: Newton's iteration sees
+another inertia, and no further unknowns.
+"""
+
+from typing import Any, NamedTuple
+
+import numba as nb
+import numpy as np
+
+from softrl.pod.potential import fill_rows
+
+AXES = 3
+LEAST = 1e-12  # of the cube of a matrix's trace: a smaller determinant is none
+
+
+class Inside(NamedTuple):
+    """What is held of the inside during a step of ``r`` coordinates; scaled by the body's mass as ``mass`` is not.
+
+    Attributes
+    ----------
+    couple : (r, 3) with the coordinates in the mass;  own : (3, 3) mass
+    drag, tough : (r, 3) and (3, 3), likewise in the viscosity
+    give : (3, 3) kg s^2, stiffness of the inside, which is also its answer to acceleration
+    inverse : (3, 3) of the matrix of a step;  push : (3,) and pull : (r, 3) its right side, and what ties it to the rest
+    rows : (3 (r + 3),), gives : (9,) scratch
+    """
+
+    couple: np.ndarray
+    own: np.ndarray
+    drag: np.ndarray
+    tough: np.ndarray
+    give: np.ndarray
+    inverse: np.ndarray
+    push: np.ndarray
+    pull: np.ndarray
+    rows: np.ndarray
+    gives: np.ndarray
+
+
+@nb.njit(cache=True)
+def make_inside(r: int) -> Inside:
+    """Return the room that ``r`` coordinates need."""
+    return Inside(
+        np.zeros((r, AXES)), np.zeros((AXES, AXES)), np.zeros((r, AXES)), np.zeros((AXES, AXES)), np.zeros((AXES, AXES)),
+        np.zeros((AXES, AXES)), np.zeros(AXES), np.zeros((r, AXES)), np.zeros(AXES * (r + AXES)), np.zeros(AXES * AXES),
+    )  # fmt: skip
+
+
+@nb.njit(cache=True)
+def fill_inertia(root: np.ndarray, tables: Any, values: np.ndarray, inside: Any) -> None:
+    """Fill masses and stiffness at monomials ``values``; ``root`` (r r,) is that of the coordinates' mass."""
+    fill_rows(tables.give_root, values, inside.rows)
+    join(root, inside.rows, inside.couple, inside.own)
+    fill_rows(tables.give, values, inside.gives)
+    make_even(inside.gives, inside.give)
+
+
+@nb.njit(cache=True)
+def fill_drag(root: np.ndarray, tables: Any, values: np.ndarray, inside: Any) -> None:
+    """Fill viscosities at monomials ``values``; ``root`` (r r,) is that of the coordinates' viscosity."""
+    fill_rows(tables.drag_root, values, inside.rows)
+    join(root, inside.rows, inside.drag, inside.tough)
+
+
+@nb.njit(cache=True)
+def join(root: np.ndarray, rows: np.ndarray, across: np.ndarray, own: np.ndarray) -> None:
+    """Fill ``across`` (r, 3) with R'A and ``own`` (3, 3) with A'A + B'B of ``root`` R and ``rows``, A above B.
+
+    They and R'R make [R A; 0 B]'[R A; 0 B]: positive wherever the polynomials lead.
+    """
+    r = len(across)
+    for k in range(AXES):
+        for i in range(r):
+            total = 0.0
+            for a in range(r):
+                total += root[a * r + i] * rows[a * AXES + k]
+            across[i, k] = total
+        for j in range(AXES):
+            total = 0.0
+            for a in range(r + AXES):
+                total += rows[a * AXES + j] * rows[a * AXES + k]
+            own[j, k] = total
+
+
+@nb.njit(cache=True)
+def make_even(rows: np.ndarray, matrix: np.ndarray) -> None:
+    """Fill ``matrix`` (3, 3) with the symmetric part of ``rows`` (9,)."""
+    for j in range(AXES):
+        for k in range(AXES):
+            matrix[j, k] = 0.5 * (rows[AXES * j + k] + rows[AXES * k + j])
+
+
+@nb.njit(cache=True)
+def begin_inside(
+    inner: np.ndarray, ahead: np.ndarray, start: np.ndarray, dt: float, tables: Any, inside: Any, inertia: np.ndarray,
+    right: np.ndarray,
+) -> None:
+    """Take the inside out of a step: add to ``inertia`` (r, r) and ``right`` (r,) what it leaves there.
+
+    ``ahead`` and ``start`` (r,) are the coordinates after free flight and before the step.
+    """
+    couple, own, drag, tough, inverse, pull = (
+        inside.couple, inside.own, inside.drag, inside.tough, inside.inverse, inside.pull
+    )  # fmt: skip
+    r, free, rub, late = len(start), tables.scales[0] / dt**2, tables.scales[1] / dt, tables.scales[2] / dt
+    for j in range(AXES):
+        total = 0.0
+        for k in range(AXES):
+            inverse[j, k] = (free + rub) * own[j, k] + late * tough[j, k] + inside.give[j, k]
+            flown = free * (inner[0, k] + dt * inner[1, k]) + rub * inner[0, k]
+            total += own[j, k] * flown + late * tough[j, k] * inner[0, k]
+        for i in range(r):
+            pull[i, j] = (free + rub) * couple[i, j] + late * drag[i, j]
+            total += couple[i, j] * (free * ahead[i] + rub * start[i]) + late * drag[i, j] * start[i]
+        inside.push[j] = total
+    _invert(inverse)
+    for i in range(r):
+        for k in range(AXES):
+            share = 0.0
+            for j in range(AXES):
+                share += pull[i, j] * inverse[j, k]
+            flown = free * (inner[0, k] + dt * inner[1, k]) + rub * inner[0, k]
+            right[i] += couple[i, k] * flown + late * drag[i, k] * inner[0, k] - share * inside.push[k]
+            for j in range(r):
+                inertia[i, j] -= share * pull[j, k]
+
+
+@nb.njit(cache=True)
+def end_inside(inner: np.ndarray, y: np.ndarray, dt: float, inside: Any) -> float:
+    """Bring ``inner`` up to date with the arrival at ``y``; return twice the energy that it stores."""
+    left = np.empty(AXES)
+    for k in range(AXES):
+        left[k] = inside.push[k]
+        for i in range(len(y)):
+            left[k] -= inside.pull[i, k] * y[i]
+    for j in range(AXES):
+        total = 0.0
+        for k in range(AXES):
+            total += inside.inverse[j, k] * left[k]
+        inner[1, j] = (total - inner[0, j]) / dt
+        inner[0, j] = total
+    return stored_in(inner[0], inside.give)
+
+
+@nb.njit(cache=True)
+def stored_in(vector: np.ndarray, matrix: np.ndarray) -> float:
+    """Return vector' matrix vector of three."""
+    total = 0.0
+    for j in range(AXES):
+        for k in range(AXES):
+            total += vector[j] * matrix[j, k] * vector[k]
+    return total
+
+
+@nb.njit(cache=True)
+def shared_energy(velocity: np.ndarray, inner: np.ndarray, inside: Any) -> float:
+    """Return twice the kinetic energy of the inside and of what it shares with the coordinates."""
+    total = stored_in(inner[1], inside.own)
+    for i in range(len(velocity)):
+        for k in range(AXES):
+            total += 2.0 * velocity[i] * inside.couple[i, k] * inner[1, k]
+    return total
+
+
+@nb.njit(cache=True)
+def _invert(m: np.ndarray) -> None:
+    """Invert a symmetric matrix (3, 3) in place; the inverse of a stiffness that is none is to be none either."""
+    a, b, c, d, e, f = m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
+    x, y, z = d * f - e * e, c * e - b * f, b * e - c * d
+    volume = a * x + b * y + c * z
+    size = 1.0 / volume if volume > LEAST * (a + d + f) ** 3 else 0.0
+    m[0, 0], m[0, 1], m[0, 2] = size * x, size * y, size * z
+    m[1, 1], m[1, 2], m[2, 2] = size * (a * f - c * c), size * (b * c - a * e), size * (a * d - b * b)
+    m[1, 0], m[2, 0], m[2, 1] = m[0, 1], m[0, 2], m[1, 2]
