@@ -169,7 +169,8 @@ def seed_steps(config: Config, seed: int) -> list[Step]:
     if config.benches and seed == config.seeds[0] and config.tasks:
         last = f"task={config.tasks[-1]}"
         needs = ("calibration", f"rl:{config.tasks[-1]}")
-        steps.append(Step("bench", seed, needs, (f"bench=[{','.join(config.benches)}]", last)))
+        clock = "stage.clock=cpu"  # other work may share the machine
+        steps.append(Step("bench", seed, needs, (f"bench=[{','.join(config.benches)}]", clock, last)))
     return steps + (corrected_steps(seed) if config.corrected else [])
 
 

@@ -106,10 +106,13 @@ class RomSimulator:
         y = np.zeros(r)
         for _ in range(LOAD_STEPS):
             before = y.copy()
-            self._run(y, *np.zeros((2, r)), STILL.copy(), np.zeros(r), QUASI_STATIC_S, load, loads_only, 0)
+            # a step on the way may fail, as where the tip is thrown out of a surface: what counts is where it comes to rest
+            still = *np.zeros((2, r)), STILL.copy(), np.zeros(r)
+            self._run(y, *still, QUASI_STATIC_S, load, loads_only, 0, failed_share=1.0)
             load[:] = load[-1]
             if np.abs(y - before).max() < 1e-8:
                 break
+        self._run(y, *np.zeros((2, r)), STILL.copy(), np.zeros(r), QUASI_STATIC_S, load, loads_only, 0)
         return y
 
     def _run(
@@ -123,6 +126,7 @@ class RomSimulator:
         load: np.ndarray,
         hooks: tuple[Any, ...],
         poses: int,
+        failed_share: float = FAILED_SHARE,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Advance what moves in place; return ``poses`` positions (., 3) and quaternions (., 4)."""
         position, quaternion = np.empty((poses, 3)), np.empty((poses, 4))
@@ -130,7 +134,7 @@ class RomSimulator:
         failed, farthest = run_kernel(
             y, velocity, lag, inner, rest, dt_s, load, self._tables, hooks, path, position, quaternion
         )
-        if failed > FAILED_SHARE * len(load) or not np.isfinite(y).all():
+        if failed > failed_share * len(load) or not np.isfinite(y).all():
             raise SolverError(
                 f"simulator rom: {failed} of {len(load)} steps of {dt_s:g} s did not converge; "
                 "try a smaller dt_s, pressures within the snapshots' range, or weaker effects"

@@ -79,6 +79,7 @@ ROWS = (
     Row("7.4", "rig, unseen 3-D figure-eight", "mm", None, 0.45, "sim2real", "figure_eight_mm"),
     Row("7.4", "recovery after a cut air line", "s", 5.0, 2.0, "sim2real", "recovery_s",
         "the stage sim2real reports no such number in this run"),
+    Row("7.4", "recovery after a cut air line, after the diagnosis", "s", 5.0, 2.0, "sim2real:corrected", "recovery_s"),
     Row("7.4", "rig, bandwidth at -3 dB", "Hz", None, None, "sim2real", "bandwidth_hz"),
     Row("7.4", "policy, inference", "Hz", 300.0, 5000.0, "bench", "policy_hz"),
     Row("7.4", "surrogate in PyBullet, control steps of 20 sub-steps", "Hz", 1000.0, None, "bench",

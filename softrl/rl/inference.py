@@ -14,7 +14,7 @@ from softrl.core.errors import ArtifactError
 from softrl.rl.batch import OBSERVATION_LIMIT
 from softrl.rl.workspace import Workspace, told_as_joints
 from softrl.surrogate import maps
-from softrl.surrogate.maps import MapTables, PressureToJoints, invert_joints
+from softrl.surrogate.maps import MapTables, PressureToJoints, evaluate, invert_joints
 
 
 class ActorTables(NamedTuple):
@@ -102,6 +102,7 @@ class Inference:
         if self.memory:
             past[1:] = past[:-1].copy()
             past[0, :3], past[0, 3:] = where, self.theta
+            theta = _joints_of(simulated, self._maps)  # what pressures in range can ask for, as in training
         self.theta = theta
         if self._calibration is None:
             return Decision(simulated, simulated, theta)
@@ -174,6 +175,13 @@ def _joints_and_pressure(
     """Return the grouped command (3,) that the policy answers, and P_S (n,) Pa that reaches it."""
     command = _command(_observation(tip, theta, contact_force, position, force, past, actor), actor)
     return command, invert_joints(command, tables)[0]
+
+
+@nb.njit(cache=True)
+def _joints_of(pressure: np.ndarray, tables: MapTables) -> np.ndarray:
+    """Return the joints (3,) of P_S (n,) Pa."""
+    scaled = (pressure - tables.pressure_mean) / tables.pressure_spread
+    return evaluate(tables.forward, scaled, False)[0] * tables.joint_spread + tables.joint_mean
 
 
 @nb.njit(cache=True)

@@ -1,8 +1,8 @@
 """Episodes in a simulator in motion: valves that lag, walls that creep, whatever effects a diagnosis found.
 
-The expert knows what is hidden from a policy: the plant's state and a force on the tip. It answers to the next targets with
-the simulator linearised about a plan of the whole course. A policy sees the same targets, and instead of the state its past:
-tips and commands. Tips and targets are told as joints.
+A policy sees the next targets and its past: tips and commands, all told as joints. The expert that it is compared with knows
+what is hidden from it, the plant's state and a force on the tip, and answers to the same targets with the simulator linearised
+about a plan of the whole course.
 """
 
 from dataclasses import dataclass, replace
@@ -28,13 +28,15 @@ class Motion:
     Attributes
     ----------
     always : also where the simulator has no effects; with effects it is always so
-    courses : random target sequences that training draws from; the expert plans each of them
+    courses : random target sequences that training draws from
     approach_steps : commands at the first target before an episode counts
     average_window : commands in the moving average before the driver
-    horizon : targets that a policy sees, and the expert acts for;  memory_steps : past tips and commands that it sees
+    horizon : targets that a policy sees and acts for, as the expert does;  memory_steps : past tips and commands that it sees
     noise_mm : standard deviation per axis of the tip's reading while training
     rounds : of a clone's training; in those after the first it acts itself
-    planning : of the expert
+    bends : candidates, of which the best on validation curves is taken: error of the tip that counts as much as a second
+        difference of the commands, both as actions
+    planning : of the expert that it is compared with
     """
 
     always: bool
@@ -45,12 +47,15 @@ class Motion:
     memory_steps: int
     noise_mm: float
     rounds: int
+    bends: tuple[float, ...]
     planning: Inversion
 
     def __post_init__(self) -> None:
         for name in ("courses", "average_window", "horizon", "memory_steps", "rounds"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"stage.motion.{name}={getattr(self, name)} must be at least 1")
+        if not self.bends or min(self.bends) <= 0.0:
+            raise ConfigError(f"stage.motion.bends={list(self.bends)}; expected one or more, all positive")
         for name in ("approach_steps", "noise_mm"):
             if getattr(self, name) < 0:
                 raise ConfigError(f"stage.motion.{name}={getattr(self, name):g} must not be negative")
@@ -136,9 +141,11 @@ class MovingBatch(Batch):
         for past, now in ((self._past_tip, told_as_joints(self.space, self.tip)), (self._past_theta, self.theta)):
             past[:, 1:] = past[:, :-1].copy()
             past[:, 0] = now
-        self.theta = command_of(action, self.scales.joint_low, self.scales.joint_high)
+        requests = self._maps.pressure(command_of(action, self.scales.joint_low, self.scales.joint_high))
+        # what pressures in range can ask for: a policy that remembers more would have to take it back first
+        self.theta = self._maps.joints(requests)
         reached = np.empty((self.size, 3))
-        for i, (episode, request) in enumerate(zip(self._episodes, self._maps.pressure(self.theta), strict=True)):
+        for i, (episode, request) in enumerate(zip(self._episodes, requests, strict=True)):
             reached[i] = episode.run.advance(request)
             episode.requests.append(request)
             self.tip[i] = self._read(reached[i])

@@ -92,7 +92,7 @@ def run(
     training = _training(config, task, space, moving, rng)
     validation = task.training_goals(config.validation_curves, space, rng)
     clock = _Clock()
-    practice = _practice(world, training, validation, clock, config.motion.rounds if moving else 1)
+    practice = _practice(world, training, validation, clock, config.motion if moving else None)
     lesson = agent.train(practice, config.seed)
     metrics = clock.metrics() | _report(config, world, evaluation, lesson, tracker)
     for name, value in metrics.items():
@@ -138,7 +138,7 @@ class _Clock:
         return {"train_cpu_s": self.now()} | near
 
 
-def _practice(world: World, training: Goals, validation: Goals, clock: _Clock, rounds: int) -> Practice:
+def _practice(world: World, training: Goals, validation: Goals, clock: _Clock, motion: Motion | None) -> Practice:
     def make(size: int, seed: int) -> TwinVecEnv:
         return TwinVecEnv(world(training, size), seed)
 
@@ -147,7 +147,7 @@ def _practice(world: World, training: Goals, validation: Goals, clock: _Clock, r
         clock.judged(found.position_rmse)
         return found.reward
 
-    return Practice(make, judge, rounds)
+    return Practice(make, judge, motion.rounds, motion.bends) if motion else Practice(make, judge)
 
 
 def controller_of(actor: Actor) -> Controller:

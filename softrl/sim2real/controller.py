@@ -15,6 +15,7 @@ from softrl.rl.tasks.task import Task
 from softrl.rl.workspace import Workspace
 from softrl.sim2real.course import Course
 from softrl.sim2real.rollout import Controller, Watchful
+from softrl.sim2real.watch import LineWatch, Watch
 from softrl.surrogate.maps import PressureToJoints
 
 
@@ -25,17 +26,30 @@ class PolicyController:
     ----------
     calibration : left out for a policy that was trained on a simulator with effects, which takes the robot's own pressures
     course : what it follows
+    settings : of the watch over the air lines, for a policy with a memory: while one is broken, and until the tip has
+        forgotten it, the policy is told that the tip is where it was to be, or it would wind up against what no command can
+        mend and throw the tip far out once the line is back
     """
 
-    def __init__(self, policy: Policy, surrogate: Surrogate, calibration: Calibration, course: Course) -> None:
+    def __init__(
+        self, policy: Policy, surrogate: Surrogate, calibration: Calibration, course: Course, settings: Watch | None = None
+    ) -> None:
         require_match(surrogate, calibration)
         self._chain, self._course = Inference(policy, surrogate, None if policy.effects else calibration), course
+        self._lines = LineWatch(settings) if settings is not None and policy.memory else None
+
+    def watch(self, arrived: Sequence[Sample], step: int) -> None:
+        """Take in the samples of the period before the command of ``step``; in the approach the robot counts as whole."""
+        if self._lines is not None:
+            self._lines.advance(arrived, healthy=step <= 0)
 
     def pressure(self, position: np.ndarray, step: int, tip_force: np.ndarray | None = None) -> np.ndarray:
         """Return P_R (chambers,) Pa for the target of ``step``, the tip being at ``position`` (3,) m."""
         course = self._course
         ahead = np.maximum(step + np.arange(self._chain.horizon), 0) % len(course.position)
         pressed = float(course.pressed(tip_force))
+        if self._lines is not None and not self._lines.trusted:
+            position = course.position[max(step - 1, 0)]
         return self._chain.pressure(position, pressed, course.position[ahead], course.force[ahead])
 
 

@@ -95,7 +95,7 @@ def controllers(models: Models, planning: Planning, pace: Pace, course: Course, 
         return made if models.corrected else Calibrated(made, models.calibration)
 
     return {
-        "policy": PolicyController(models.policy, models.space.surrogate, models.calibration, course),
+        "policy": PolicyController(models.policy, models.space.surrogate, models.calibration, course, planning.watch),
         "open_loop": ModelController(models.space, models.task, course),
         "feedforward": planned(replace(planning, feedback=0.0)),
         "planned": planned(planning),

@@ -76,14 +76,15 @@ def test_it_remembers_what_the_training_showed(policy: Policy, surrogate: Surrog
     policy.validate()
     space = Workspace(surrogate)
     told = (lambda tip: tip) if told_as == "position" else partial(told_as_joints, space)
-    chain, rest = Inference(policy, surrogate, None), PressureToJoints(surrogate).joints(np.zeros((1, 3)))
+    chain, maps = Inference(policy, surrogate, None), PressureToJoints(surrogate)
+    rest = maps.joints(np.zeros((1, 3)))
     tips, thetas = [told(surrogate.sample_tip[0])] * memory, [rest[0]] * (memory + 1)
     for k in range(4):
         tip, ahead = surrogate.sample_tip[k], surrogate.sample_tip[k + 1 : k + 3]
         now, targets = told(tip), told(ahead)
         past = np.stack(tips[-memory:][::-1])[None], np.stack(thetas[-memory - 1 : -1][::-1])[None]
         seen = observation(policy, now[None], thetas[-1][None], np.zeros(1), targets[None], np.zeros((1, 2)), *past)
-        expected = joints(policy, act(policy)(seen))[0]
+        expected = maps.joints(maps.pressure(joints(policy, act(policy)(seen))))[0]  # what pressures in range can ask for
         np.testing.assert_allclose(chain.decide(tip, 0.0, ahead).theta, expected, atol=1e-6)
         tips.append(now)
         thetas.append(expected)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import yaml
 
-from softrl.artifacts.policy import observation_size
 from softrl.artifacts.surrogate import Surrogate
 from softrl.core.config import build_target
 from softrl.core.errors import ConfigError
@@ -16,11 +15,9 @@ from softrl.effects.effect import Effect
 from softrl.effects.lag import Lag
 from softrl.effects.viscoelasticity import Viscoelasticity
 from softrl.pcc.simulator import PccSimulator
-from softrl.rl.agents.bc import _changes, _fold
-from softrl.rl.batch import THETA
 from softrl.rl.evaluate import Controller, expert, lap_all, static_expert
 from softrl.rl.inversion import Route
-from softrl.rl.moving import MovingBatch, cornered, differences
+from softrl.rl.moving import MovingBatch, cornered
 from softrl.rl.running import Run
 from softrl.rl.tasks.task import Goals, Task
 from softrl.rl.vector_env import TwinVecEnv
@@ -87,22 +84,6 @@ def test_polygons_have_their_corners_on_the_curve(space: Workspace, task: Task) 
 
 def error_mm(controller: Controller, batch: MovingBatch, push: np.ndarray | None = None) -> float:
     return 1e3 * lap_all(controller, batch, push).position_rmse
-
-
-def test_a_clone_by_differences_rests_at_its_target_only() -> None:
-    """Whatever shifts the tip, or however a command stands to it: the last command is kept where tip and target agree."""
-    rng, horizon, memory = np.random.default_rng(0), 3, 2
-    turn, size = differences(horizon, memory), observation_size(horizon, memory)
-    seen = rng.standard_normal((400, size))
-    answer = seen[:, THETA] + seen @ turn @ rng.standard_normal((turn.shape[1], 3))
-    (first, _), *_, (last, bias) = _fold(_changes(seen, answer, turn, 8))
-    skip = (last[:, :3] @ first[:3]).T  # the linear path
-    np.testing.assert_allclose(seen @ skip + bias, answer, atol=1e-9)
-    tips = [0, *(7 + 4 * i for i in range(horizon)), *(observation_size(horizon) + 6 * j for j in range(memory))]
-    commands = [3, *(observation_size(horizon) + 6 * j + 3 for j in range(memory))]
-    for k in range(3):
-        assert np.abs(skip[[at + k for at in tips]].sum(axis=0)).max() < 1e-9, "a shift of tips and targets alike"
-        np.testing.assert_allclose(skip[[at + k for at in commands]].sum(axis=0), np.eye(3)[k], atol=1e-9)
 
 
 def test_the_expert_knows_the_plant_and_what_pushes(

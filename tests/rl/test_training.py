@@ -27,7 +27,7 @@ PLANNING = Inversion(
 )  # fmt: skip
 MOTION = Motion(
     always=False, courses=6, approach_steps=3, average_window=2, horizon=3, memory_steps=3, noise_mm=0.05,
-    rounds=2, planning=PLANNING,
+    rounds=2, bends=(0.1, 0.3), planning=PLANNING,
 )  # fmt: skip
 CONFIG = Config(training_curves=8, validation_curves=2, episodes=2, motion=MOTION, seed=0)
 SMALL = {

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from softrl.artifacts.calibration import Calibration
-from softrl.artifacts.policy import Policy
+from softrl.artifacts.policy import Policy, observation_size
 from softrl.artifacts.surrogate import Surrogate
+from softrl.core.driver import Sample
 from softrl.core.errors import ArtifactError, ConfigError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import NullTracker
@@ -26,6 +27,7 @@ from softrl.sim2real.drivers.rig import Noise
 from softrl.sim2real.identification import session_program
 from softrl.sim2real.rollout import Pace, follow
 from softrl.sim2real.stage import Config, run
+from softrl.sim2real.watch import Watch
 from tests.sim2real.conftest import BenchDriver
 
 HIDDEN = (Lag(fill_s=0.137, vent_s=0.219), Viscoelasticity(0.313, 0.71, 0.0, 1.0))
@@ -136,6 +138,29 @@ def test_the_policy_sees_the_curve_as_closed(everything: Stage) -> None:
     course = Course.free("five", surrogate.sample_tip[:5])
     last = PolicyController(policy, surrogate, calibration, course).pressure(course.position[0], 4)
     assert np.isfinite(last).all()
+
+
+def test_a_policy_with_a_memory_learns_nothing_from_a_broken_line(everything: Stage) -> None:
+    policy, surrogate, calibration = everything.inputs
+    size = observation_size(policy.horizon, 2)
+    weight = np.random.default_rng(0).normal(size=(len(policy.weights["weight_0"]), size)) / 4.0
+    remembering = replace(policy, weights=policy.weights | {"weight_0": weight}, memory=2)
+    course = Course.free("eight", surrogate.sample_tip[:8])
+
+    def asked(supplied_pa: float, tip: np.ndarray) -> np.ndarray:
+        """Return the answer to a tip at step 2, chambers told 10 kPa being supplied with less or not."""
+        controller = PolicyController(remembering, surrogate, calibration, course, Watch(2.0, 3.0, 0.4, 3))
+        told, upright, nothing = np.full(3, 10e3), np.array([1.0, 0.0, 0.0, 0.0]), np.full(3, np.nan)
+        for step, supplied in enumerate((10e3, 10e3, supplied_pa)):
+            times = 0.5 * step + 0.1 * np.arange(1, 6)
+            controller.watch([Sample(t, told, np.full(3, supplied), tip, upright, nothing) for t in times], step)
+            answer = controller.pressure(tip if step == 2 else course.position[step], step)
+        return answer
+
+    tips = course.position[1], course.position[5]
+    for supplied_pa, differ in ((10e3, True), (0.0, False)):
+        first, second = (asked(supplied_pa, tip) for tip in tips)
+        assert (np.abs(first - second).max() > 1.0) == differ
 
 
 def test_the_map_of_the_real_robot_is_applied(everything: Stage) -> None:

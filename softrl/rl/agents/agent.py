@@ -19,13 +19,14 @@ log = logging.getLogger(__name__)
 class Practice(NamedTuple):
     """Where an agent trains: ``make(size, seed)`` gives episodes, ``judge`` the validation reward of an actor.
 
-    ``rounds`` is how often a clone is let act and is told by the expert what it should have done: once where nothing has a
-    memory, more where errors add up.
+    ``rounds`` is how often a clone is let act and learns from it: once where nothing has a memory, more where errors add up.
+    ``bends`` are candidates for what a second difference of the commands weighs in motion, see ``prediction.answer``.
     """
 
     make: Callable[[int, int], TwinVecEnv]
     judge: Callable[[Actor], float]
     rounds: int = 1
+    bends: tuple[float, ...] = ()
 
 
 class Lesson(NamedTuple):

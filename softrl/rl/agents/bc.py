@@ -1,5 +1,6 @@
-"""Behavioural cloning of the model-based expert."""
+"""Behavioural cloning of the model-based expert; in motion the inverse of what follows from what is seen."""
 
+import logging
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -13,10 +14,12 @@ from softrl.core.errors import ConfigError
 from softrl.core.scaling import Scaler
 from softrl.rl.actor import Actor, act_scaled
 from softrl.rl.agents.agent import Agent, Best, Lesson, Practice, actor_from
-from softrl.rl.batch import THETA
+from softrl.rl.evaluate import static_expert
+from softrl.rl.prediction import Trace, answer, predict
 from softrl.rl.vector_env import TwinVecEnv
 from softrl.surrogate.mlp import train_network
 
+log = logging.getLogger(__name__)
 CARRIERS = 3  # units that pass the linear part of the map through both tanh layers, one per action
 CARRIED = 0.02  # scale at which they do it: the cube of it is what tanh adds
 EDGE = 0.999  # actions are squashed by tanh, which never reaches 1
@@ -78,16 +81,18 @@ def clone(bc: Bc, layers: list[torch.nn.Module], squash: str, env: TwinVecEnv, p
     that by L-BFGS in double precision where SB3's own shape, trained from its random start, stays ten times above; it is
     then folded into SB3's shape, the linear path carried by three units in the linear range of tanh. It sees the
     columns that the expert looks at; the others get no weight. An actor squashed by tanh must bend its answers back by
-    arctanh first, which costs it a factor of four in error. Where a clone's errors add up it acts itself in the rounds
-    after the first (DAgger), by a linear map until the last; that of a robot in motion changes the last command by what
-    differs from the present, so that it rests nowhere but at its target.
+    arctanh first, which costs it a factor of four in error. A robot in motion is another matter, see ``_in_motion``; an
+    actor squashed by tanh is there a clone all the same, and acts itself in the rounds after the first (DAgger).
     """
     best = Best(practice.judge)
     best.consider(actor_from(layers, squash), 0)
     rng = np.random.default_rng(seed)
+    if env.batch.differences is not None and squash == "clip":
+        _in_motion(bc, layers, env, practice, best, rng)
+        return best.lesson()
     seen, told = _collect(bc, env, None, rng)
     for number in range(1, practice.rounds):
-        _fit(bc, layers, squash, env, (seen, told), 0, seed)
+        _fit(bc, layers, squash, env, (seen, told), bc.iterations // practice.rounds, seed)
         actor = actor_from(layers, squash)
         best.consider(actor, number)
         more = _collect(bc, env, actor, rng)
@@ -103,25 +108,52 @@ def _fit(
 ) -> None:
     """Fit the ``layers`` to observations (rows, k) and actions (rows, 3); without iterations by a linear map."""
     observation, action = rows
-    batch = env.batch
-    if iterations == 0 and batch.differences is not None and squash == "clip":
-        _put(layers, _fold(_changes(observation, action, batch.differences, bc.hidden - CARRIERS)))
-        return
     wanted = np.arctanh(np.clip(action, -EDGE, EDGE)) if squash == "tanh" else action
-    columns = batch.expert_columns
+    columns = env.batch.expert_columns
     columns = columns[np.ptp(observation[:, columns], axis=0) > 0.0]
     scaler = Scaler.fit(observation[:, columns])
     fitted = train_network(scaler.scale(observation[:, columns]), wanted, bc.hidden - CARRIERS, iterations, seed)
     _put(layers, _fold(_unscaled(fitted, scaler, columns, observation.shape[1])))
 
 
-def _changes(observation: np.ndarray, action: np.ndarray, differences: np.ndarray, hidden: int) -> dict[str, np.ndarray]:
-    """Return the network, without its tanh part, that adds to the last command what ``differences`` (k, m) ask for."""
-    seen = observation @ differences
-    size = np.maximum(seen.std(axis=0), 1e-12)
-    answer = np.linalg.lstsq(seen / size, action - observation[:, THETA], rcond=None)[0] / size[:, None]
-    skip = differences @ answer
-    skip[THETA] += np.eye(3)
+def _in_motion(
+    bc: Bc, layers: list[torch.nn.Module], env: TwinVecEnv, practice: Practice, best: Best, rng: np.random.Generator
+) -> None:
+    """Put actors into the ``layers`` that lead the tips to come to the targets, and let ``best`` choose.
+
+    Notes
+    -----
+    Where the plant has a memory the expert answers to what it alone knows, and through the moving average it rings: a clone
+    had six times the errors of a plan. What is learnt is instead how the tip follows from what a policy sees and from
+    the commands to come; its inverse is the actor (``prediction``). It is fitted first to what happens under the inverse that
+    takes the robot to stand still, then to what the best actor so far does.
+    """
+    differences, traces, actor = env.batch.differences, list[Trace](), None
+    assert differences is not None
+    for number in range(practice.rounds):
+        traces.append(_act(bc, env, actor, rng))
+        found = predict(traces, differences, env.batch.task.horizon)
+        log.info("round %d: the next tips are told to %s %% of the joints", number + 1, np.round(50.0 * found.left, 2))
+        for bend in practice.bends:
+            _put(layers, _fold(_linear(answer(found, differences, bend), bc.hidden - CARRIERS)))
+            log.info("bend %g: reward %.4f", bend, best.consider(actor_from(layers, "clip"), number + 1))
+        actor = best.lesson().actor
+
+
+def _act(bc: Bc, env: TwinVecEnv, actor: Actor | None, rng: np.random.Generator) -> Trace:
+    """Return what happens under ``actor``, or the static inverse, with noise on the actions."""
+    observation, seen, elapsed = env.reset(), [], []
+    for _ in range(bc.steps):
+        seen.append(observation.astype(float))
+        elapsed.append(env.batch.elapsed.copy())
+        taken = static_expert(env.batch) if actor is None else act_scaled(actor, observation)
+        env.step_async(np.clip(taken + bc.exploration * rng.normal(size=taken.shape), -1.0, 1.0))
+        observation = env.step_wait()[0]
+    return Trace(np.stack(seen), np.stack(elapsed))
+
+
+def _linear(skip: np.ndarray, hidden: int) -> dict[str, np.ndarray]:
+    """Return the network with a linear path ``skip`` (k, 3) whose tanh part is idle."""
     none = np.zeros(hidden)
     return {
         "skip": skip, "weight_0": np.zeros((len(skip), hidden)), "bias_0": none, "weight_1": np.zeros((hidden, hidden)),
