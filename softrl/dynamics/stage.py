@@ -354,7 +354,7 @@ def report(
         tracker.metric(f"heldout/{name}", value)
     if full is None or full.state.shape[1] < config.window + 3:
         log.info(
-            "f_S is not compared with the full model: that needs stage.weight=false and its trajectories on stage.dt_s"
+            "f_S is not compared with the full model: that needs stage.weight=true and its trajectories on stage.dt_s"
         )
         return
     _report_set("full_model", known, Windows(full, config.window, from_rest=False), config, tracker)
