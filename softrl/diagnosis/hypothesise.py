@@ -19,7 +19,7 @@ SAME_NAME = 2  # forms of one effect (all chambers, one chamber) that are fitted
 LEAD_SHARE = 0.3  # of the best rough fit's gain, which another needs to be fitted in full
 LEAD_GAIN = 0.03  # share of the squared error: a rough fit that saves less will not save what counts when fitted in full
 PLAIN = 2.5  # times what counts: what is left, before effects are asked where alone they act, if none was found before
-SOME = 1.2  # the same where one was found: what it leaves may be that it acts there alone
+SOME = 1.8  # the same where one was found: what it leaves may be that it acts there alone
 REFORMED = 2  # fits of a round, the best, in which older effects are tried in their other forms
 SILENT = 1e-6  # of the largest column: a parameter with less influence on the residual has none
 
@@ -120,11 +120,11 @@ def _narrow(
 def _replace(
     fitting: Problem, judge: Judge, old: Choice, choices: Sequence[Choice], search: Search, path: Path
 ) -> None:
-    """Put the best of ``choices`` in the place of ``old``, one of the effects of the best hypothesis, if that pays."""
+    """Put the best of ``choices`` in the place of ``old``, one of the effects of the best hypothesis, if it shows."""
     trial = path.best
     less = fit_trials(fitting, None, [(trial.hypothesis.without(old), [drop(trial, old)])], search)
     instead = _addition(fitting, judge, less[0], choices, search, path) if less else None
-    if instead is not None and judge.pays(trial.squares, instead.squares):
+    if instead is not None and judge.shows(trial.squares, instead.squares):
         path.best = slim(fitting, judge, instead, search, path)
 
 

@@ -379,13 +379,3 @@ def whitened(series: np.ndarray, memory: np.ndarray) -> np.ndarray:
     for k, share in enumerate(memory, start=1):
         left -= share * series[len(memory) - k : len(series) - k]
     return left
-
-
-def phase_randomised(values: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return a series (steps, n) of the same mean, spectra and cross-spectra as ``values``, with random phases."""
-    spectrum = np.fft.rfft(values, axis=0)
-    turn = np.exp(2j * np.pi * rng.uniform(size=len(spectrum)))
-    turn[0] = 1.0
-    if len(values) % 2 == 0:
-        turn[-1] = 1.0
-    return np.asarray(np.fft.irfft(spectrum * turn[:, None], len(values), axis=0))

@@ -12,7 +12,6 @@ from softrl.diagnosis.statistics import (
     holm,
     jackknife,
     left_out,
-    phase_randomised,
     sandwich,
     slope_test,
     spectral_line,
@@ -205,12 +204,3 @@ def test_jackknife_sees_what_differs_between_runs() -> None:
         hits += abs(fitted[0]) < 2.015 * jackknife(jacobian, left, folds)[0]
         narrow += abs(fitted[0]) < 1.645 * np.sqrt(sandwich(jacobian, left, np.arange(600))[0, 0])
     assert 165 <= hits <= 195 and narrow < 140, f"90 % interval covered {hits} and {narrow} of 200"
-
-
-def test_random_phases_keep_the_spectra() -> None:
-    rng = np.random.default_rng(12)
-    values = np.stack([coloured(rng, 301, 0.9), coloured(rng, 301, 0.2)], axis=1)
-    turned = phase_randomised(values, rng)
-    np.testing.assert_allclose(np.abs(np.fft.rfft(turned, axis=0)), np.abs(np.fft.rfft(values, axis=0)), atol=1e-9)
-    np.testing.assert_allclose(turned.mean(axis=0), values.mean(axis=0), atol=1e-12)
-    assert abs(np.corrcoef(turned[:, 0], values[:, 0])[0, 1]) < 0.5
