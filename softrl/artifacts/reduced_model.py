@@ -29,6 +29,8 @@ class ReducedModel(Artifact):
         ``rayleigh_stiffness_s``
     centre_of_mass : (3, monomials) m, displacement of the centre of mass
     rotation : (3, monomials) rad, rotation vector of the tip relative to rest
+    give : (9, monomials) kg s^2, change of mass times centre of mass by gravity, volumes and tip held
+    give_rotation : (9, monomials) rad s^2/m, turn of the tip by gravity, volumes and tip held
     rest_tip : (3,) m;  rest_volume : (n,) m^3;  mass : kg
     gravity_m_s2 : (3,) in the base frame, acting unless another is given
     pressure_min_pa, pressure_max_pa : the robot's limits
@@ -46,7 +48,7 @@ class ReducedModel(Artifact):
     and ``rayleigh_stiffness lag_ratio u' = z' - u``: a slow motion meets B + G = T' K T, a sudden one B.
     """
 
-    schema: ClassVar[int] = 3
+    schema: ClassVar[int] = 4
     stage: ClassVar[str] = "pod"
 
     frame: np.ndarray
@@ -58,6 +60,8 @@ class ReducedModel(Artifact):
     lag_rotation: np.ndarray
     centre_of_mass: np.ndarray
     rotation: np.ndarray
+    give: np.ndarray
+    give_rotation: np.ndarray
     rest_tip: np.ndarray
     rest_volume: np.ndarray
     mass: float
@@ -97,6 +101,8 @@ class ReducedModel(Artifact):
             ("lag_rotation", 3 * order),
             ("centre_of_mass", 3),
             ("rotation", 3),
+            ("give", 9),
+            ("give_rotation", 9),
         ):
             if len(getattr(self, name)) != rows:
                 raise ArtifactError(f"ReducedModel.{name} has {len(getattr(self, name))} rows; expected {rows}")

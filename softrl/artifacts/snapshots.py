@@ -30,6 +30,12 @@ class Snapshots(Artifact):
         and in what stiffness-proportional damping multiplies
     lag_spin : (samples, 3, n + 3) rad, rotation of the plate by the lags
     centre_of_mass : (samples, 3) m, displacement of the centre of mass
+    centre_slope : (samples, 3, n + 3) d centre_of_mass / d load
+    give : (samples, 3, 3) kg s^2, change of mass times centre of mass by gravity, volumes and tip held
+    give_spin : (samples, 3, 3) rad s^2/m, rotation of the plate by gravity, volumes and tip held
+    give_mass : (samples, 3, 3) kg s^4, of the shapes by which the body gives to unit gravity
+    give_coupling : (samples, 3, n + 3) of these shapes with the motion by the loads, in the mass, kg s^2 m per Pa and N
+    tip_spin : (samples, 3, n + 3) rotation of the plate by the loads, rad per Pa and N
     tip_quaternion : (samples, 4) w x y z of the plate relative to rest
     displacement : (samples, nodes, 3) m, float32, on the mesh's corner nodes
     nodal_mass : (nodes,) kg on the same nodes
@@ -37,6 +43,7 @@ class Snapshots(Artifact):
     trajectory_load : (trajectories, steps, n + 3) Pa and N, held over the step that ends at that time
     trajectory_coordinate : (trajectories, steps, n + 3) m^3 and m
     trajectory_quaternion : (trajectories, steps, 4) w x y z
+    trajectory_gravity_m_s2 : (3,) that acts in the trajectories, which begin at rest under it
     rest_tip : (3,) m
     rest_volume : (n,) m^3
     mass : kg
@@ -46,7 +53,7 @@ class Snapshots(Artifact):
     robot_name : the robot
     """
 
-    schema: ClassVar[int] = 4
+    schema: ClassVar[int] = 5
     stage: ClassVar[str] = "fem"
 
     loads: np.ndarray
@@ -60,6 +67,12 @@ class Snapshots(Artifact):
     lag_viscosity: np.ndarray
     lag_spin: np.ndarray
     centre_of_mass: np.ndarray
+    centre_slope: np.ndarray
+    give: np.ndarray
+    give_spin: np.ndarray
+    give_mass: np.ndarray
+    give_coupling: np.ndarray
+    tip_spin: np.ndarray
     tip_quaternion: np.ndarray
     displacement: np.ndarray
     nodal_mass: np.ndarray
@@ -67,6 +80,7 @@ class Snapshots(Artifact):
     trajectory_load: np.ndarray
     trajectory_coordinate: np.ndarray
     trajectory_quaternion: np.ndarray
+    trajectory_gravity_m_s2: np.ndarray
     rest_tip: np.ndarray
     rest_volume: np.ndarray
     mass: float

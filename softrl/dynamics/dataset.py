@@ -106,10 +106,12 @@ def rolled(body: Body, load: np.ndarray, axis: str, dt_s: float) -> Trajectories
     return trajectories_from(z, quaternion, load, body.rest_tip, axis, dt_s)
 
 
-def full_order(snapshots: Snapshots, axis: str, dt_s: float) -> Trajectories | None:
-    """Return the trajectories of the full model as a test set, or None if it has none on the time step ``dt_s``."""
+def full_order(snapshots: Snapshots, gravity_m_s2: np.ndarray, axis: str, dt_s: float) -> Trajectories | None:
+    """Return the full model's trajectories as a test set, or None if it has none on ``dt_s`` under ``gravity_m_s2``."""
     step_s = float(np.median(np.diff(snapshots.trajectory_time))) if len(snapshots.trajectory_time) > 1 else 0.0
     if not len(snapshots.trajectory_load) or abs(step_s - dt_s) > 1e-6:
+        return None
+    if not np.allclose(snapshots.trajectory_gravity_m_s2, gravity_m_s2):
         return None
     return trajectories_from(
         snapshots.trajectory_coordinate,

@@ -49,8 +49,8 @@ class Config:
     training_runs, validation_runs, heldout_runs, run_s, dt_s : random runs of the reduced model
     runs_per_chunk : more training runs than this are kept in chunks on disk and read window by window
     processes : that make chunks
-    weight : whether the robot's weight acts; the full model's trajectories are without it, so f_S is compared with them
-        only if it is off
+    weight : whether the robot's weight acts, as it does in the full model's trajectories; without, f_S is not compared with
+        them
     window : rows that the Transformer sees;  width, heads, layers, feedforward : its size
     linear_rows, ridge : rows of its linear part, and their relative ridge (also of the inverse's linear part)
     polynomial_degree, polynomial_ridges : of its closed form in the coordinates, 1 for the linear part alone (of the
@@ -175,7 +175,7 @@ def run(
     inverse, inverse_losses = learn_inverse(config, net, sets.train, trainings["inverse"])
     tracker.metric("updates_resumed", sum(training.resumed for training in trainings.values()))
     tracker.figure("losses", draw_losses(history, inverse_losses))
-    full = None if config.weight else full_order(snapshots, robot.axis, config.dt_s)
+    full = full_order(snapshots, gravity, robot.axis, config.dt_s)
     report(config, net, inverse, body, sets, full, tracker, others)
     forward = ForwardDynamics(
         weights_of(net), config.window, config.width, config.heads, config.layers, config.feedforward,

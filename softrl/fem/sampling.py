@@ -6,11 +6,11 @@ from scipy.stats import qmc
 from softrl.robots.robot import Robot
 
 
-def sobol_loads(robot: Robot, samples: int, faces_share: float, seed: int) -> np.ndarray:
+def sobol_loads(robot: Robot, samples: int, faces_share: float, centre: np.ndarray, seed: int) -> np.ndarray:
     """Return loads (samples, chambers + 3), Pa and N, that fill the robot's pressures and tip forces.
 
-    Pressures fill the box of the robot's limits, the force fills the ball of radius ``tip_force_max_n``. A share of
-    the samples has one pressure moved to a limit, so that a model fitted to them need not extrapolate there.
+    Pressures fill the box of the robot's limits, the force the ball of radius ``tip_force_max_n`` about ``centre``
+    (3,) N. A share of the samples has one pressure moved to a limit, so that a model fitted to them need not extrapolate there.
     """
     rng = np.random.default_rng(seed)
     sobol = qmc.Sobol(robot.chambers + 3, rng=rng)
@@ -21,7 +21,7 @@ def sobol_loads(robot: Robot, samples: int, faces_share: float, seed: int) -> np
     height, turn, radius = 2.0 * unit[:, -3] - 1.0, 2.0 * np.pi * unit[:, -2], unit[:, -1] ** (1.0 / 3.0)
     flat = np.sqrt(1.0 - height**2)
     force = radius[:, None] * np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
-    return np.hstack([pressure, robot.tip_force_max_n * force])
+    return np.hstack([pressure, centre + robot.tip_force_max_n * force])
 
 
 def load_scale(robot: Robot) -> np.ndarray:

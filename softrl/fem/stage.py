@@ -25,6 +25,7 @@ from softrl.fem.model import FemModel
 from softrl.fem.newton import NewtonSettings
 from softrl.fem.sampling import load_scale, paths, sobol_loads, step_program, with_waypoints
 from softrl.fem.trajectory import Trajectory, roll_out
+from softrl.fem.weight import pull_at_rest, weight_at
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
@@ -32,7 +33,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Config:
-    """Static and dynamic sampling of the full model, without gravity, round the stress-free mesh."""
+    """Static sampling of the full model without gravity, round the stress-free mesh; motions under the robot's weight."""
 
     law: str  # stable_neo_hookean, yeoh, mooney_rivlin or st_venant_kirchhoff
     moduli_pa: tuple[float, ...]  # Young's modulus; yeoh: c1, c2, c3; mooney_rivlin: c10, c01
@@ -42,6 +43,7 @@ class Config:
     equilibria: int  # Sobol samples of the loads
     faces_share: float  # share of them with one pressure at its limit
     tip_force_scale: float  # largest sampled tip force over the robot's: inertia and weight pull at a body like more
+    weight_share: float  # of the weight's pull at the tip at rest, about which tip forces are sampled
     load_step: float  # longest load step, in units of (half the pressure range, largest sampled tip force)
     paths: int  # warm-started chains of samples; more are better balanced, each begins at rest
     trajectories: int
@@ -67,7 +69,7 @@ class Config:
         for key in ("tip_force_scale", "load_step", "duration_s", "hold_s", "dt_s"):
             if not getattr(self, key) > 0:
                 raise ConfigError(f"stage.{key}={getattr(self, key):g} must be positive")
-        for key in ("faces_share", "max_failed_share"):
+        for key in ("faces_share", "weight_share", "max_failed_share"):
             if not 0 <= getattr(self, key) <= 1:
                 raise ConfigError(f"stage.{key}={getattr(self, key):g} is outside 0..1")
         for key in ("rayleigh_mass_per_s", "rayleigh_stiffness_s"):
@@ -91,14 +93,16 @@ def run(
 
     Notes
     -----
-    Gravity is left out: the mesh is the stress-free shape, and a reduced model adds gravity through the map of the
-    centre of mass. Loads whose equilibrium is not found, or only behind a jump (``fem.continuation``), are counted in
+    The mesh is the stress-free shape. Equilibria are without gravity, which a reduced model adds through what each tells
+    of the centre of mass; the trajectories, which are there to judge it, begin at rest under the weight. Loads whose equilibrium is not found, or only behind a jump (``fem.continuation``), are counted in
     ``failed``, listed in ``failed_loads.csv`` with the reason, and left out. Finished chains and
     trajectories are kept under the working directory until the stage ends, so that a killed run goes on.
     """
     body = Body(config, robot, mesh, material_of(config.law, config.moduli_pa, config.poisson))
     pulled = _pulled(body)
-    loads, scale = sobol_loads(pulled, config.equilibria, config.faces_share, config.seed), load_scale(pulled)
+    centre = config.weight_share * pull_at_rest(build_model(body), np.array(robot.gravity_m_s2))[robot.chambers :]
+    loads = sobol_loads(pulled, config.equilibria, config.faces_share, centre, config.seed)
+    scale = load_scale(pulled)
     loads, chains = with_waypoints(loads, paths(loads, scale, config.paths), scale, config.load_step)
     clock = np.arange(1, round(config.duration_s / config.dt_s) + 1) * config.dt_s
     programs = [
@@ -123,13 +127,13 @@ def run(
     return snapshots
 
 
-def build_model(body: Body) -> FemModel:
+def build_model(body: Body, gravity_m_s2: tuple[float, ...] = (0.0, 0.0, 0.0)) -> FemModel:
     """Return the model that ``body`` describes; its density gives the robot its mass."""
     config = body.config
     newton = NewtonSettings(config.tolerance_m, config.max_iterations, config.reuse_below)
     return FemModel(
         body.mesh, body.material, body.robot.mass_kg / body.mesh.volume(), config.rayleigh_mass_per_s,
-        config.rayleigh_stiffness_s, newton, element_order=config.element_order,
+        config.rayleigh_stiffness_s, newton, gravity_m_s2, element_order=config.element_order,
         mean_dilatation=config.mean_dilatation,
     )
 
@@ -152,6 +156,12 @@ class Row(NamedTuple):
     lag_viscosity: np.ndarray
     lag_spin: np.ndarray
     centre_of_mass: np.ndarray
+    centre_slope: np.ndarray
+    give: np.ndarray
+    give_spin: np.ndarray
+    give_mass: np.ndarray
+    give_coupling: np.ndarray
+    tip_spin: np.ndarray
     tip_quaternion: np.ndarray
     displacement: np.ndarray
 
@@ -237,7 +247,7 @@ def _trace(body: Body, loads: np.ndarray, chain: np.ndarray) -> Chain:
 
 def _row(model: FemModel, equilibrium: Equilibrium) -> Row:
     pose, tangent = equilibrium.pose, equilibrium.tangent
-    corners, lag = model.quadratic.corners, lag_at(model, pose, tangent)
+    corners, lag, weight = model.quadratic.corners, lag_at(model, pose, tangent), weight_at(model, pose, tangent)
     return Row(
         coordinate=model.coordinate(pose),
         energy=model.elastic_energy(pose),
@@ -249,15 +259,20 @@ def _row(model: FemModel, equilibrium: Equilibrium) -> Row:
         lag_viscosity=lag.viscosity,
         lag_spin=lag.spin,
         centre_of_mass=model.centre_of_mass(pose),
+        **weight._asdict(),
         tip_quaternion=model.tip_quaternion(pose),
         displacement=(pose.position - model.quadratic.points)[:corners].astype(np.float32),
     )
 
 
 def _move(body: Body, program: np.ndarray) -> Trajectory | None:
-    """Return the motion under ``program``, or None, with a warning, where a step does not converge."""
+    """Return the motion under ``program`` and weight, or None, with a warning, where a step does not converge."""
+    model = build_model(body, body.robot.gravity_m_s2)
     try:
-        return roll_out(build_model(body), program, body.config.dt_s)
+        rest = next(follow(model, np.zeros((1, program.shape[1])), load_scale(_pulled(body)), body.config.load_step))
+        if isinstance(rest, Missed):
+            raise SolverError(f"no rest under the robot's weight: {rest.reason}")
+        return roll_out(model, program, body.config.dt_s, rest.pose)
     except SolverError as failure:
         log.warning("a trajectory is left out: %s", failure)
         return None
@@ -307,6 +322,7 @@ def _collect(
         trajectory_quaternion=(
             np.array([t.quaternion for t in trajectories]) if trajectories else np.zeros((0, len(clock), 4))
         ),
+        trajectory_gravity_m_s2=np.array(body.robot.gravity_m_s2, dtype=float),
         rest_tip=model.rest_tip,
         rest_volume=model.rest_volume,
         mass=float(model.nodal_mass.sum()),

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrl.core.errors import SolverError
+from softrl.fem.coupling import Pose
 from softrl.fem.model import FemModel
 
 
@@ -26,15 +27,15 @@ class Trajectory(NamedTuple):
     factorisations: int
 
 
-def roll_out(model: FemModel, load: np.ndarray, dt_s: float) -> Trajectory:
-    """Return the motion from rest under ``load`` (steps, chambers + 3); row k acts from k dt to (k + 1) dt.
+def roll_out(model: FemModel, load: np.ndarray, dt_s: float, rest: Pose) -> Trajectory:
+    """Return the motion from ``rest`` under ``load`` (steps, chambers + 3); row k acts from k dt to (k + 1) dt.
 
     Raises
     ------
     SolverError
         If a step does not converge.
     """
-    state = model.state()
+    state = model.state(rest)
     coordinates, quaternions = [], []
     iterations = factorisations = 0
     for number, row in enumerate(load):

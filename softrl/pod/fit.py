@@ -101,6 +101,8 @@ def linear_model(model: ReducedModel) -> ReducedModel:
         lag_rotation=model.lag_rotation[:, :0].copy(),
         centre_of_mass=model.centre_of_mass[:, : 1 + r].copy(),
         rotation=model.rotation[:, : 1 + r].copy(),
+        give=model.give[:, :1].copy(),
+        give_rotation=model.give_rotation[:, :1].copy(),
     )
 
 
@@ -117,6 +119,8 @@ def _draft(robot: Robot, snapshots: Snapshots, samples: Equilibria, pod: PodBasi
         lag_rotation=np.zeros((3 * r, 0)),
         centre_of_mass=np.zeros((3, 1 + r)),
         rotation=np.zeros((3, 1)),
+        give=np.zeros((9, 1)),
+        give_rotation=np.zeros((9, 1)),
         rest_tip=snapshots.rest_tip,
         rest_volume=snapshots.rest_volume,
         mass=snapshots.mass,

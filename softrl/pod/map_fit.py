@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from softrl.pod.maps import best_degree, elastic_factors, fit_map, symmetric_roots
+from softrl.pod.maps import Seen, at_points, best_degree, elastic_factors, fit_map, symmetric_roots
 from softrl.pod.settings import FitSettings
 from softrl.pod.symmetry import Equilibria, images_of, reflected, symmetries
 from softrl.robots.robot import Robot
@@ -16,7 +16,10 @@ LAG_FLOOR = 0.005  # of the viscosity lags everywhere: keeps the root smooth at 
 
 
 class Targets(NamedTuple):
-    """What a map is fitted to: ``values`` (S, columns) and the ``weight`` of each column in the choice of a degree."""
+    """What a map is fitted to: ``values`` (S, 1 + k, columns), the ``weight`` of each column in the choice of a degree.
+
+    Where ``k`` is not zero, the change under the largest load of each kind follows the value.
+    """
 
     values: np.ndarray
     weight: np.ndarray
@@ -34,29 +37,35 @@ def fit_maps(
     least: dict[str, float] = {}
     identity = symmetries(robot.chamber_direction)[:1]
     everything = reflected(samples, [*identity, *images])
-    goals = _targets(settings, everything, frame, ratio)
-    points, folds = np.linalg.solve(frame, everything.coordinate.T).T, np.tile(fold, 1 + len(images))
+    largest = np.abs(everything.load).max(axis=0)
+    goals = _targets(settings, everything, frame, ratio, largest)
+    still = at_points(np.linalg.solve(frame, everything.coordinate.T).T)
+    moving = Seen(still.points, np.linalg.solve(frame, everything.compliance) * largest)
+    folds = np.tile(fold, 1 + len(images))
     own = slice(0, len(fold))
     for image_weight in settings.image_weights_of(robot):
         rows = slice(0, len(folds) if image_weight else len(fold))
         weight = np.where(np.arange(len(folds)) < len(fold), 1.0, image_weight)[rows]
         for name, goal in goals.items():
             values = goal.values[rows]
-            found = best_degree(
-                points[rows], values / goal.weight, weight, folds[rows], own, goal.degree_max, goal.through_origin, goal.ridge
-            )
+            seen = (moving if values.shape[1] > 1 else still).rows(rows)
+            shape = goal.through_origin, goal.ridge
+            found = best_degree(seen, values / goal.weight, weight, folds[rows], own, goal.degree_max, *shape)
             if found.error < least.get(name, np.inf):
                 least[name] = found.error
-                maps[name] = fit_map(points[rows], values, weight, found.degree, goal.through_origin, goal.ridge)
+                maps[name] = fit_map(seen, values, weight, found.degree, *shape)
                 log.debug("%s of degree %d with images of weight %g", name, found.degree, image_weight)
     return maps
 
 
-def _targets(settings: FitSettings, images: Equilibria, frame: np.ndarray, ratio: float) -> dict[str, Targets]:
-    """Return by name what the maps are fitted to.
+def _targets(
+    settings: FitSettings, images: Equilibria, frame: np.ndarray, ratio: float, largest: np.ndarray
+) -> dict[str, Targets]:
+    """Return by name what the maps are fitted to; ``largest`` (n + 3,) Pa and N are the largest loads.
 
     Viscosity is seen beside the elastic Hessian, which it equals at rest and whose stiff directions it shares wherever
-    they turn: in these terms low degrees predict it three times better.
+    they turn: in these terms low degrees predict it three times better. Of the centre of mass the slope counts, by which
+    weight loads the body.
     """
     elastic = frame.T @ np.linalg.inv(images.compliance) @ frame
     viscous = frame.T @ images.stiffness @ frame
@@ -66,18 +75,30 @@ def _targets(settings: FitSettings, images: Equilibria, frame: np.ndarray, ratio
     inverse = np.linalg.inv(factor)
     weight = np.tile(np.sqrt(np.diag((elastic + viscous).mean(axis=0))), len(frame))
     roots = symmetric_roots(inverse @ mass @ inverse.T) @ factor.T
-    goals = {"mass_root": Targets(roots.reshape(len(mass), -1), weight, settings.root_degree_max, False, ROOT_RIDGE)}
+    goals = {"mass_root": Targets(_flat(roots), weight, settings.root_degree_max, False, ROOT_RIDGE)}
     apart = np.linalg.inv(elastic_factors(elastic))
     for name, matrices in (("stiffness_root", viscous - lagging), ("lag_root", lagging)):
-        roots = symmetric_roots(apart @ matrices @ apart.transpose(0, 2, 1)).reshape(len(mass), -1)
-        goals[name] = Targets(roots, np.ones(roots.shape[1]), settings.root_degree_max, False, ROOT_RIDGE)
-    for name, values in (
-        ("centre_of_mass", images.centre_of_mass),
-        ("rotation", images.rotation),
-        ("lag_rotation", (images.lag_spin @ frame).reshape(len(images.load), -1)),
+        roots = _flat(symmetric_roots(apart @ matrices @ apart.transpose(0, 2, 1)))
+        goals[name] = Targets(roots, np.ones(roots.shape[2]), settings.root_degree_max, False, ROOT_RIDGE)
+    for name, values, slopes, degree_max in (
+        ("centre_of_mass", images.centre_of_mass, images.centre_slope, settings.energy_degree_max),
+        ("rotation", images.rotation, images.rotation_slope, settings.map_degree_max),
     ):
-        goals[name] = Targets(values, np.ones(values.shape[1]), settings.map_degree_max, True, MAP_RIDGE)
+        both = np.concatenate([values[:, None], slopes.transpose(0, 2, 1) * largest[:, None]], axis=1)
+        goals[name] = Targets(both, np.ones(3), degree_max, True, MAP_RIDGE)
+    for name, values, through_origin in (
+        ("lag_rotation", images.lag_spin @ frame, True),
+        ("give", images.give, False),
+        ("give_rotation", images.give_spin, False),
+    ):
+        flat = _flat(values)
+        goals[name] = Targets(flat, np.ones(flat.shape[2]), settings.map_degree_max, through_origin, MAP_RIDGE)
     return goals
+
+
+def _flat(values: np.ndarray) -> np.ndarray:
+    """Return matrices (S, rows, columns) as values of a map without slopes (S, 1, rows columns)."""
+    return values.reshape(len(values), 1, -1)
 
 
 def _lag_ratio(samples: Equilibria) -> float:

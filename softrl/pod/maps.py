@@ -7,20 +7,46 @@ import numpy as np
 from softrl.pod.polynomial import basis, count, degree_of, multinomials
 
 
+class Seen(NamedTuple):
+    """Where a map is seen: at ``points`` (S, r), and how it changes along ``moves`` (S, r, k), of which there may be none."""
+
+    points: np.ndarray
+    moves: np.ndarray
+
+    def rows(self, index: np.ndarray | slice) -> "Seen":
+        """Return the samples ``index``."""
+        return Seen(self.points[index], self.moves[index])
+
+    def design(self, degree: int) -> np.ndarray:
+        """Return (S, 1 + k, monomials): the value of every monomial, then its change along each move."""
+        table = basis(self.points.shape[1], degree)
+        values = table.values(self.points)[:, None]
+        if not self.moves.shape[2]:
+            return values
+        change = np.einsum("srm,srk->skm", table.gradient_rows(self.points), self.moves, optimize=True)
+        return np.concatenate([values, change], axis=1)
+
+
+def at_points(points: np.ndarray) -> Seen:
+    """Return what is seen where only values at ``points`` (S, r) are known."""
+    return Seen(points, np.zeros((*points.shape, 0)))
+
+
 def fit_map(
-    points: np.ndarray, targets: np.ndarray, weight: np.ndarray, degree: int, through_origin: bool, ridge: float
+    seen: Seen, targets: np.ndarray, weight: np.ndarray, degree: int, through_origin: bool, ridge: float
 ) -> np.ndarray:
-    """Return coefficients (columns, monomials) of polynomials from ``points`` (S, r) to ``targets`` (S, columns).
+    """Return coefficients (columns, monomials) of polynomials with ``targets`` (S, 1 + k, columns) where they are seen.
 
     ``weight`` (S,) is that of each sample's squares; ``ridge`` is relative to their sum. ``through_origin`` leaves out
     the constant term: the map of rest is zero.
     """
-    spread = np.sqrt(multinomials(points.shape[1], degree))
+    spread = np.sqrt(multinomials(seen.points.shape[1], degree))
     skip = 1 if through_origin else 0
-    scaled = (basis(points.shape[1], degree).values(points) * spread)[:, skip:]
-    weighed = scaled * weight[:, None]
+    rows = (seen.design(degree) * spread)[..., skip:]
+    scaled, equal = rows.reshape(-1, rows.shape[2]), targets.reshape(-1, targets.shape[2])
+    weighed = scaled * np.repeat(weight, rows.shape[1])[:, None]
     normal = weighed.T @ scaled + ridge * weight.sum() * np.eye(scaled.shape[1])
-    found = np.linalg.solve(normal, weighed.T @ targets) * spread[skip:, None]
+    found = np.linalg.solve(normal, weighed.T @ equal) * spread[skip:, None]
     return np.pad(found.T, ((0, 0), (skip, 0)))
 
 
@@ -38,24 +64,23 @@ class Degree(NamedTuple):
 
 
 def best_degree(
-    points: np.ndarray, targets: np.ndarray, weight: np.ndarray, fold: np.ndarray, judged: slice, degree_max: int,
+    seen: Seen, targets: np.ndarray, weight: np.ndarray, fold: np.ndarray, judged: slice, degree_max: int,
     through_origin: bool, ridge: float,
 ) -> Degree:
     """Return the degree up to ``degree_max`` whose error over folds that the fit did not see is smallest.
 
     ``weight`` (S,) is that of each sample in the fits, ``fold`` (S,) numbers its part; the error is that of the rows
-    ``judged``. A degree with more monomials than samples is not tried.
+    ``judged``. A degree with more monomials than equations is not tried.
     """
     errors: dict[int, float] = {}
     for degree in range(1 if through_origin else 0, degree_max + 1):
-        if errors and count(points.shape[1], degree) > 0.7 * len(points):
+        if errors and count(seen.points.shape[1], degree) > 0.7 * targets.shape[0] * targets.shape[1]:
             break
         left = np.empty_like(targets)
         for part in np.unique(fold):
-            seen = fold != part
-            left[~seen] = evaluate(
-                fit_map(points[seen], targets[seen], weight[seen], degree, through_origin, ridge), points[~seen]
-            )
+            inside = fold != part
+            found = fit_map(seen.rows(inside), targets[inside], weight[inside], degree, through_origin, ridge)
+            left[~inside] = seen.rows(~inside).design(degree) @ found.T
         errors[degree] = float(((left - targets)[judged] ** 2).mean())
     best = min(errors, key=lambda degree: errors[degree])
     return Degree(best, errors[best])

@@ -9,10 +9,10 @@ from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
 from softrl.core.tracking import Tracker
 from softrl.pod.kernel import run_kernel
-from softrl.pod.rom import no_hooks, roll_poses, static_points, tables_of, tip_poses
+from softrl.pod.rom import no_hooks, roll_poses, static_coordinates, static_points, tables_of, tip_poses
 from softrl.pod.symmetry import Equilibria, rotation_vector
 
-NO_WEIGHT = np.zeros(3)  # the snapshots are without weight
+NO_WEIGHT = np.zeros(3)  # the equilibria are without weight
 SPEED_STEPS = 20_000
 
 
@@ -41,9 +41,10 @@ def statics(model: ReducedModel, samples: Equilibria) -> tuple[Prediction, int]:
 
 
 def motions(model: ReducedModel, snapshots: Snapshots) -> Prediction:
-    """Return the model's trajectories under the loads of the full model's, from rest."""
-    dt = _time_step(snapshots)
-    rolled = roll_poses(model, dt, snapshots.trajectory_load, gravity_m_s2=NO_WEIGHT)
+    """Return the model's trajectories under loads and weight of the full model's, from rest."""
+    gravity, load = snapshots.trajectory_gravity_m_s2, snapshots.trajectory_load
+    rest = static_coordinates(model, np.zeros((1, model.order)), gravity)
+    rolled = roll_poses(model, _time_step(snapshots), load, np.repeat(rest, len(load), axis=0), gravity_m_s2=gravity)
     return Prediction(rolled.coordinate, snapshots.trajectory_coordinate, rolled.quaternion)
 
 
@@ -78,7 +79,8 @@ def report_motions(model: ReducedModel, linear: ReducedModel, snapshots: Snapsho
     tracker.metric("heldout/baseline_linear_dynamic_tip_rms_mm", 1e3 * rms(motions(linear, snapshots).tip_errors()))
     flat = snapshots.trajectory_load.reshape(-1, model.order)
     unique, where = np.unique(flat, axis=0, return_inverse=True)
-    still = static_points(tables_of(model, NO_WEIGHT), unique)[0][where.ravel()] @ model.frame.T
+    tables = tables_of(model, snapshots.trajectory_gravity_m_s2)
+    still = static_points(tables, unique)[0][where.ravel()] @ model.frame.T
     static = Prediction(still.reshape(moving.full.shape), moving.full)
     tracker.metric("heldout/baseline_static_dynamic_tip_rms_mm", 1e3 * rms(static.tip_errors()))
     turned = rotation_vector(snapshots.trajectory_quaternion.reshape(-1, 4))

@@ -22,7 +22,7 @@ FAILED_SHARE = 0.01  # of the steps: more that do not converge are no motion
 QUASI_STATIC_S = 1e6  # one implicit step of this length is an equilibrium
 LOAD_STEPS = 4  # an equilibrium is approached in this many equal steps of the load
 WALL = 3.0  # of the largest curvature at rest: what rises outside the samples
-MAPS = ("mass_root", "stiffness_root", "lag_root", "rotation", "lag_rotation")
+MAPS = ("mass_root", "stiffness_root", "lag_root", "lag_rotation")
 PORT = nb.types.FunctionType(PORT_KERNEL)
 
 
@@ -46,14 +46,19 @@ def tables_of(
     r, n = model.order, model.chambers
     mass = mass_scale * model.mass
     weight = gradient_of(model.centre_of_mass, r)  # (r, 3, k)
+    give = mass_scale**2 / youngs_modulus_scale  # to weight, and softer, a body gives more
     drop = mass * gravity @ model.centre_of_mass
-    degree = max(degree_of(r, len(model.energy)), degree_of(r, len(drop)), 2)
+    settling = 0.5 * give * np.kron(gravity, gravity) @ model.give
+    turn = give / mass_scale * np.einsum("j,ijk->ik", gravity, model.give_rotation.reshape(3, 3, -1))
+    degree = max(2, *(degree_of(r, len(part)) for part in (model.energy, drop, settling)))
     potential = np.zeros(basis(r, degree).monomials)
     potential[: len(model.energy)] = youngs_modulus_scale * model.energy
     potential[: len(drop)] -= drop
+    potential[: len(settling)] -= settling
     gradient, hessian = basis(r, degree).derivative(potential), basis(r, degree).hessian(potential)
     turning = gradient_of(model.mass_root, r)
-    maps = (gradient, weight, *(getattr(model, name) for name in MAPS))
+    rotation = _sum(model.rotation, turn)
+    maps = (gradient, weight, rotation, *(getattr(model, name) for name in MAPS))
     full = basis(r, max(degree_of(r, table.shape[-1]) for table in maps if table.shape[-1]))
     inverse = np.linalg.inv(model.frame)
     quadratic = youngs_modulus_scale * elastic_hessian_at_rest(model)
@@ -77,7 +82,7 @@ def tables_of(
                 turning.reshape(r**3, turning.shape[-1]),
                 elastic_hessian(model),
                 mass * weight.transpose(1, 0, 2),
-                model.rotation,
+                rotation,
                 model.lag_rotation,
                 model.rest_volume,
                 model.rest_tip,
@@ -96,6 +101,14 @@ def tables_of(
             ),
         )
     )
+
+
+def _sum(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return the sum of two maps (rows, monomials), which may be of different degree."""
+    total = np.zeros((len(left), max(left.shape[1], right.shape[1])))
+    total[:, : left.shape[1]] += left
+    total[:, : right.shape[1]] += right
+    return total
 
 
 def gradient_of(coefficients: np.ndarray, order: int) -> np.ndarray:
@@ -317,12 +330,14 @@ def mechanical_energy(
     r = model.order
     inverse = np.linalg.inv(model.frame)
     y, rate = coordinate @ inverse.T, velocity @ inverse.T
-    values = basis(r, degree_of(r, len(model.energy))).values(y)
+    widest = max(len(model.energy), model.centre_of_mass.shape[1], model.give.shape[1], model.mass_root.shape[1])
+    values = basis(r, degree_of(r, widest)).values(y)
     gravity = np.asarray(model.gravity_m_s2 if gravity_m_s2 is None else gravity_m_s2, dtype=float)
     height = values[:, : model.centre_of_mass.shape[1]] @ model.centre_of_mass.T
+    settling = 0.5 * values[:, : model.give.shape[1]] @ (np.kron(gravity, gravity) @ model.give)
     root = values[:, : model.mass_root.shape[1]] @ model.mass_root.T
     moving = np.einsum("sij,sj->si", root.reshape(-1, r, r), rate)
-    energy = 0.5 * (moving**2).sum(axis=1) + values @ model.energy - model.mass * height @ gravity
+    energy = 0.5 * (moving**2).sum(axis=1) + values[:, : len(model.energy)] @ model.energy - model.mass * height @ gravity - settling
     if lag is None or not model.lag_root.size:
         return energy
     loose = _lag_roots(model, y + 0.5 * dt_s * rate)

@@ -76,11 +76,12 @@ def anchor_loads(draft: ReducedModel) -> np.ndarray:
     half = 0.5 * BEYOND * (draft.pressure_max_pa - draft.pressure_min_pa)
     sink = gradient_of(draft.centre_of_mass, draft.order)[:, :, 0] @ draft.gravity_m_s2
     weight = draft.mass * sink @ np.linalg.inv(draft.frame)
-    largest = np.abs([draft.load_low[n:], draft.load_high[n:]]).max() + np.linalg.norm(weight[n:])
+    centre = 0.5 * (draft.load_low + draft.load_high)[n:]
+    largest = 0.5 * (draft.load_high - draft.load_low)[n:].max() + np.linalg.norm(weight[n:])
     height, turn, radius = 2.0 * unit[:, n] - 1.0, 2.0 * np.pi * unit[:, n + 1], np.sqrt(unit[:, n + 2])
     flat = np.sqrt(1.0 - height**2)
     force = largest * radius[:, None] * np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
-    return np.hstack([middle + half * (2.0 * unit[:, :n] - 1.0), force])
+    return np.hstack([middle + half * (2.0 * unit[:, :n] - 1.0), centre + force])
 
 
 def equilibria_of(model: ReducedModel, loads: np.ndarray) -> Equilibria:
@@ -102,7 +103,7 @@ def equilibria_of(model: ReducedModel, loads: np.ndarray) -> Equilibria:
     none = np.zeros((len(points), 0))
     return Equilibria(
         (slope[stable] @ model.energy) @ inverse, points @ model.frame.T, table.values(points) @ model.energy, compliance,
-        bent, *(none for _ in range(7)),
+        bent, *(none for _ in range(13)),
     )
 
 

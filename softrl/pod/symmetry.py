@@ -34,7 +34,13 @@ class Equilibria(NamedTuple):
     lag_viscosity: np.ndarray
     lag_spin: np.ndarray
     centre_of_mass: np.ndarray
+    centre_slope: np.ndarray
+    give: np.ndarray
+    give_spin: np.ndarray
+    give_mass: np.ndarray
+    give_coupling: np.ndarray
     rotation: np.ndarray
+    rotation_slope: np.ndarray
 
     def rows(self, index: np.ndarray | slice) -> "Equilibria":
         """Return the samples ``index``."""
@@ -56,7 +62,13 @@ def equilibria(snapshots: Snapshots) -> Equilibria:
         snapshots.lag_viscosity,
         snapshots.lag_spin,
         snapshots.centre_of_mass,
-        rotation_vector(snapshots.tip_quaternion),
+        snapshots.centre_slope,
+        snapshots.give,
+        snapshots.give_spin,
+        snapshots.give_mass,
+        snapshots.give_coupling @ inverse,
+        rotation := rotation_vector(snapshots.tip_quaternion),
+        per_spin(rotation) @ snapshots.tip_spin,
     )
 
 
@@ -67,6 +79,15 @@ def rotation_vector(quaternion: np.ndarray) -> np.ndarray:
     half = np.arctan2(sine, quaternion[:, 0])
     factor = np.where(sine > 1e-9, 2.0 * half / np.where(sine > 1e-9, sine, 1.0), 2.0)
     return quaternion[:, 1:] * factor[:, None]
+
+
+def per_spin(rotation: np.ndarray) -> np.ndarray:
+    """Return d rotation vector / d spin (samples, 3, 3) at rotation vectors (samples, 3), of less than a whole turn."""
+    angle = np.linalg.norm(rotation, axis=1)[:, None, None]
+    half = np.maximum(0.5 * angle, 1e-6)
+    cross = np.cross(rotation[:, None, :], np.eye(3)).transpose(0, 2, 1)  # rotation x
+    bend = np.where(angle > 1e-4, (1.0 - half / np.tan(half)) / np.maximum(angle, 1e-9) ** 2, 1.0 / 12.0)
+    return np.eye(3) - 0.5 * cross + bend * cross @ cross
 
 
 def symmetries(direction: np.ndarray) -> list[Symmetry]:
@@ -110,7 +131,13 @@ def reflected(samples: Equilibria, operations: list[Symmetry]) -> Equilibria:
                 g @ samples.lag_viscosity @ g.T,
                 np.linalg.det(vector) * vector @ samples.lag_spin @ g.T,
                 samples.centre_of_mass @ vector.T,
+                vector @ samples.centre_slope @ g.T,
+                vector @ samples.give @ vector.T,
+                np.linalg.det(vector) * vector @ samples.give_spin @ vector.T,
+                vector @ samples.give_mass @ vector.T,
+                vector @ samples.give_coupling @ g.T,
                 np.linalg.det(vector) * samples.rotation @ vector.T,
+                np.linalg.det(vector) * vector @ samples.rotation_slope @ g.T,
             )
         )
     return Equilibria(*(np.concatenate(column) for column in zip(*images, strict=True)))

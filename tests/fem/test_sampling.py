@@ -9,25 +9,26 @@ from softrl.fem.sampling import load_scale, paths, sobol_loads, step_program, wi
 from tests.fem.bodies import box_robot, model_of
 
 ROBOT = box_robot(3)
+CENTRE = np.array([0.0, 0.1, -0.3])
 
 
 def test_loads_keep_the_robots_limits_and_reach_them() -> None:
-    loads = sobol_loads(ROBOT, 100, 0.25, seed=1)
-    pressure, force = loads[:, :3], np.linalg.norm(loads[:, 3:], axis=1)
+    loads = sobol_loads(ROBOT, 100, 0.25, CENTRE, seed=1)
+    pressure, force = loads[:, :3], np.linalg.norm(loads[:, 3:] - CENTRE, axis=1)
     assert loads.shape == (100, 6)
     assert pressure.min() >= ROBOT.pressure_min_pa and pressure.max() <= ROBOT.pressure_max_pa
     assert ((pressure == ROBOT.pressure_min_pa) | (pressure == ROBOT.pressure_max_pa)).any(axis=1).sum() >= 25
     assert 0.9 * ROBOT.tip_force_max_n < force.max() <= ROBOT.tip_force_max_n
-    assert np.abs(loads[:, 3:].mean(axis=0)).max() < 0.1 * ROBOT.tip_force_max_n
+    assert np.abs((loads[:, 3:] - CENTRE).mean(axis=0)).max() < 0.1 * ROBOT.tip_force_max_n
 
 
 def test_the_same_seed_gives_the_same_loads() -> None:
-    assert (sobol_loads(ROBOT, 16, 0.5, 3) == sobol_loads(ROBOT, 16, 0.5, 3)).all()
-    assert (sobol_loads(ROBOT, 16, 0.5, 3) != sobol_loads(ROBOT, 16, 0.5, 4)).any()
+    assert (sobol_loads(ROBOT, 16, 0.5, CENTRE, 3) == sobol_loads(ROBOT, 16, 0.5, CENTRE, 3)).all()
+    assert (sobol_loads(ROBOT, 16, 0.5, CENTRE, 3) != sobol_loads(ROBOT, 16, 0.5, CENTRE, 4)).any()
 
 
 def test_paths_hold_every_load_once_and_are_shorter_than_chance() -> None:
-    loads, scale = sobol_loads(ROBOT, 64, 0.0, 0), load_scale(ROBOT)
+    loads, scale = sobol_loads(ROBOT, 64, 0.0, CENTRE, 0), load_scale(ROBOT)
     chains = paths(loads, scale, 4)
     assert sorted(np.concatenate(chains)) == list(range(64))
 
@@ -38,7 +39,7 @@ def test_paths_hold_every_load_once_and_are_shorter_than_chance() -> None:
 
 
 def test_waypoints_divide_every_way_evenly_and_keep_the_samples() -> None:
-    loads, scale = sobol_loads(ROBOT, 16, 0.0, 0), load_scale(ROBOT)
+    loads, scale = sobol_loads(ROBOT, 16, 0.0, CENTRE, 0), load_scale(ROBOT)
     more, chains = with_waypoints(loads, paths(loads, scale, 3), scale, 0.8)
     assert sorted(np.concatenate(chains)) == list(range(len(more)))
     np.testing.assert_array_equal(more[:16], loads)
@@ -61,7 +62,7 @@ def test_programs_keep_the_slew_rate_and_the_limits() -> None:
 
 def test_a_path_ends_where_a_solve_from_rest_ends(box: Mesh) -> None:
     robot, model = box_robot(2), model_of(box)
-    loads = sobol_loads(robot, 4, 0.0, 2)
+    loads = sobol_loads(robot, 4, 0.0, CENTRE, 2)
     for load, found in zip(loads, follow(model, loads, load_scale(robot), 0.5), strict=True):
         assert isinstance(found, Equilibrium)
         alone = model.static(load)

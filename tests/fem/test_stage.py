@@ -25,6 +25,7 @@ CONFIG = Config(
     equilibria=5,
     faces_share=0.2,
     tip_force_scale=1.0,
+    weight_share=0.5,
     load_step=4.0,
     paths=2,
     trajectories=1,

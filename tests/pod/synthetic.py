@@ -1,10 +1,12 @@
 """Snapshots of a body whose condensed energy is known in closed form: the fits must find it again."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from softrl.artifacts.snapshots import Snapshots
+from softrl.pod.symmetry import per_spin
 from softrl.robots.robot import Robot
 
 YOUNG_PA, MASS_KG = 1e6, 0.5
@@ -138,6 +140,12 @@ class Law:
         return 8.0 * np.array([-tip[1], tip[0], 0.0]) * (1.0 - 3.0 * tip[2])
 
 
+def differences(map_of: Callable[[np.ndarray], np.ndarray], z: np.ndarray) -> np.ndarray:
+    """Return the gradient (3, n + 3) of a map of degree 2 at ``z``: differences are exact."""
+    steps = np.diag(np.r_[np.full(len(z) - 3, 1e-6), np.full(3, 1e-3)])
+    return np.array([(map_of(z + e) - map_of(z - e)) / (2.0 * e.sum()) for e in steps]).T
+
+
 def law_of(robot: Robot) -> Law:
     """Return the energy law of ``robot``."""
     return Law(robot.chamber_direction)
@@ -183,6 +191,7 @@ def synthetic_snapshots(robot: Robot, samples: int, seed: int, trajectories: int
     z = np.array([law.equilibrium(load) for load in loads])
     compliance = np.array([np.linalg.inv(law.hessian(point)) for point in z])
     compliance = 0.5 * (compliance + compliance.transpose(0, 2, 1))
+    turned = np.array([law.rotation(point) for point in z])
     masses, stiffness = np.array([law.mass(point) for point in z]), np.array([law.hessian(point) for point in z])
     nodes = np.stack([rng.uniform(-0.05, 0.05, 40), rng.uniform(-0.05, 0.05, 40), rng.uniform(0, 0.18, 40)], axis=1)
     tip = z[:, n:]
@@ -206,13 +215,20 @@ def synthetic_snapshots(robot: Robot, samples: int, seed: int, trajectories: int
         lag_viscosity=LAG_RATIO**2 * LAG_SHARE * stiffness,
         lag_spin=np.zeros((samples, 3, n + 3)),
         centre_of_mass=np.array([law.centre_of_mass(point) for point in z]),
-        tip_quaternion=np.array([quaternion(law.rotation(point)) for point in z]),
+        centre_slope=np.array([differences(law.centre_of_mass, point) for point in z]) @ compliance,
+        give=np.zeros((samples, 3, 3)),
+        give_spin=np.zeros((samples, 3, 3)),
+        give_mass=np.zeros((samples, 3, 3)),
+        give_coupling=np.zeros((samples, 3, n + 3)),
+        tip_spin=np.linalg.inv(per_spin(turned)) @ np.array([differences(law.rotation, point) for point in z]) @ compliance,
+        tip_quaternion=np.array([quaternion(turn) for turn in turned]),
         displacement=shape.astype(np.float32),
         nodal_mass=np.full(40, MASS_KG / 40),
         trajectory_time=dt * np.arange(1, steps + 1),
         trajectory_load=path_load,
         trajectory_coordinate=paths,
         trajectory_quaternion=turns,
+        trajectory_gravity_m_s2=np.zeros(3),
         rest_tip=np.array([0.0, 0.0, 0.18]),
         rest_volume=np.full(n, 1e-4),
         mass=MASS_KG,

@@ -1,0 +1,58 @@
+"""How a body at an equilibrium bears its own weight and inertia, which act on all of it and not at the tip alone.
+
+A reduced body sees its weight through the centre of mass. To gravity, and to an acceleration alike, the body also gives
+by shapes in which volumes and tip stay: that softens a sagging body a little, and makes a swinging one heavier the
+faster it swings. All are first derivatives of the nodes, so that no sample needs a solve of its own.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from softrl.fem.coupling import Pose
+from softrl.fem.model import FemModel, Tangent
+
+
+class Weight(NamedTuple):
+    """How an equilibrium answers gravity, ``w = n + 3`` loads.
+
+    Attributes
+    ----------
+    centre_slope : (3, w) d centre of mass / d load, m per Pa and N
+    tip_spin : (3, w) rotation of the plate by the loads, rad per Pa and N
+    give : (3, 3) change of mass times centre of mass by gravity, volumes and tip held, kg s^2
+    give_spin : (3, 3) rotation of the plate by gravity, volumes and tip held, rad s^2/m
+    give_mass : (3, 3) of the shapes by which the body gives to unit gravity, kg s^4
+    give_coupling : (3, w) of these shapes with the motion by the loads, in the mass, kg s^2 m per Pa and N
+    """
+
+    centre_slope: np.ndarray
+    tip_spin: np.ndarray
+    give: np.ndarray
+    give_spin: np.ndarray
+    give_mass: np.ndarray
+    give_coupling: np.ndarray
+
+
+def weight_at(model: FemModel, pose: Pose, tangent: Tangent) -> Weight:
+    """Return how an equilibrium bears weight; ``tangent`` must be what ``model`` computed last."""
+    mass, plate = model.nodal_mass[:, None], model.coupling.body_slice(0)
+    spin = slice(plate.start + 3, plate.stop)
+    pull = np.stack([model.coupling.reduce(mass * unit, pose) for unit in np.eye(3)], axis=1)
+    free = model.solve(pull)
+    held = free - tangent.change @ np.linalg.solve(tangent.compliance, model.load_directions(pose).T @ free)
+    give = pull.T @ held
+    shapes, moved = (np.stack([model.coupling.expand(x, pose) for x in part.T]) for part in (held, tangent.change))
+    heavy = mass * shapes
+    return Weight(
+        pull.T @ tangent.change / mass.sum(), tangent.change[spin], 0.5 * (give + give.T), held[spin],
+        np.einsum("ani,bni->ab", shapes, heavy), np.einsum("ani,bni->ab", heavy, moved),
+    )
+
+
+def pull_at_rest(model: FemModel, gravity_m_s2: np.ndarray) -> np.ndarray:
+    """Return the load (n + 3,) Pa and N that would load the stress-free body like its weight."""
+    still = np.zeros(model.chambers + 3)
+    tangent = model.tangent(model.rest(), still)
+    slope = weight_at(model, model.rest(), tangent).centre_slope
+    return np.linalg.solve(tangent.compliance, model.nodal_mass.sum() * gravity_m_s2 @ slope)

@@ -1,0 +1,58 @@
+"""How an equilibrium bears weight: against differences, and what it predicts against the weighted body."""
+
+import numpy as np
+
+from softrl.artifacts.mesh import Mesh
+from softrl.fem.model import FemModel
+from softrl.fem.weight import pull_at_rest, weight_at
+from softrl.pod.symmetry import per_spin, rotation_vector
+from tests.fem.bodies import model_of
+
+LOAD = np.array([1.5e5, -1e4, 2.0, 1.0, -3.0])
+GRAVITY = (30.0, 0.0, -90.0)
+
+
+def centre_and_turn(model: FemModel, load: np.ndarray) -> np.ndarray:
+    pose = model.static(load).pose
+    return np.r_[model.centre_of_mass(pose), rotation_vector(model.tip_quaternion(pose)[None])[0]]
+
+
+def test_slopes_are_those_of_neighbouring_equilibria(box: Mesh) -> None:
+    model = model_of(box)
+    pose = model.static(LOAD).pose
+    weight = weight_at(model, pose, model.tangent(pose, LOAD))
+    turn = per_spin(rotation_vector(model.tip_quaternion(pose)[None]))[0]
+    for k, step in enumerate((200.0, 200.0, 0.02, 0.02, 0.02)):
+        nudge = step * np.eye(5)[k]
+        change = (centre_and_turn(model, LOAD + nudge) - centre_and_turn(model, LOAD - nudge)) / (2.0 * step)
+        told = np.r_[weight.centre_slope[:, k], turn @ weight.tip_spin[:, k]]
+        for part in (slice(0, 3), slice(3, 6)):
+            np.testing.assert_allclose(told[part], change[part], atol=2e-3 * np.abs(change[part]).max())
+
+
+def test_a_load_that_pulls_like_the_weight_leaves_what_gives_way(box: Mesh) -> None:
+    """With volumes and tip where the weighted body has them, the plain one misses its centre of mass by the give."""
+    model, heavy = model_of(box), model_of(box, gravity_m_s2=GRAVITY)
+    gravity, mass = np.array(GRAVITY), model.nodal_mass.sum()
+    weighed = heavy.static(LOAD).pose
+    wanted, load = heavy.coordinate(weighed), LOAD
+    for _ in range(6):  # the load that holds the plain body's volumes and tip where the weighted body's are
+        pose = model.static(load).pose
+        tangent = model.tangent(pose, load)
+        load = load + np.linalg.solve(tangent.compliance, wanted - model.coordinate(pose))
+    weight = weight_at(model, pose, tangent)
+    left = mass * (heavy.centre_of_mass(weighed) - model.centre_of_mass(pose))
+    np.testing.assert_allclose(left, weight.give @ gravity, atol=0.1 * np.abs(left).max())
+    assert np.linalg.eigvalsh(weight.give).min() > 0.0
+    pulled = np.linalg.solve(tangent.compliance, mass * gravity @ weight.centre_slope)
+    scale = np.r_[np.full(2, 1e4), np.ones(3)]
+    missed, all_of_it = (load - LOAD - pulled) / scale, (load - LOAD) / scale
+    assert np.linalg.norm(missed) < 0.1 * np.linalg.norm(all_of_it)
+
+
+def test_the_pull_at_rest_sags_the_body_like_its_weight(box: Mesh) -> None:
+    light = (0.3, 0.0, -0.9)
+    model, heavy = model_of(box), model_of(box, gravity_m_s2=light)
+    sag = heavy.coordinate(heavy.static(np.zeros(5)).pose)
+    pulled = model.coordinate(model.static(pull_at_rest(model, np.array(light))).pose)
+    np.testing.assert_allclose(pulled[2:], sag[2:], atol=1e-3 * np.abs(sag[2:]).max())
