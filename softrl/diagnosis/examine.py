@@ -142,7 +142,10 @@ def _confirm(
         without = _leave_one_out(part, judge, base, final, search)
         gaps = {choice: judge.gap(trial.squares, final.squares) for choice, trial in without.items()}
         weakest = min(gaps, key=lambda choice: gaps[choice].value)
-        if gaps[weakest].value >= judge.material and gaps[weakest].low > 0.0:
+        plain = gaps[weakest].value >= judge.material
+        if len(gaps) == 1:  # nothing else is named: see ``Judge.shows``
+            plain = judge.removed(base.squares, final.squares) >= judge.material
+        if plain and gaps[weakest].low > 0.0:
             found = intervals(part.problem, final, judge.thresholds)
             mine = by_effect(final.hypothesis, found)
             return final, [Named(choice, mine[choice], gaps[choice]) for choice in without], without

@@ -14,7 +14,8 @@ from softrl.effects.library import effect_class
 from softrl.robots.robot import Robot
 
 GATES = {"above_share": "above a pressure", "since_s": "from a time on"}
-SINCE, ABOVE = (0.3, 0.6), (0.3, 0.6)  # shares of the run and of its highest pressure at which searches for a gate begin
+BEGINS = (0.3, 0.6)  # shares of the run and of its highest pressure at which searches for a gate begin
+BEGIN_ALONE = (0.45,)  # the same for one chamber alone, of which there are many
 # what may change from one day to the next: warmth, rest and age of the wall; what it carries; how it is mounted
 BY_SESSION = ("stiffness_scale", "strain_softening", "payload", "mount_tilt")
 FULL_TURN_RAD = 6.0  # a parameter in rad with a wider range than this is a direction: several starts
@@ -261,7 +262,8 @@ def gated(choice: Choice, duration_s: float, highest_share: float) -> list[Choic
     effect = effect_class(choice.name)
     if effect.together:
         return []
-    gates = [] if effect.clock is not None else [Gate("since_s", share * duration_s) for share in SINCE]
+    begins = BEGINS if choice.chamber < 0 else BEGIN_ALONE
+    gates = [] if effect.clock is not None else [Gate("since_s", share * duration_s) for share in begins]
     if effect.site in ("valve", "chamber", "body"):
-        gates += [Gate("above_share", share * highest_share) for share in ABOVE]
+        gates += [Gate("above_share", share * highest_share) for share in begins]
     return [choice._replace(gate=gate) for gate in gates]

@@ -17,7 +17,9 @@ from softrl.effects.library import effect_class
 log = logging.getLogger(__name__)
 SAME_NAME = 2  # forms of one effect (all chambers, one chamber) that are fitted in full
 LEAD_SHARE = 0.3  # of the best rough fit's gain, which another needs to be fitted in full
-PLAIN = 2.5  # times what counts: what is left by effects that act everywhere, before they are asked where alone they act
+LEAD_GAIN = 0.03  # share of the squared error: a rough fit that saves less will not save what counts when fitted in full
+PLAIN = 2.5  # times what counts: what is left, before effects are asked where alone they act, if none was found before
+SOME = 1.8  # the same where one was found: what it leaves may be that it acts there alone
 REFORMED = 2  # fits of a round, the best, in which older effects are tried in their other forms
 SILENT = 1e-6  # of the largest column: a parameter with less influence on the residual has none
 
@@ -82,7 +84,7 @@ def _grow(
             f"{current.hypothesis.label()}: rms {judge.rms(current.squares):.4g}, best addition "
             f"{added.hypothesis.effects[-1].label()}: {judge.rms(added.squares):.4g} on runs left out"
         )
-        if not judge.pays(current.squares, added.squares):
+        if not _pays(judge, current, added):
             break
         added = slim(fitting, judge, added, search, path)
         path.best = _swap(fitting, judge, added, choices, search, path)
@@ -90,18 +92,25 @@ def _grow(
         path.best = slim(fitting, judge, path.best, search, path)
 
 
+def _pays(judge: Judge, current: Trial, added: Trial) -> bool:
+    """Return whether the effect that ``added`` has beyond ``current`` pays; the first only has to show."""
+    decide = judge.pays if current.hypothesis.effects else judge.shows
+    return decide(current.squares, added.squares)
+
+
 def _narrow(
     fitting: Problem, judge: Judge, choices: Sequence[Choice], search: Search, path: Path, report: Callable[[str], None]
 ) -> bool:
     """Return whether an effect that acts above a pressure or from a time on only pays: one of ``path``, or a new one."""
-    before, plain = path.best, PLAIN * judge.material
-    everywhere = [choice for choice in choices if choice.chamber < 0 and not choice.session]
+    before = path.best
+    plain = (SOME if before.hypothesis.effects else PLAIN) * judge.material
+    forms = _gated([choice for choice in choices if not choice.session], fitting)
     for old in before.hypothesis.effects:
         if judge.excess(path.best.mean_square) >= plain:
-            _replace(fitting, judge, old, _gated([old, *everywhere], fitting), search, path)
+            _replace(fitting, judge, old, forms, search, path)
     if len(before.hypothesis.effects) < search.max_effects and judge.excess(path.best.mean_square) >= plain:
-        added = _addition(fitting, judge, path.best, _gated(everywhere, fitting), search, path)
-        if added is not None and judge.pays(path.best.squares, added.squares):
+        added = _addition(fitting, judge, path.best, forms, search, path)
+        if added is not None and _pays(judge, path.best, added):
             path.best = _prune(fitting, judge, slim(fitting, judge, added, search, path), search)
     if path.best is not before:
         report(f"{path.best.hypothesis.label()}: {judge.rms(path.best.squares):.4g} on runs left out")
@@ -111,11 +120,11 @@ def _narrow(
 def _replace(
     fitting: Problem, judge: Judge, old: Choice, choices: Sequence[Choice], search: Search, path: Path
 ) -> None:
-    """Put the best of ``choices`` in the place of ``old``, one of the effects of the best hypothesis, if that pays."""
+    """Put the best of ``choices`` in the place of ``old``, one of the effects of the best hypothesis, if it shows."""
     trial = path.best
     less = fit_trials(fitting, None, [(trial.hypothesis.without(old), [drop(trial, old)])], search)
     instead = _addition(fitting, judge, less[0], choices, search, path) if less else None
-    if instead is not None and judge.pays(trial.squares, instead.squares):
+    if instead is not None and judge.shows(trial.squares, instead.squares):
         path.best = slim(fitting, judge, instead, search, path)
 
 
@@ -213,7 +222,7 @@ def fit_leads(fitting: Problem, current: Trial, leads: Sequence[Lead], search: S
     tasks: list[tuple[Hypothesis, list[np.ndarray]]] = []
     seen: dict[str, int] = {}
     for lead in leads:
-        if len(tasks) == search.keep or lead.gain <= max(LEAD_SHARE * leads[0].gain, 0.0):
+        if len(tasks) == search.keep or lead.gain <= max(LEAD_SHARE * leads[0].gain, LEAD_GAIN):
             break
         seen[lead.choice.name] = seen.get(lead.choice.name, 0) + 1
         if seen[lead.choice.name] <= SAME_NAME:

@@ -13,6 +13,7 @@ from softrl.diagnosis.statistics import MIN_BLOCKS, blocks_of, bootstrap_means, 
 from softrl.effects.library import effect_class
 from softrl.recordings.recording import Recording
 
+SHOWN = 1.25  # times what counts: the first effect removes this much, in squares; less may be a detail of the body
 OVERLOOKED = 0.02  # of the noise's mean square: a difference that no data tell
 
 
@@ -110,13 +111,25 @@ class Judge:
         needed = max(self.material, self.thresholds.material_gain * float(self.excess(worse.mean())))
         return gap.low > 0.0 and gap.value >= needed and self.stands_out(worse, better)
 
+    def shows(self, worse: np.ndarray, better: np.ndarray) -> bool:
+        """Return whether ``better`` shows that something is missing where nothing was named yet.
+
+        Beside coloured noise, or a second thing that is missing, the rms error hardly falls when the first is found: what
+        is removed is measured in squares, and has to be more than the detail of a body.
+        """
+        plain = self.removed(worse, better) >= SHOWN * self.material
+        return self.gap(worse, better).low > 0.0 and plain and self.stands_out(worse, better)
+
     def stands_out(self, worse: np.ndarray, better: np.ndarray, times: float = 1.0) -> bool:
         """Return whether what ``better`` removes is as large as what counts, and beside what stays, noise of any colour.
 
         The floor knows white noise only; what stays after the best fit holds the rest of it.
         """
-        removed = float(np.sqrt(max(worse.mean() - better.mean(), 0.0)))
-        return removed >= times * max(self.material, self.thresholds.noise_share * self.rms(better))
+        return self.removed(worse, better) >= times * max(self.material, self.thresholds.noise_share * self.rms(better))
+
+    def removed(self, worse: np.ndarray, better: np.ndarray) -> float:
+        """Return the rms of what ``better`` (bins,) removes of ``worse`` (bins,), taken in squares."""
+        return float(np.sqrt(max(worse.mean() - better.mean(), 0.0)))
 
     def tells(self, worse: np.ndarray, better: np.ndarray) -> bool:
         """Return whether the data tell that ``better`` is better, by more than what both leave could bring about.

@@ -21,6 +21,7 @@ UNDRIVEN_SHARE = 0.5  # of the squared error: effects that remove less explain n
 UNKNOWN_TIMES = 1.2  # what is missing must stand out more than what is named: nobody can check it
 REST_FACTOR = 2.5  # times what counts: what is left beside effects that explain most of it, and is no detail of them
 FOLLOWING_FACTOR = 3.0  # times what counts: structure below this may be a detail of the body
+UNEVEN_FACTOR = 2.0  # times what counts: what jumps or moves with the pressures beside noise, and is no detail of the body
 FOLLOWING_LEVEL = 1e-3
 
 
@@ -100,12 +101,18 @@ def _followed(judge: Judge, residual: Residual) -> str:
 
 
 def _uneven(judge: Judge, trial: Trial, residual: Residual, drives: list[np.ndarray]) -> bool:
-    """Return whether ``residual`` is neither white nor noise of any other colour, whatever the parameters are."""
+    """Return whether ``residual`` is neither white nor noise of any other colour, whatever the parameters are.
+
+    Any body differs a little from the robot's, sharply where pressures move, and what is loud beside it may be noise:
+    what is uneven has to be large itself.
+    """
     p_values = [whiteness(column, WHITENESS_LAGS)[1] for run in residual.runs for column in run.T]
     if min(p_values) * len(p_values) > NOISE_LEVEL:
         return False
     rng = np.random.default_rng(judge.seed)
-    return unlike_noise(residual.runs, drives, NOISE_DRAWS, rng, _slopes(judge, trial, residual)) < NOISE_LEVEL
+    found = unlike_noise(residual.runs, drives, NOISE_DRAWS, rng, _slopes(judge, trial, residual))
+    large = np.sqrt(found.share) * judge.rms(residual.squares) > UNEVEN_FACTOR * judge.material
+    return bool(large and found.p_value < NOISE_LEVEL)
 
 
 def _slopes(judge: Judge, trial: Trial, residual: Residual) -> list[np.ndarray]:

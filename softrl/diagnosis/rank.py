@@ -17,6 +17,7 @@ log = logging.getLogger(__name__)
 MIN_AMPLITUDE = 0.25  # a search begins at least at this share of an effect's typical size
 ROUGH_STARTS = 2  # of every effect that are followed
 LOOK_SHARE = 0.2  # of the best effect's gain, along straight lines, which another needs to be fitted at all
+PROMISING = 0.3  # of the best gain: what an effect above a pressure saves in all chambers, to be tried in one alone
 PLAIN_LOOK = 0.2  # gain along straight lines of the best effect below which they tell little behind a bent curve
 IN_VAIN = 0.1  # of the squared error at nominal parameters: where more stays although they went far, the curve is bent
 SECOND_LOOK = 0.5  # of an effect's best begin's gain, which another begin of it needs to be followed
@@ -39,14 +40,18 @@ def rank(fitting: Problem, current: Trial, choices: Sequence[Choice], search: Se
     """Return all ``choices`` fitted roughly beside ``current``, the one that predicts runs left out best first.
 
     A look along straight lines comes first; what could explain little beside the best is not followed further. All others
-    are fitted nonlinearly, first for all chambers, then in each chamber alone from the shapes found so.
+    are fitted nonlinearly, first for all chambers, then in each chamber alone from the shapes found so. What acts above a
+    pressure only is tried in one chamber where it promises something in all; from a time on any chamber may fail alone.
     """
     fitting = fitting.rough
     bases = _bases(fitting, current, search.rough_steps)
     for_all = [choice for choice in choices if choice.chamber < 0]
     leads, reach = _leads(fitting, bases, [(c, starts(c)) for c in for_all], 0.0, search)
     shapes = {_form(lead.choice): lead.point[: len(effect_axes(lead.choice))] for lead in leads}
-    alone = [choice for choice in choices if choice.chamber >= 0]
+    least = PROMISING * max((lead.gain for lead in leads), default=0.0)
+    promising = {_form(lead.choice) for lead in leads if lead.gain >= max(least, 0.0)}
+    anyhow = (None, "since_s")
+    alone = [c for c in choices if c.chamber >= 0 and ((c.gate and c.gate.field) in anyhow or _form(c) in promising)]
     tasks = [(c, [_plain(c, shapes.get(_form(c))), starts(c)[0]]) for c in alone]
     leads += _leads(fitting, bases, tasks, reach, search)[0]
     return sorted(leads, key=lambda lead: -lead.gain)

@@ -1,4 +1,4 @@
-"""An affine map between recorded commands and supplied pressures, as a calibration leaves it."""
+"""A bent map between recorded commands and supplied pressures, as a calibration leaves it."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -15,24 +15,27 @@ CHAMBERS = 3
 
 @nb.njit(SIGNAL_KERNEL, cache=True)
 def command_map_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
-    """Add the matrix times the commands, and the shifts; the state is the commands."""
+    """Add the matrix times the commands, the shifts, and the bends; the state is the commands."""
     count = len(value)
     state[:count] = value
     for i in range(count):
         value[i] += parameters[CHAMBERS * CHAMBERS + i]
+        value[i] += parameters[CHAMBERS * CHAMBERS + CHAMBERS + i] * state[i] * abs(state[i])
         for j in range(count):
             value[i] += parameters[CHAMBERS * i + j] * state[j]
 
 
 @dataclass(frozen=True)
 class CommandMap(Effect):
-    """Supplied pressure ``p_i + sum_j a_ij p_j + b_i p_max`` of commands p: what a map fitted beforehand has put in or taken.
+    """Supplied pressure ``p_i + sum_j a_ij p_j + b_i p_max + c_i p_i |p_i| / p_max`` of commands p.
+
+    It is what a map fitted beforehand has put in or taken.
 
     Notes
     -----
     Where a calibration was fitted to the same robot, the pressures that a simulator is given are not those that the robot
-    got, and part of the physics that is missing hides in the difference (first-order form of any smooth map, no equation
-    number checked). Robots of up to three chambers.
+    got, and part of the physics that is missing hides in the difference (first-order form of any smooth map, and of the
+    second order what bends each chamber's own line; no equation number checked). Robots of up to three chambers.
     """
 
     site: ClassVar[str] = "valve"
@@ -52,6 +55,9 @@ class CommandMap(Effect):
     b_1: float = parameter("1", -0.3, 0.3, 0.0, typical=0.05)
     b_2: float = parameter("1", -0.3, 0.3, 0.0, typical=0.05)
     b_3: float = parameter("1", -0.3, 0.3, 0.0, typical=0.05)
+    c_1: float = parameter("1", -0.5, 0.5, 0.0, typical=0.1, default=0.0)
+    c_2: float = parameter("1", -0.5, 0.5, 0.0, typical=0.1, default=0.0)
+    c_3: float = parameter("1", -0.5, 0.5, 0.0, typical=0.1, default=0.0)
 
     @classmethod
     def suits(cls, robot: Robot) -> bool:
@@ -59,9 +65,11 @@ class CommandMap(Effect):
         return 1 < robot.chambers <= CHAMBERS
 
     def pack(self, robot: Robot) -> np.ndarray:
-        """Return the matrix, and the shifts in Pa."""
+        """Return the matrix, the shifts in Pa, and the bends per Pa."""
         if robot.chambers > CHAMBERS:
             raise ConfigError(f"effect command_map knows {CHAMBERS} chambers; robot {robot.name} has {robot.chambers}")
         values = super().pack(robot)[:-1]
-        values[CHAMBERS * CHAMBERS :] *= robot.pressure_max_pa
+        first = CHAMBERS * CHAMBERS
+        values[first : first + CHAMBERS] *= robot.pressure_max_pa
+        values[first + CHAMBERS :] /= robot.pressure_max_pa
         return values

@@ -22,6 +22,7 @@ from softrl.diagnosis.hypothesise import _pinned
 from softrl.diagnosis.search import Fit
 from softrl.diagnosis.stage import run
 from softrl.diagnosis.trial import Trial
+from softrl.effects.gain import Gain
 from softrl.effects.hysteresis import Hysteresis
 from softrl.effects.lag import Lag
 from softrl.effects.leak import Leak
@@ -73,6 +74,14 @@ def test_where_alone_an_effect_acts_is_found(
     found = run(config, body.robot, made(body, (hidden,), sessions=3), body, tracker=NullTracker())
     assert [effect["name"] for effect in found.effects] == [hidden.name()], found.sentences
     assert abs(found.effects[0]["parameters"][field]["value"] - value) < apart
+
+
+def test_what_begins_late_in_one_chamber_is_found_there(body: PccSimulator) -> None:
+    config = configured(candidates=["gain", "failure", "lag"])
+    recordings = made(body, (Gain(1.15, chamber=1, since_s=14.0),), sessions=3)
+    found = run(config, body.robot, recordings, body, tracker=NullTracker())
+    assert [(effect["name"], effect["chamber"]) for effect in found.effects] == [("gain", 1)], found.sentences
+    assert abs(found.effects[0]["parameters"]["since_s"]["value"] - 14.0) < 1.0
 
 
 def test_behind_a_calibration_map_physics_is_named_first(body: PccSimulator) -> None:
