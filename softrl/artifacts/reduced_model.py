@@ -29,7 +29,8 @@ class ReducedModel(Artifact):
         ``rayleigh_stiffness_s``
     centre_of_mass : (3, monomials) m, displacement of the centre of mass
     rotation : (3, monomials) rad, rotation vector of the tip relative to rest
-    give : (9, monomials) kg s^2, change of mass times centre of mass by gravity, volumes and tip held
+    give : (9, monomials) kg^0.5 s, rows of R with R' R the change of mass times centre of mass by gravity, volumes and tip
+        held
     give_rotation : (9, monomials) rad s^2/m, turn of the tip by gravity, volumes and tip held
     give_root : (3 (r + 3), monomials) kg^0.5 s^2, A (r, 3) and B (3, 3) of the joint mass [R A; 0 B]'[R A; 0 B] of y and
         the shapes by which the body gives to gravity or acceleration
@@ -51,7 +52,7 @@ class ReducedModel(Artifact):
     and ``rayleigh_stiffness lag_ratio u' = z' - u``: a slow motion meets B + G = T' K T, a sudden one B.
     """
 
-    schema: ClassVar[int] = 4
+    schema: ClassVar[int] = 5
     stage: ClassVar[str] = "pod"
 
     frame: np.ndarray

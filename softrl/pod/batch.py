@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 
-from softrl.pod.inside import AXES, Inside, begin_inside, end_inside, join, make_even, shared_energy, stored_in
+from softrl.pod.inside import AXES, Inside, begin_inside, end_inside, fill_own, join, shared_energy, stored_in
 from softrl.pod.kernel import AGAIN, CLOSE, LONGEST_STEP, MAX_ITERATIONS, lag_hold, share_of
 from softrl.pod.linear import newton_direction
 from softrl.pod.potential import FAST, PIVOT, Tables, diagonal, fill_potential
@@ -206,7 +206,7 @@ def _fill_mass(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any, insi
     for lane in range(y.shape[1]):
         root, rows, gives = held.root[:, lane].copy(), held.rows[:, lane].copy(), held.gives[:, lane].copy()
         join(root, rows, insides.couple[lane], insides.own[lane])
-        make_even(gives, insides.give[lane])
+        fill_own(gives, insides.give[lane])
 
 
 @nb.njit(cache=True)

@@ -55,7 +55,7 @@ def fill_inertia(root: np.ndarray, tables: Any, values: np.ndarray, inside: Any)
     fill_rows(tables.give_root, values, inside.rows)
     join(root, inside.rows, inside.couple, inside.own)
     fill_rows(tables.give, values, inside.gives)
-    make_even(inside.gives, inside.give)
+    fill_own(inside.gives, inside.give)
 
 
 @nb.njit(cache=True)
@@ -86,11 +86,14 @@ def join(root: np.ndarray, rows: np.ndarray, across: np.ndarray, own: np.ndarray
 
 
 @nb.njit(cache=True)
-def make_even(rows: np.ndarray, matrix: np.ndarray) -> None:
-    """Fill ``matrix`` (3, 3) with the symmetric part of ``rows`` (9,)."""
+def fill_own(rows: np.ndarray, matrix: np.ndarray) -> None:
+    """Fill ``matrix`` (3, 3) with R'R of ``rows`` R (9,)."""
     for j in range(AXES):
         for k in range(AXES):
-            matrix[j, k] = 0.5 * (rows[AXES * j + k] + rows[AXES * k + j])
+            total = 0.0
+            for a in range(AXES):
+                total += rows[AXES * a + j] * rows[AXES * a + k]
+            matrix[j, k] = total
 
 
 @nb.njit(cache=True)

@@ -89,6 +89,7 @@ def _targets(
     ):
         rows = _flat(_rows_beside(root, across @ frame, own))
         goals[name] = Targets(rows, np.ones(rows.shape[2]), settings.root_degree_max, False, ROOT_RIDGE)
+    goals["give"] = Targets(_flat(symmetric_roots(images.give)), np.ones(9), settings.root_degree_max, False, ROOT_RIDGE)
     for name, values, slopes, degree_max in (
         ("centre_of_mass", images.centre_of_mass, images.centre_slope, settings.energy_degree_max),
         ("rotation", images.rotation, images.rotation_slope, settings.map_degree_max),
@@ -97,7 +98,6 @@ def _targets(
         goals[name] = Targets(both, np.ones(3), degree_max, True, MAP_RIDGE)
     for name, values, through_origin in (
         ("lag_rotation", lag.spin @ frame, True),
-        ("give", images.give, False),
         ("give_rotation", images.give_spin, False),
     ):
         flat = _flat(values)

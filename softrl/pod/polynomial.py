@@ -133,3 +133,19 @@ def multinomials(variables: int, degree: int) -> np.ndarray:
         powers[k, variable] += 1.0
         numbers[k] = numbers[parent] * table.degrees[k] / powers[k, variable]
     return numbers
+
+
+@lru_cache(maxsize=16)
+def _products(variables: int, degree: int) -> np.ndarray:
+    """Return the number (monomials, monomials), among those up to twice ``degree``, of each product of two monomials."""
+    words = [w for d in range(2 * degree + 1) for w in itertools.combinations_with_replacement(range(variables), d)]
+    number, few = {word: k for k, word in enumerate(words)}, words[: count(variables, degree)]
+    return np.array([[number[tuple(sorted((*a, *b)))] for b in few] for a in few])
+
+
+def sum_of_squares(variables: int, coefficients: np.ndarray) -> np.ndarray:
+    """Return the sum (monomials of twice the degree,) of the squares of polynomials ``coefficients`` (rows, monomials)."""
+    degree = degree_of(variables, coefficients.shape[1])
+    total = np.zeros(count(variables, 2 * degree))
+    np.add.at(total, _products(variables, degree), coefficients.T @ coefficients)
+    return total

@@ -32,7 +32,7 @@ class Tables(NamedTuple):
     elastic : (pairs, k) J, Hessian of the elastic energy alone at scale 1
     weight : (3, r, k) N/(m/s^2) m, mass times the gradient of the centre of mass by y
     rotation : (3, k) rad, with what weight turns;  lag_rotation : (3 r, k) rad per y, of the lags
-    give : (9, k) kg s^2;  give_rotation : (9, k) rad s^2/m;  give_root, drag_root : (3 (r + 3), k), see ``pod.inside``
+    give : (9, k) kg^0.5 s;  give_rotation : (9, k) rad s^2/m;  give_root, drag_root : (3 (r + 3), k), see ``pod.inside``
     rest_volume : (n,) m^3;  rest_tip : (3,) m
     rest_slope : (n,) Pa, pressure per relative volume of one chamber at rest, other volumes held and tip free
     gravity : (3,) m/s^2, contained in gradient and hessian

@@ -14,7 +14,7 @@ from softrl.pod.batch import run_batch
 from softrl.pod.inside import AXES
 from softrl.pod.inverse import solve_pressures
 from softrl.pod.kernel import run_kernel, tip_pose
-from softrl.pod.polynomial import basis, degree_of
+from softrl.pod.polynomial import basis, degree_of, sum_of_squares
 from softrl.pod.potential import Tables, fill_behind, fill_elastic_factor
 
 log = logging.getLogger(__name__)
@@ -48,8 +48,9 @@ def tables_of(
     mass = mass_scale * model.mass
     weight = gradient_of(model.centre_of_mass, r)  # (r, 3, k)
     more = mass_scale / youngs_modulus_scale  # heavier, and softer, a body gives more
-    give, give_rotation = mass_scale * more * model.give, more * model.give_rotation
-    drop, settling = mass * gravity @ model.centre_of_mass, 0.5 * np.kron(gravity, gravity) @ give
+    give, give_rotation = (mass_scale * more) ** 0.5 * model.give, more * model.give_rotation
+    pressed = np.einsum("j,ijk->ik", gravity, give.reshape(3, 3, -1))
+    drop, settling = mass * gravity @ model.centre_of_mass, 0.5 * sum_of_squares(r, pressed)
     turn = np.einsum("j,ijk->ik", gravity, give_rotation.reshape(3, 3, -1))
     degree = max(2, *(degree_of(r, len(part)) for part in (model.energy, drop, settling)))
     potential = np.zeros(basis(r, degree).monomials)
@@ -342,17 +343,17 @@ def mechanical_energy(
     values = basis(r, degree_of(r, widest)).values(y)
     gravity = np.asarray(model.gravity_m_s2 if gravity_m_s2 is None else gravity_m_s2, dtype=float)
     height = values[:, : model.centre_of_mass.shape[1]] @ model.centre_of_mass.T
-    settling = 0.5 * values[:, : model.give.shape[1]] @ (np.kron(gravity, gravity) @ model.give)
+    give = (values[:, : model.give.shape[1]] @ model.give.T).reshape(-1, 3, 3)
+    settling = 0.5 * ((give @ gravity) ** 2).sum(axis=1)
     root = values[:, : model.mass_root.shape[1]] @ model.mass_root.T
     moving = np.einsum("sij,sj->si", root.reshape(-1, r, r), rate)
     energy = 0.5 * (moving**2).sum(axis=1) + values[:, : len(model.energy)] @ model.energy
     energy -= model.mass * height @ gravity + settling
     if inner is not None:
-        give = (values[:, : model.give.shape[1]] @ model.give.T).reshape(-1, 3, 3)
         rows = (values[:, : model.give_root.shape[1]] @ model.give_root.T).reshape(-1, r + 3, 3)
         pushed = np.einsum("sij,sj->si", rows, inner[:, 1])
         energy += 0.5 * (pushed**2).sum(axis=1) + (moving * pushed[:, :r]).sum(axis=1)
-        energy += 0.5 * np.einsum("sj,sjk,sk->s", inner[:, 0], give, inner[:, 0])
+        energy += 0.5 * (np.einsum("sij,sj->si", give, inner[:, 0]) ** 2).sum(axis=1)
     if lag is None or not model.lag_root.size:
         return energy
     loose = _lag_roots(model, y + 0.5 * dt_s * rate)

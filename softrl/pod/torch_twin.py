@@ -230,7 +230,7 @@ class TorchRom(torch.nn.Module):
         force = tangent(_times(turned, moved))
         force = force - torch.einsum("bjai,bj,ba->bi", slope, along, moved) - _times(root.transpose(1, 2), changed)
         couple, own = _beside(root, rows)
-        return root.transpose(1, 2) @ root, force, couple, own, 0.5 * (give + give.transpose(1, 2))
+        return root.transpose(1, 2) @ root, force, couple, own, _square(give)
 
     def _viscosity(self, y: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return viscosity without what lags, and what lags (B, r, r) in y.

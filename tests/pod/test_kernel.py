@@ -1,6 +1,7 @@
 """The compiled equations: derivatives, passivity, convergence in time, extrapolation."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -103,6 +104,26 @@ def test_an_unforced_body_never_gains_energy(body: Body, dt_s: float) -> None:
     gain = np.diff(energy).max()
     assert gain <= 1e-12 * np.ptp(energy), f"energy rises by {gain:g} J"
     assert len(energy) > 150
+
+
+def test_an_inside_of_any_map_gains_no_energy(tripod: Body) -> None:
+    """Its stiffness and masses are squares of roots, so that no polynomial, however wild, makes them drive the body."""
+    _, _, model = tripod
+    rng = np.random.default_rng(2)
+    rough = {name: rng.standard_normal((rows, 28)) * size for name, rows, size in (
+        ("give", 9, 9e-3), ("give_root", 27, 1e-4), ("drag_root", 27, 1e-2))}  # fmt: skip
+    wild = replace(model, **rough)
+    tables, y = tables_of(wild), 0.3 * rng.standard_normal(6)
+    velocity, lag, inner, energy = rng.standard_normal(6), np.zeros(6), 3.0 * rng.standard_normal((2, 3)), []
+    for _ in range(200):
+        state = (wild, (wild.frame @ y)[None], (wild.frame @ velocity)[None], None, (wild.frame @ lag)[None], inner[None])
+        energy.append(mechanical_energy(*state, 0.01)[0])
+        run_kernel(
+            y, velocity, lag, inner, np.zeros(6), 0.01, np.zeros((1, 6)), tables, no_hooks(), np.empty((0, 6)),
+            np.empty((0, 3)), np.empty((0, 4)),
+        )
+        assert np.linalg.norm(y) < 1.0
+    assert np.diff(energy).max() <= 1e-9 * np.ptp(energy)
 
 
 def test_motion_converges_with_the_time_step(tripod: Body) -> None:
