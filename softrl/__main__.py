@@ -121,11 +121,19 @@ def _stop(number: int, frame: Any) -> NoReturn:
 
 
 def _repeat_interrupt(lost: "sys.UnraisableHookArgs") -> None:
-    """Interrupt again if a destructor or a callback swallowed the interrupt; leave the rest to Python."""
-    if lost.exc_type is KeyboardInterrupt:
-        threading.Timer(0.1, _thread.interrupt_main).start()
-    else:
+    """Interrupt again if a destructor or a callback swallowed the interrupt; leave the rest to Python.
+
+    On a busy machine the timer may ring before this is left, where the interrupt would be swallowed too.
+    """
+    if lost.exc_type is not KeyboardInterrupt:
         sys.__unraisablehook__(lost)
+        return
+    while True:
+        try:
+            threading.Timer(0.1, _thread.interrupt_main).start()
+            return
+        except KeyboardInterrupt:
+            continue
 
 
 if __name__ == "__main__":

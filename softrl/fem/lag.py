@@ -28,10 +28,9 @@ class Lag(NamedTuple):
     spin: np.ndarray
 
 
-def lag_at(model: FemModel, pose: Pose, tangent: Tangent) -> Lag:
-    """Return the lags at an equilibrium; ``tangent`` must be what ``model`` computed last."""
+def lag_at(model: FemModel, pose: Pose, tangent: Tangent, blocks: np.ndarray) -> Lag:
+    """Return the lags at an equilibrium; ``tangent`` must be what ``model`` computed last, ``blocks`` are its ``viscous``."""
     coupling, pairs, plate = model.coupling, model.pairs, model.coupling.body_slice(0)
-    blocks = model.viscous(pose)
 
     def resist(columns: np.ndarray) -> np.ndarray:
         shapes = (coupling.expand(column, pose) for column in columns.T)

@@ -16,16 +16,15 @@ from softrl.core.parallel import LOCAL, Parallel
 from softrl.core.progress import progress
 from softrl.core.resume import Kept, pack, unpack
 from softrl.core.tracking import Tracker
-from softrl.fem.bend import compliance_slope
-from softrl.fem.continuation import Cost, Equilibrium, Missed, follow
+from softrl.fem.chain import Chain, Found, Lost, chain_of, trace
+from softrl.fem.continuation import Missed, follow
 from softrl.fem.figures import draw_newton, draw_shapes, draw_stretch, draw_tips, draw_trajectories
-from softrl.fem.lag import lag_at
 from softrl.fem.material import Material, material_of
 from softrl.fem.model import FemModel
 from softrl.fem.newton import NewtonSettings
 from softrl.fem.sampling import load_scale, paths, sobol_loads, step_program, with_waypoints
 from softrl.fem.trajectory import Trajectory, roll_out
-from softrl.fem.weight import pull_at_rest, weight_at
+from softrl.fem.weight import pull_at_rest
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
@@ -144,42 +143,6 @@ def _pulled(body: Body) -> Robot:
     return replace(body.robot, tip_force_max_n=body.config.tip_force_scale * body.robot.tip_force_max_n)
 
 
-class Row(NamedTuple):
-    """One equilibrium as ``Snapshots`` keeps it; see there for shapes and units."""
-
-    coordinate: np.ndarray
-    energy: float
-    compliance: np.ndarray
-    compliance_slope: np.ndarray
-    tangent_stiffness: np.ndarray
-    tangent_mass: np.ndarray
-    lag_stiffness: np.ndarray
-    lag_viscosity: np.ndarray
-    lag_spin: np.ndarray
-    centre_of_mass: np.ndarray
-    centre_slope: np.ndarray
-    give: np.ndarray
-    give_spin: np.ndarray
-    give_mass: np.ndarray
-    give_coupling: np.ndarray
-    give_viscosity: np.ndarray
-    give_drag: np.ndarray
-    tip_spin: np.ndarray
-    tip_quaternion: np.ndarray
-    displacement: np.ndarray
-
-
-Found = tuple[int, Row, Cost]
-Lost = tuple[int, Missed]
-
-
-class Chain(NamedTuple):
-    """What became of the loads of a chain, each with its row number."""
-
-    found: list[Found]
-    missed: list[Lost]
-
-
 def _compute(
     body: Body, loads: np.ndarray, chains: list[np.ndarray], programs: list[np.ndarray], parallel: Parallel, kept: Kept
 ) -> tuple[list[Found], list[Lost], list[Trajectory], int]:
@@ -199,7 +162,7 @@ def _compute(
     for number, arrays in progress(results, "FEM: chains of equilibria, then trajectories", len(waiting)):
         parts[waiting[number]] = arrays
         kept.save(waiting[number], arrays)
-    traced = [_chain_of(parts[f"chain_{k}"]) for k in range(len(chains))]
+    traced = [chain_of(parts[f"chain_{k}"]) for k in range(len(chains))]
     samples = sorted((found for chain in traced for found in chain.found), key=lambda f: f[0])
     misses = sorted(lost for chain in traced for lost in chain.missed)
     moved = [parts[f"trajectory_{k}"] for k in range(len(programs))]
@@ -219,53 +182,12 @@ def _part(compute: Callable[..., Chain | Trajectory | None], *arguments: Any) ->
     made = compute(*arguments)
     if made is None:
         return {}
-    if isinstance(made, Chain):
-        rows = {n: pack(row, "row/") | pack(cost, "cost/") for n, row, cost in made.found}
-        rows |= {n: pack(miss, "missed/") for n, miss in made.missed}
-        return {f"{n}/{name}": array for n, row in rows.items() for name, array in row.items()}
-    return pack(made)
-
-
-def _chain_of(arrays: dict[str, np.ndarray]) -> Chain:
-    """Return the chain that ``_part`` turned into arrays."""
-    numbers = sorted({int(name.split("/")[0]) for name in arrays})
-    missed = {n for n in numbers if f"{n}/missed/reason" in arrays}
-    return Chain(
-        [(n, unpack(Row, arrays, f"{n}/row/"), unpack(Cost, arrays, f"{n}/cost/")) for n in numbers if n not in missed],
-        [(n, unpack(Missed, arrays, f"{n}/missed/")) for n in numbers if n in missed],
-    )
+    return made.arrays() if isinstance(made, Chain) else pack(made)
 
 
 def _trace(body: Body, loads: np.ndarray, chain: np.ndarray) -> Chain:
     """Return the equilibria of the rows in ``chain``, and which of them are missed."""
-    model = build_model(body)
-    traced = Chain([], [])
-    for number, end in zip(chain, follow(model, loads[chain], load_scale(_pulled(body)), body.config.load_step), strict=True):
-        if isinstance(end, Missed):
-            traced.missed.append((int(number), end))
-        else:
-            traced.found.append((int(number), _row(model, end), end.cost))
-    return traced
-
-
-def _row(model: FemModel, equilibrium: Equilibrium) -> Row:
-    pose, tangent = equilibrium.pose, equilibrium.tangent
-    corners, lag, weight = model.quadratic.corners, lag_at(model, pose, tangent), weight_at(model, pose, tangent)
-    return Row(
-        coordinate=model.coordinate(pose),
-        energy=model.elastic_energy(pose),
-        compliance=0.5 * (tangent.compliance + tangent.compliance.T),
-        compliance_slope=compliance_slope(model, pose, equilibrium.load, tangent),
-        tangent_stiffness=tangent.stiffness,
-        tangent_mass=tangent.mass,
-        lag_stiffness=lag.stiffness,
-        lag_viscosity=lag.viscosity,
-        lag_spin=lag.spin,
-        centre_of_mass=model.centre_of_mass(pose),
-        **weight._asdict(),
-        tip_quaternion=model.tip_quaternion(pose),
-        displacement=(pose.position - model.quadratic.points)[:corners].astype(np.float32),
-    )
+    return trace(build_model(body), loads, chain, load_scale(_pulled(body)), body.config.load_step)
 
 
 def _move(body: Body, program: np.ndarray) -> Trajectory | None:
@@ -313,7 +235,7 @@ def _collect(
     """Return the artifact; rows keep the order of ``loads``."""
     config, model = body.config, build_model(body)
     width = loads.shape[1]
-    columns = {name: np.array([getattr(row, name) for _, row, _ in samples]) for name in Row._fields}
+    columns = {name: np.array([row[name] for _, row, _ in samples]) for name in samples[0][1]}
     empty = np.zeros((0, len(clock), width))
     return Snapshots(
         loads=loads[[number for number, _, _ in samples]],

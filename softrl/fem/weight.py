@@ -2,7 +2,7 @@
 
 A reduced body sees its weight through the centre of mass. To gravity, and to an acceleration alike, the body also gives
 by shapes in which volumes and tip stay: that softens a sagging body a little, and makes a swinging one heavier the
-faster it swings. All are first derivatives of the nodes, so that no sample needs a solve of its own.
+faster it swings. All are first derivatives of the nodes: no sample needs another equilibrium.
 """
 
 from typing import NamedTuple
@@ -39,8 +39,8 @@ class Weight(NamedTuple):
     give_drag: np.ndarray
 
 
-def weight_at(model: FemModel, pose: Pose, tangent: Tangent) -> Weight:
-    """Return how an equilibrium bears weight; ``tangent`` must be what ``model`` computed last."""
+def weight_at(model: FemModel, pose: Pose, tangent: Tangent, blocks: np.ndarray) -> Weight:
+    """Return how an equilibrium bears weight; ``tangent`` must be what ``model`` computed last, ``blocks`` its ``viscous``."""
     mass, plate = model.nodal_mass[:, None], model.coupling.body_slice(0)
     spin = slice(plate.start + 3, plate.stop)
     pull = np.stack([model.coupling.reduce(mass * unit, pose) for unit in np.eye(3)], axis=1)
@@ -48,7 +48,7 @@ def weight_at(model: FemModel, pose: Pose, tangent: Tangent) -> Weight:
     held = free - tangent.change @ np.linalg.solve(tangent.compliance, model.load_directions(pose).T @ free)
     give = pull.T @ held
     shapes, moved = (np.stack([model.coupling.expand(x, pose) for x in part.T]) for part in (held, tangent.change))
-    blocks, heavy = model.viscous(pose), mass * shapes
+    heavy = mass * shapes
     tough = np.stack([multiply_blocks(blocks, model.pairs.first, model.pairs.second, shape) for shape in shapes])
     return Weight(
         pull.T @ tangent.change / mass.sum(), tangent.change[spin], 0.5 * (give + give.T), held[spin],
@@ -59,7 +59,7 @@ def weight_at(model: FemModel, pose: Pose, tangent: Tangent) -> Weight:
 
 def pull_at_rest(model: FemModel, gravity_m_s2: np.ndarray) -> np.ndarray:
     """Return the load (n + 3,) Pa and N that would load the stress-free body like its weight."""
-    still = np.zeros(model.chambers + 3)
-    tangent = model.tangent(model.rest(), still)
-    slope = weight_at(model, model.rest(), tangent).centre_slope
-    return np.linalg.solve(tangent.compliance, model.nodal_mass.sum() * gravity_m_s2 @ slope)
+    rest = model.rest()
+    tangent = model.tangent(rest, np.zeros(model.chambers + 3))
+    pull = model.coupling.reduce(model.nodal_mass[:, None] * gravity_m_s2, rest)
+    return np.linalg.solve(tangent.compliance, tangent.change.T @ pull)

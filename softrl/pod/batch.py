@@ -180,7 +180,7 @@ def _make_insides(r: int, lanes: int) -> Inside:
     square, wide = (lanes, AXES, AXES), (lanes, r, AXES)
     return Inside(
         np.zeros(wide), np.zeros(square), np.zeros(wide), np.zeros(square), np.zeros(square), np.zeros(square),
-        np.zeros((lanes, AXES)), np.zeros(wide), np.zeros((lanes, AXES * (r + AXES))), np.zeros((lanes, AXES * AXES)),
+        np.zeros((lanes, AXES)), np.zeros(wide), np.zeros((lanes, AXES)), np.zeros((1, 0)), np.zeros((1, 0)),
     )  # fmt: skip
 
 
@@ -189,7 +189,7 @@ def _inside_of(insides: Inside, lane: int) -> Inside:
     """Return the inside of one lane."""
     return Inside(
         insides.couple[lane], insides.own[lane], insides.drag[lane], insides.tough[lane], insides.give[lane],
-        insides.inverse[lane], insides.push[lane], insides.pull[lane], insides.rows[lane], insides.gives[lane],
+        insides.inverse[lane], insides.push[lane], insides.pull[lane], insides.flown[lane], insides.rows[0], insides.gives[0],
     )  # fmt: skip
 
 
@@ -204,9 +204,8 @@ def _fill_mass(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any, insi
     _fill_rows(tables.give_root, held.values, held.rows)
     _fill_rows(tables.give, held.values, held.gives)
     for lane in range(y.shape[1]):
-        root, rows, gives = held.root[:, lane].copy(), held.rows[:, lane].copy(), held.gives[:, lane].copy()
-        join(root, rows, insides.couple[lane], insides.own[lane])
-        fill_own(gives, insides.give[lane])
+        join(held.root[:, lane], held.rows[:, lane], insides.couple[lane], insides.own[lane])
+        fill_own(held.gives[:, lane], insides.give[lane])
 
 
 @nb.njit(cache=True)
@@ -333,8 +332,7 @@ def _fill_viscosity(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any,
     _fill_squares(held.product, held.stiff)
     _fill_rows(tables.drag_root, held.values, held.rows)
     for lane in range(y.shape[1]):
-        root, rows = held.product[:, lane].copy(), held.rows[:, lane].copy()
-        join(root, rows, insides.drag[lane], insides.tough[lane])
+        join(held.product[:, lane], held.rows[:, lane], insides.drag[lane], insides.tough[lane])
 
 
 @nb.njit(cache=True, fastmath=FAST, error_model="numpy")

@@ -25,6 +25,7 @@ class Inside(NamedTuple):
     drag, tough : (r, 3) and (3, 3), likewise in the viscosity
     give : (3, 3) kg s^2, stiffness of the inside, which is also its answer to acceleration
     inverse : (3, 3) of the matrix of a step;  push : (3,) and pull : (r, 3) its right side, and what ties it to the rest
+    flown : (3,) where free flight and drag would have it, times the weights of a step, 1/s^2 times the unit of ``inner``
     rows : (3 (r + 3),), gives : (9,) scratch
     """
 
@@ -36,6 +37,7 @@ class Inside(NamedTuple):
     inverse: np.ndarray
     push: np.ndarray
     pull: np.ndarray
+    flown: np.ndarray
     rows: np.ndarray
     gives: np.ndarray
 
@@ -45,7 +47,8 @@ def make_inside(r: int) -> Inside:
     """Return the room that ``r`` coordinates need."""
     return Inside(
         np.zeros((r, AXES)), np.zeros((AXES, AXES)), np.zeros((r, AXES)), np.zeros((AXES, AXES)), np.zeros((AXES, AXES)),
-        np.zeros((AXES, AXES)), np.zeros(AXES), np.zeros((r, AXES)), np.zeros(AXES * (r + AXES)), np.zeros(AXES * AXES),
+        np.zeros((AXES, AXES)), np.zeros(AXES), np.zeros((r, AXES)), np.zeros(AXES), np.zeros(AXES * (r + AXES)),
+        np.zeros(AXES * AXES),
     )  # fmt: skip
 
 
@@ -105,16 +108,17 @@ def begin_inside(
 
     ``ahead`` and ``start`` (r,) are the coordinates after free flight and before the step.
     """
-    couple, own, drag, tough, inverse, pull = (
-        inside.couple, inside.own, inside.drag, inside.tough, inside.inverse, inside.pull
+    couple, own, drag, tough, inverse, pull, flown = (
+        inside.couple, inside.own, inside.drag, inside.tough, inside.inverse, inside.pull, inside.flown
     )  # fmt: skip
     r, free, rub, late = len(start), tables.scales[0] / dt**2, tables.scales[1] / dt, tables.scales[2] / dt
+    for k in range(AXES):
+        flown[k] = free * (inner[0, k] + dt * inner[1, k]) + rub * inner[0, k]
     for j in range(AXES):
         total = 0.0
         for k in range(AXES):
             inverse[j, k] = (free + rub) * own[j, k] + late * tough[j, k] + inside.give[j, k]
-            flown = free * (inner[0, k] + dt * inner[1, k]) + rub * inner[0, k]
-            total += own[j, k] * flown + late * tough[j, k] * inner[0, k]
+            total += own[j, k] * flown[k] + late * tough[j, k] * inner[0, k]
         for i in range(r):
             pull[i, j] = (free + rub) * couple[i, j] + late * drag[i, j]
             total += couple[i, j] * (free * ahead[i] + rub * start[i]) + late * drag[i, j] * start[i]
@@ -125,8 +129,7 @@ def begin_inside(
             share = 0.0
             for j in range(AXES):
                 share += pull[i, j] * inverse[j, k]
-            flown = free * (inner[0, k] + dt * inner[1, k]) + rub * inner[0, k]
-            right[i] += couple[i, k] * flown + late * drag[i, k] * inner[0, k] - share * inside.push[k]
+            right[i] += couple[i, k] * flown[k] + late * drag[i, k] * inner[0, k] - share * inside.push[k]
             for j in range(r):
                 inertia[i, j] -= share * pull[j, k]
 
@@ -134,9 +137,8 @@ def begin_inside(
 @nb.njit(cache=True)
 def end_inside(inner: np.ndarray, y: np.ndarray, dt: float, inside: Any) -> float:
     """Bring ``inner`` up to date with the arrival at ``y``; return twice the energy that it stores."""
-    left = np.empty(AXES)
+    left = inside.push
     for k in range(AXES):
-        left[k] = inside.push[k]
         for i in range(len(y)):
             left[k] -= inside.pull[i, k] * y[i]
     for j in range(AXES):

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrl.pod.polynomial import basis, count, degree_of, multinomials
+from softrl.pod.polynomial import basis, count, multinomials
 
 
 class Seen(NamedTuple):
@@ -48,12 +48,6 @@ def fit_map(
     normal = weighed.T @ scaled + ridge * weight.sum() * np.eye(scaled.shape[1])
     found = np.linalg.solve(normal, weighed.T @ equal) * spread[skip:, None]
     return np.pad(found.T, ((0, 0), (skip, 0)))
-
-
-def evaluate(coefficients: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return the polynomials ``coefficients`` (columns, monomials) at ``points`` (S, r), (S, columns)."""
-    r = points.shape[1]
-    return basis(r, degree_of(r, coefficients.shape[1])).values(points) @ coefficients.T
 
 
 class Degree(NamedTuple):

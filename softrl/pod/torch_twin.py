@@ -19,7 +19,7 @@ class TorchRom(torch.nn.Module):
     Parameters
     ----------
     model : the reduced model
-    gravity_m_s2 : (3,) in the base frame; the model's own if None. Snapshots of the full model are without weight.
+    gravity_m_s2 : (3,) in the base frame; the model's own if None. The snapshots' equilibria are without weight.
     youngs_modulus_scale, damping_scale, mass_scale : as in ``RomSimulator``
     dtype : of all tensors; single precision resolves about 1e-5 of the motion
 

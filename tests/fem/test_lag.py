@@ -12,7 +12,7 @@ LOAD = np.array([1.5e5, -1e4, 2.0, 1.0, -3.0])
 def test_a_body_at_rest_has_no_lags(box: Mesh) -> None:
     model = model_of(box)
     tangent = model.tangent(model.rest(), np.zeros(5))
-    lag = lag_at(model, model.rest(), tangent)
+    lag = lag_at(model, model.rest(), tangent, model.viscous(model.rest()))
     assert np.abs(lag.stiffness @ tangent.compliance).max() < 1e-6
 
 
@@ -21,7 +21,7 @@ def test_lags_make_a_short_step_that_of_the_full_model(box: Mesh) -> None:
     model = model_of(box, rayleigh_stiffness_s=b)
     pose = model.static(LOAD).pose
     tangent = model.tangent(pose, LOAD)
-    lag, inverse = lag_at(model, pose, tangent), np.linalg.inv(tangent.compliance)
+    lag, inverse = lag_at(model, pose, tangent, model.viscous(pose)), np.linalg.inv(tangent.compliance)
     assert np.linalg.eigvalsh(lag.stiffness).min() > -1e-9 * np.linalg.eigvalsh(lag.stiffness).max()
     inertia = inverse @ tangent.mass @ inverse / dt**2
     damping = inverse @ tangent.stiffness @ inverse * b / dt

@@ -20,7 +20,7 @@ def centre_and_turn(model: FemModel, load: np.ndarray) -> np.ndarray:
 def test_slopes_are_those_of_neighbouring_equilibria(box: Mesh) -> None:
     model = model_of(box)
     pose = model.static(LOAD).pose
-    weight = weight_at(model, pose, model.tangent(pose, LOAD))
+    weight = weight_at(model, pose, model.tangent(pose, LOAD), model.viscous(pose))
     turn = per_spin(rotation_vector(model.tip_quaternion(pose)[None]))[0]
     for k, step in enumerate((200.0, 200.0, 0.02, 0.02, 0.02)):
         nudge = step * np.eye(5)[k]
@@ -40,7 +40,7 @@ def test_a_load_that_pulls_like_the_weight_leaves_what_gives_way(box: Mesh) -> N
         pose = model.static(load).pose
         tangent = model.tangent(pose, load)
         load = load + np.linalg.solve(tangent.compliance, wanted - model.coordinate(pose))
-    weight = weight_at(model, pose, tangent)
+    weight = weight_at(model, pose, tangent, model.viscous(pose))
     left = mass * (heavy.centre_of_mass(weighed) - model.centre_of_mass(pose))
     np.testing.assert_allclose(left, weight.give @ gravity, atol=0.1 * np.abs(left).max())
     assert np.linalg.eigvalsh(weight.give).min() > 0.0

@@ -24,3 +24,22 @@ except KeyboardInterrupt:
 def test_an_interrupt_that_a_destructor_swallows_comes_again() -> None:
     done = subprocess.run([sys.executable, "-c", SWALLOWED], capture_output=True, text=True, check=False, timeout=60)
     assert done.stdout.strip() == "stopped" and "Exception ignored" not in done.stderr
+
+
+# the timer's thread is up, and rings, before whoever started it goes on
+LATE = """
+import threading, time
+first, start = [True], threading.Timer.start
+
+def late(timer):
+    start(timer)
+    if first.pop() if first else False:
+        time.sleep(0.5)
+
+threading.Timer.start = late
+"""
+
+
+def test_an_interrupt_that_comes_while_it_is_repeated_comes_again() -> None:
+    done = subprocess.run([sys.executable, "-c", LATE + SWALLOWED], capture_output=True, text=True, check=False, timeout=60)
+    assert done.stdout.strip() == "stopped" and "Exception ignored" not in done.stderr
