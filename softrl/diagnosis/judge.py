@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softrl.core.errors import ConfigError
+from softrl.diagnosis.blocks import MIN_BLOCKS, blocks_of, bootstrap_means, correlation_time
 from softrl.diagnosis.problem import Problem
-from softrl.diagnosis.statistics import MIN_BLOCKS, blocks_of, bootstrap_means, correlation_time
 from softrl.effects.library import effect_class
 from softrl.recordings.recording import Recording
 
