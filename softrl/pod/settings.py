@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from softrl.core.errors import ConfigError
 from softrl.pod.energy import Weights
 from softrl.pod.symmetry import images_of
 from softrl.robots.robot import Robot
@@ -13,13 +14,15 @@ class FitSettings:
 
     Attributes
     ----------
-    energy_degree_max, map_degree_max, root_degree_max : highest degree tried for the energy, for centre of mass and
-        rotation, and for the roots of mass and stiffness
-    ridges : ridges tried for the energy, relative
-    image_weights : weights tried for the samples' images under the robot's symmetries; a sample has 1
-    anchor_weights : weights tried for the anchors, all of them together against all samples
-    weights : of values, Hessians and third derivatives against gradients
-    folds : parts of the cross-validation
+    energy_degree_max : highest degree tried for the condensed energy
+    map_degree_max : likewise for centre of mass and rotation;  root_degree_max : for the roots of mass and stiffness
+    ridges : tried for the energy, relative
+    image_weights : tried for the samples' images under the robot's symmetries, beside the samples' own weight of 1
+    anchor_weights : tried for the equilibria of a lower degree to which a higher one is held beyond the samples, all of
+        them together against all samples
+    value_weight, hessian_weight, third_weight : of the energy's values, Hessians and third derivatives in its fit,
+        gradients weigh 1
+    folds : of the cross-validation that chooses degree, ridge and weight of images
     """
 
     energy_degree_max: int
@@ -28,8 +31,27 @@ class FitSettings:
     ridges: tuple[float, ...]
     image_weights: tuple[float, ...]
     anchor_weights: tuple[float, ...]
-    weights: Weights
+    value_weight: float
+    hessian_weight: float
+    third_weight: float
     folds: int
+
+    def __post_init__(self) -> None:
+        for name, least in {"energy_degree_max": 2, "map_degree_max": 1, "root_degree_max": 0, "value_weight": 0,
+                            "hessian_weight": 0, "third_weight": 0, "folds": 2}.items():  # fmt: skip
+            if getattr(self, name) < least:
+                raise ConfigError(f"stage.{name}={getattr(self, name):g} must be at least {least}")
+        if not self.ridges or min(self.ridges) <= 0.0:
+            raise ConfigError(f"stage.ridges={self.ridges}; expected one or more positive numbers")
+        if not self.image_weights or not all(0.0 <= weight <= 1.0 for weight in self.image_weights):
+            raise ConfigError(f"stage.image_weights={self.image_weights}; expected numbers from 0 to 1")
+        if not all(0.0 <= weight <= 1.0 for weight in self.anchor_weights):
+            raise ConfigError(f"stage.anchor_weights={self.anchor_weights}; expected numbers from 0 to 1")
+
+    @property
+    def weights(self) -> Weights:
+        """Weights of the energy's equations."""
+        return Weights(self.value_weight, self.hessian_weight, self.third_weight)
 
     def image_weights_of(self, robot: Robot) -> tuple[float, ...]:
         """Return the weights of images that make a difference: a robot without symmetry has no images."""

@@ -11,7 +11,6 @@ from softrl.core.errors import ArtifactError, ConfigError
 from softrl.core.tracking import Tracker
 from softrl.pod.basis import PodBasis, pod_basis, projection_errors
 from softrl.pod.convergence import by_equilibria, report_coordinates, report_equilibria
-from softrl.pod.energy import Weights
 from softrl.pod.figures import draw_choice, draw_convergence, draw_motion, draw_parity, draw_spectrum
 from softrl.pod.fit import fit_model, linear_model, tell_choice
 from softrl.pod.report import report_motions, report_speed, report_statics, report_weight, statics
@@ -23,57 +22,33 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(FitSettings):
     """POD modes and the energy ROM, fitted to all equilibria but the held-out ones.
 
     Attributes
     ----------
+    FitSettings : how the ROM is fitted
     pod_energy : keep modes until this share of the squared singular values;  modes_max : at most this many
-    energy_degree_max : highest degree tried for the condensed energy
-    map_degree_max : likewise for centre of mass and rotation;  root_degree_max : for the roots of mass and stiffness
-    ridges : tried for the energy, relative
-    image_weights : tried for the samples' images under the robot's symmetries, beside the samples' own weight of 1
-    anchor_weights : tried for the equilibria of a lower degree to which a higher one is held beyond the samples
-    value_weight, hessian_weight, third_weight : of the energy's values, Hessians and third derivatives in its fit,
-        gradients weigh 1
-    folds : of the cross-validation that chooses degree, ridge and weight of images
     heldout_share : share of the equilibria that no fit and no choice sees
     convergence_shares : of the seen equilibria, to which the model is fitted once more for the convergence figure
     """
 
     pod_energy: float
     modes_max: int
-    energy_degree_max: int
-    map_degree_max: int
-    root_degree_max: int
-    ridges: tuple[float, ...]
-    image_weights: tuple[float, ...]
-    anchor_weights: tuple[float, ...]
-    value_weight: float
-    hessian_weight: float
-    third_weight: float
-    folds: int
     heldout_share: float
     convergence_shares: tuple[float, ...]
     seed: int
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not 0.0 < self.pod_energy <= 1.0:
             raise ConfigError(f"stage.pod_energy={self.pod_energy:g}; expected a share in (0, 1]")
+        if self.modes_max < 1:
+            raise ConfigError(f"stage.modes_max={self.modes_max:g} must be at least 1")
         if not 0.0 < self.heldout_share < 0.9:
             raise ConfigError(f"stage.heldout_share={self.heldout_share:g}; expected a share between 0 and 0.9")
-        for name, least in {"modes_max": 1, "energy_degree_max": 2, "map_degree_max": 1, "root_degree_max": 0,
-                            "value_weight": 0, "hessian_weight": 0, "third_weight": 0, "folds": 2}.items():  # fmt: skip
-            if getattr(self, name) < least:
-                raise ConfigError(f"stage.{name}={getattr(self, name):g} must be at least {least}")
         if not all(0.0 < share <= 1.0 for share in self.convergence_shares):
             raise ConfigError(f"stage.convergence_shares={self.convergence_shares}; expected shares in (0, 1]")
-        if not self.ridges or min(self.ridges) <= 0.0:
-            raise ConfigError(f"stage.ridges={self.ridges}; expected one or more positive numbers")
-        if not self.image_weights or not all(0.0 <= weight <= 1.0 for weight in self.image_weights):
-            raise ConfigError(f"stage.image_weights={self.image_weights}; expected numbers from 0 to 1")
-        if not all(0.0 <= weight <= 1.0 for weight in self.anchor_weights):
-            raise ConfigError(f"stage.anchor_weights={self.anchor_weights}; expected numbers from 0 to 1")
 
 
 def run(config: Config, robot: Robot, snapshots: Snapshots, *, tracker: Tracker) -> ReducedModel:
@@ -84,17 +59,7 @@ def run(config: Config, robot: Robot, snapshots: Snapshots, *, tracker: Tracker)
     pod = pod_basis(snapshots.displacement[seen], snapshots.nodal_mass, config.pod_energy, config.modes_max)
     _report_pod(pod, snapshots, seen, heldout, tracker)
     samples = equilibria(snapshots)
-    settings = FitSettings(
-        config.energy_degree_max,
-        config.map_degree_max,
-        config.root_degree_max,
-        config.ridges,
-        config.image_weights,
-        config.anchor_weights,
-        Weights(config.value_weight, config.hessian_weight, config.third_weight),
-        config.folds,
-    )
-    model, choices = fit_model(settings, robot, snapshots, samples.rows(seen), pod, rng)
+    model, choices = fit_model(config, robot, snapshots, samples.rows(seen), pod, rng)
     tell_choice(model, robot, samples.rows(seen), choices[0])
     tracker.metric("energy_degree", choices[0].degree)
     tracker.metric("image_weight", choices[0].image_weight)
@@ -110,7 +75,7 @@ def run(config: Config, robot: Robot, snapshots: Snapshots, *, tracker: Tracker)
         tracker.figure("motion", draw_motion(snapshots.trajectory_time, moving, 0))
     parts = samples.rows(seen), samples.rows(heldout)
     report_coordinates(model, snapshots, parts[1], tracker)
-    points = by_equilibria(config.convergence_shares, settings, choices[0], robot, snapshots, parts, pod, model)
+    points = by_equilibria(config.convergence_shares, config, choices[0], robot, snapshots, parts, pod, model)
     report_equilibria(points, tracker)
     tracker.figure("convergence", draw_convergence(choices, points))
     report_speed(model, snapshots, rng, tracker)

@@ -6,14 +6,13 @@ import pytest
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
 from softrl.pod.basis import pod_basis
-from softrl.pod.energy import Weights
 from softrl.pod.fit import fit_model
 from softrl.pod.settings import FitSettings
 from softrl.pod.symmetry import equilibria
 from softrl.robots.robot import Robot
 from tests.pod.synthetic import robot_with, synthetic_snapshots
 
-SETTINGS = FitSettings(4, 3, 1, (1e-15,), (0.0, 1.0), (0.01,), Weights(0.3, 0.3, 0.1), 2)
+SETTINGS = FitSettings(4, 3, 1, (1e-15,), (0.0, 1.0), (0.01,), 0.3, 0.3, 0.1, 2)
 _made: dict[int, tuple[Robot, Snapshots, ReducedModel]] = {}
 
 
