@@ -172,11 +172,12 @@ def within(runs: Sequence[Recording], seconds: float) -> tuple[Recording, ...]:
 
 def _common_length(runs: Sequence[Recording], seconds: float) -> float:
     """Return the length, s, at which runs are cut so that together they last at most ``seconds``."""
-    lengths = np.array([np.ptp(run.time) for run in runs])
+    lengths = np.sort([np.ptp(run.time) for run in runs])
     if lengths.sum() <= seconds:
-        return float(lengths.max())
-    limits = np.linspace(0.0, lengths.max(), 200)
-    return float(limits[np.flatnonzero(np.minimum(lengths, limits[:, None]).sum(axis=1) <= seconds)[-1]])
+        return float(lengths[-1])
+    # shorter runs stay whole, and the others share what those leave
+    shares = (seconds - (np.cumsum(lengths) - lengths)) / np.arange(len(lengths), 0, -1)
+    return float(shares[np.argmax(shares < lengths)])
 
 
 def cut(run: Recording, end: float) -> Recording:

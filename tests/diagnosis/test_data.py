@@ -1,0 +1,20 @@
+"""Fits see as much of the recordings as they may, however long those are."""
+
+import numpy as np
+import pytest
+
+from softrl.diagnosis.data import within
+from softrl.recordings.recording import Recording
+
+
+def resting(name: str, length_s: float) -> Recording:
+    time = np.arange(0.0, length_s + 0.05, 0.1)
+    return Recording(name, "day", time, np.zeros((len(time), 3)))
+
+
+@pytest.mark.parametrize("lengths", [(60.0, 60.0, 60.0), (20.0, 14400.0, 100.0), (14400.0, 14400.0, 14400.0), (10.0, 30.0)])
+def test_cut_runs_fill_the_time_that_fits_may_take(lengths: tuple[float, ...]) -> None:
+    runs = [resting(f"run_{k}", length) for k, length in enumerate(lengths)]
+    cut = [float(np.ptp(run.time)) for run in within(runs, 75.0)]
+    assert sum(cut) == pytest.approx(min(75.0, sum(lengths)), abs=0.1 * len(runs))
+    assert all(length in (whole, max(cut)) for length, whole in zip(np.round(cut, 6), lengths, strict=True))
