@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from softrl.core.tracking import NullTracker
+from softrl.diagnosis.quality import unusable
 from softrl.diagnosis.stage import run
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.recording import Recording, RecordingSet
@@ -71,6 +72,18 @@ def test_bad_recordings_cannot_tell(
     assert found.verdict == "unknown" and found.effects == []
     assert found.sentences[0].startswith("Cannot tell:") and evidence in found.sentences[0]
     assert found.unexplained["cannot_tell"] in found.sentences[0]
+
+
+def test_a_chamber_at_rest_is_not_clipped(body: PccSimulator) -> None:
+    """Chambers driven one by one, before sensors that read no less than zero: two of three are always at their least."""
+    robot, time = body.robot, 0.02 * np.arange(1, 1801)
+    turn = np.minimum((np.arange(1800) // 600)[:, None] == np.arange(3), 1)
+    pressure = turn * (0.5 - 0.5 * np.cos(2.0 * np.pi * time / 4.0))[:, None] * robot.pressure_max_pa
+    tip = robot.length_m * np.array([0.0, 0.0, 1.0]) + 1e-6 * pressure
+    plain = Recording("run", "day", time, pressure, position=tip + 1e-5 * np.sin(np.outer(time, [1.0, 2.0, 3.0])))
+    assert unusable([replace(plain, pressure_meas=pressure)], robot) is None
+    low = np.minimum(pressure, 0.5 * robot.pressure_max_pa)
+    assert "clipped" in str(unusable([replace(plain, pressure_meas=low)], robot))
 
 
 def test_a_turned_frame_is_seen_and_does_not_become_physics(body: PccSimulator, good: RecordingSet) -> None:
