@@ -16,7 +16,8 @@ from softrl.core.errors import ConfigError, SolverError
 from softrl.core.tracking import Tracker
 from softrl.fem.convergence import Study, draw_convergence, study
 from softrl.fem.coupling import Pose
-from softrl.fem.material import TANGENT, StableNeoHookean, material_of
+from softrl.fem.law import TANGENT
+from softrl.fem.material import StableNeoHookean, material_of
 from softrl.fem.model import FemModel, State
 from softrl.fem.newton import factorise
 from softrl.fem.refine import refine

@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from softrl.artifacts.calibration import Calibration
-from softrl.calibration.figures import draw_pressure_map, draw_tensile
-from softrl.calibration.holds import AGAIN, Holds, moving_rows, record_holds, revisited, settled_holds, split_holds
+from softrl.calibration.figures import draw_tensile
+from softrl.calibration.holds import AGAIN, Holds, record_holds, settled_holds, split_holds
 from softrl.calibration.inversion import has_exact_inverse, pressure_by_reduced_model, pressure_by_simulator
 from softrl.calibration.material_fit import as_record, best_fit, fit_materials, held_out, in_words
 from softrl.calibration.mlp import Ensemble, EnsembleSettings, fit_ensemble
 from softrl.calibration.pressure_map import PressureMap
-from softrl.calibration.replay import PressureOf, replay_errors, simulated_holds
+from softrl.calibration.replay import PressureOf, simulated_holds
+from softrl.calibration.report import report_map, report_moving, report_reach, report_replay
 from softrl.calibration.tensile import read_tensile
 from softrl.core.driver import Driver
 from softrl.core.errors import ConfigError, RecordingError
@@ -25,7 +26,6 @@ from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
 REFINEMENTS = 2  # of f_RS through a simulator with effects, which has a past
-MOVING_ROWS = 400  # that f_RS is judged on beside the settled holds
 ROOTS = Path(__file__).resolve().parents[1:3]  # assets/ lies in the installed package, or beside it
 
 
@@ -122,7 +122,7 @@ def run(
     plant = Plant(simulator, effects)
     holds, pressure_sim = _invert(config, plant, recordings, every)
     inverted_by = "reduced model" if has_exact_inverse(simulator, robot) else "simulator"
-    _report_reach(holds, every, pressure_sim, tracker)
+    report_reach(holds, every, pressure_sim, tracker)
     first = holds.run < len(recordings.recordings) - (recordings.recordings[-1].name == AGAIN)
     holds, pressure_sim = holds.where(first), pressure_sim[first]
     heldout = split_holds(holds, config.heldout_share, rng)
@@ -133,10 +133,10 @@ def run(
         ensemble = _train(config, holds.pressure[~heldout], pressure_sim[~heldout])
         calibration = _assemble(plant, ensemble, holds, pressure_sim, heldout, material, inverted_by, every.position)
     tracker.metric("train/weight_decay", ensemble.weight_decay)
-    _report_map(calibration, tracker)
-    if not effects.effects:
-        _report_moving(config, calibration, simulator, robot, recordings, holds, tracker)
-    _report_replay(calibration, plant, recordings, holds, tracker)
+    report_map(calibration, tracker)
+    residual_max_m = 1e-3 * config.residual_max_mm
+    report_moving(calibration, plant, recordings, holds, config.hold_min_s, residual_max_m, tracker)
+    report_replay(calibration, plant, recordings, holds, tracker)
     return calibration
 
 
@@ -243,82 +243,3 @@ def _assemble(
         settled_tip=settled_tip,
         effects=tuple(effect.name() for effect in plant.chain.ordered),
     )
-
-
-def _report_reach(holds: Holds, every: Holds, pressure_sim: np.ndarray, tracker: Tracker) -> None:
-    """Log how many of the settled tips the simulator reaches, and what visits of one pressure differ by."""
-    tracker.metric("settled_tips_reached_pct", 100.0 * len(holds) / len(every))
-    differ_pa, pressures = revisited(holds.pressure, pressure_sim)
-    tracker.metric("revisited_pressures_count", pressures)
-    if pressures:
-        tracker.metric("revisited_pressure_rms_kpa", differ_pa / 1e3)
-        log.info("visits of one pressure differ by %.3g kPa rms from their mean: no static map does better", differ_pa / 1e3)
-
-
-def _report_map(calibration: Calibration, tracker: Tracker) -> None:
-    """Log the error of f_RS on held-out holds beside the identity and an affine map, and that of its inverse."""
-    c, pressure_map = calibration, PressureMap(calibration)
-    real, sim, held = c.pressure_real, c.pressure_sim, c.heldout
-    mapped, spread = pressure_map.real_to_sim(real), pressure_map.spread(real)
-    ones = np.ones((len(real), 1))
-    affine = np.hstack([real, ones]) @ np.linalg.lstsq(np.hstack([real, ones])[~held], sim[~held], rcond=None)[0]
-    inverse = pressure_map.sim_to_real(sim[held])
-    tracker.metric("train/pressure_map_rms_kpa", _rms_kpa(mapped[~held] - sim[~held]))
-    tracker.metric("heldout/pressure_map_rms_kpa", _rms_kpa(mapped[held] - sim[held]))
-    tracker.metric("heldout/pressure_map_pct", 1e5 * _rms_kpa(mapped[held] - sim[held]) / np.ptp(sim, axis=0).max())
-    tracker.metric("heldout/pressure_map_identity_rms_kpa", _rms_kpa(real[held] - sim[held]))
-    tracker.metric("heldout/pressure_map_affine_rms_kpa", _rms_kpa(affine[held] - sim[held]))
-    tracker.metric("heldout/pressure_map_inverse_rms_kpa", _rms_kpa(inverse - real[held]))
-    tracker.metric("heldout/pressure_map_spread_kpa", _rms_kpa(spread[held]))
-    tracker.metric("train/holds_count", int((~held).sum()))
-    tracker.metric("heldout/holds_count", int(held.sum()))
-    tracker.figure("pressure_map", draw_pressure_map(real, sim, mapped, spread, held))
-
-
-def _report_moving(
-    config: Config,
-    calibration: Calibration,
-    simulator: Simulator,
-    robot: Robot,
-    recordings: RecordingSet,
-    holds: Holds,
-    tracker: Tracker,
-) -> None:
-    """Log the error of f_RS while held-out runs move: P_S is there the pressure at which the simulator would rest.
-
-    It has in it all that a static map cannot know, the lags of valves and body first of all. Only a reduced model that
-    inverts at once is asked for it.
-    """
-    if not has_exact_inverse(simulator, robot):
-        return
-    moving = moving_rows(recordings, np.unique(holds.run[calibration.heldout]), config.hold_min_s, MOVING_ROWS)
-    if moving is None:
-        return
-    pressure, miss = pressure_by_reduced_model(simulator, robot, moving.position)
-    reached = np.isfinite(pressure).all(axis=1) & (miss < 1e-3 * config.residual_max_mm)
-    if not reached.any():
-        return
-    real, sim = moving.pressure[reached], pressure[reached]
-    tracker.metric("heldout/pressure_map_moving_rms_kpa", _rms_kpa(PressureMap(calibration).real_to_sim(real) - sim))
-    tracker.metric("heldout/pressure_map_moving_identity_rms_kpa", _rms_kpa(real - sim))
-    tracker.metric("heldout/pressure_map_moving_rows_count", int(reached.sum()))
-
-
-def _report_replay(
-    calibration: Calibration,
-    plant: Plant,
-    recordings: RecordingSet,
-    holds: Holds,
-    tracker: Tracker,
-) -> None:
-    """Log errors of tip, arc length, curvature, orientation and velocity on held-out runs, with and without f_RS."""
-    judged = holds.where(calibration.heldout)
-    with_map = replay_errors(plant, recordings, judged, PressureMap(calibration).real_to_sim)
-    without = replay_errors(plant, recordings, judged, lambda pressure: pressure)
-    for name, value in with_map.items():
-        tracker.metric(f"heldout/{name}", value)
-        tracker.metric(f"heldout/uncalibrated_{name}", without[name])
-
-
-def _rms_kpa(error: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(error**2)) / 1e3)

@@ -9,7 +9,7 @@ import numpy as np
 
 from softrl.core.errors import RecordingError
 from softrl.diagnosis.gaps import mend_all, rows
-from softrl.diagnosis.problem import MIN_FOLDS, Registration, place
+from softrl.diagnosis.problem import MIN_FOLDS
 from softrl.diagnosis.quality import torn, unusable
 from softrl.diagnosis.spikes import without_spikes
 from softrl.recordings.check import DataCheck, check, driven
@@ -21,9 +21,6 @@ MIN_RUN_S = 3.0  # a shorter run says nothing about dynamics
 LEAST_S = 15.0  # fits rather see fewer runs than shorter pieces
 MIN_SIGNAL = 3.0  # travel over noise below which nothing can be told
 FEW_SESSIONS = 2  # with this many sessions or fewer, runs are held out within each instead
-TURNED_FRAME_RAD = 1.0  # the whole motion turned by more than this against the base frame is no misalignment
-MISPLACED_SHARE = 0.5  # of the squared error under a common placement
-OTHER_FRAME_RAD = 0.3  # sessions whose best placements turn apart by more were recorded in different frames
 
 
 @dataclass(frozen=True)
@@ -185,46 +182,6 @@ def _common_length(runs: Sequence[Recording], seconds: float) -> float:
 def cut(run: Recording, end: float) -> Recording:
     """Return the run up to ``end`` s."""
     return rows(run, slice(int(np.searchsorted(run.time, end, side="right"))))
-
-
-def other_frames(simulated: Sequence[Recording], runs: Sequence[Recording]) -> float:
-    """Return the largest angle, rad, between the best placements of the simulation in any two sessions' frames.
-
-    A session's own placement counts only if it removes most of the error that a common one leaves there: motion along
-    one line fits at any turn about that line.
-    """
-    sessions = dict.fromkeys(run.session for run in runs)
-    points, seen = [
-        [np.concatenate([np.asarray(side[k].position) for k in range(len(runs)) if runs[k].session == session])
-         for session in sessions]
-        for side in (simulated, runs)
-    ]  # fmt: skip
-    common = place(np.concatenate(points), np.concatenate(seen))
-    turns = []
-    for p, q in zip(points, seen, strict=True):
-        own = place(p, q)
-        turns.append(own.turn if _misplaced(own, p, q) < MISPLACED_SHARE * _misplaced(common, p, q) else common.turn)
-    cosines = [0.5 * (np.trace(a.T @ b) - 1.0) for i, a in enumerate(turns) for b in turns[:i]]
-    return float(np.arccos(np.clip(min(cosines, default=1.0), -1.0, 1.0)))
-
-
-def _misplaced(placed: Registration, points: np.ndarray, seen: np.ndarray) -> float:
-    return float(np.mean(np.sum((seen - points @ placed.turn.T - placed.shift) ** 2, axis=1)))
-
-
-def turned_frame(simulated: Sequence[Recording], runs: Sequence[Recording]) -> float:
-    """Return the angle, rad, by which all motion together seems turned against the base frame; 0 where that is unclear.
-
-    A turn counts only if it explains most of the difference between simulated and measured motion.
-    """
-    points = np.concatenate([np.asarray(made.position) for made in simulated])
-    target = np.concatenate([np.asarray(run.position) for run in runs])
-    turn, shift = place(points, target)
-    plain = np.mean(np.sum((target - target.mean(axis=0) - points + points.mean(axis=0)) ** 2, axis=1))
-    placed = np.mean(np.sum((target - points @ turn.T - shift) ** 2, axis=1))
-    if placed > 0.25 * plain:
-        return 0.0
-    return float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
 
 
 def rms_about_mean(series: Sequence[np.ndarray]) -> float:

@@ -51,7 +51,7 @@ def _class(finding: Finding) -> list[str]:
     return [r.choice.label() for r in finding.rivals if r.equivalent and r.choice.name != r.instead_of.name]
 
 
-def effect_entries(findings: Sequence[Finding], whole: Problem) -> list[dict[str, Any]]:
+def effect_entries(findings: Sequence[Finding]) -> list[dict[str, Any]]:
     """Return one entry a named effect, as in ``diagnosis.json``, maps without physics last."""
     found = [(finding, named) for finding in findings for named in finding.named]
     return [_entry(*pair) for pair in sorted(found, key=lambda pair: effect_class(pair[1].choice.name).together)]
@@ -123,11 +123,11 @@ def rival_entries(findings: Sequence[Finding], robot: Robot) -> list[dict[str, A
     return sorted(rows, key=lambda row: row["score_gap"])
 
 
-def retuned_entries(whole: Problem, model: Model, factor: float) -> dict[str, Any]:
+def retuned_entries(whole: Problem, model: Model) -> dict[str, Any]:
     """Return the parameters of the retuned-only competitor, and whether each stays within a plausible range."""
-    axes = whole.space(model.hypothesis).axes
+    space, factor = whole.space(model.hypothesis), whole.numerics.tuned_factor
     found: dict[str, Any] = {}
-    for axis, u, value in zip(axes, model.point, whole.space(model.hypothesis).values(model.point), strict=True):
+    for axis, u, value in zip(space.axes, model.point, space.values(model.point), strict=True):
         inside = abs(float(u)) < AT_BOUND * axis.scaled(axis.high)
         found[axis.name] = {"nominal": axis.zero, "value": value, "factor_allowed": factor, "plausible": bool(inside)}
     return found

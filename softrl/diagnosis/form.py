@@ -6,8 +6,8 @@ import numpy as np
 
 from softrl.core.errors import SolverError
 from softrl.diagnosis.hypothesis import Hypothesis, effect_axes, pinned_values
+from softrl.diagnosis.least_squares import UNSEEN
 from softrl.diagnosis.problem import Problem
-from softrl.diagnosis.statistics import UNSEEN
 from softrl.diagnosis.trial import Trial, columns_of
 from softrl.pcc.simulator import PccSimulator
 

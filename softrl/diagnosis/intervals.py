@@ -7,11 +7,12 @@ import numpy as np
 from scipy import stats
 
 from softrl.core.errors import SolverError
+from softrl.diagnosis.blocks import MIN_BLOCKS, blocks_of, correlation_time
 from softrl.diagnosis.form import pinned_jacobian, taken_up, weight_error
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes
 from softrl.diagnosis.judge import Thresholds
+from softrl.diagnosis.least_squares import UNSEEN, jackknife, sandwich
 from softrl.diagnosis.problem import Problem
-from softrl.diagnosis.statistics import MIN_BLOCKS, UNSEEN, blocks_of, correlation_time, jackknife, sandwich
 from softrl.diagnosis.trial import Trial
 
 AT_BOUND = 1e-3  # share of a range at whose ends a parameter is said to be at a bound

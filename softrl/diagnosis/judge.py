@@ -2,14 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from softrl.core.errors import ConfigError
+from softrl.diagnosis.blocks import MIN_BLOCKS, blocks_of, bootstrap_means, correlation_time
 from softrl.diagnosis.problem import Problem
-from softrl.diagnosis.statistics import MIN_BLOCKS, blocks_of, bootstrap_means, correlation_time
 from softrl.effects.library import effect_class
 from softrl.recordings.recording import Recording
 
@@ -162,11 +161,6 @@ class Judge:
         longest = max(correlation_time(series[runs == run]) for run in np.unique(runs))
         length = max(self.thresholds.block_s / self.problem.numerics.bin_s, 2.0 * longest)
         return blocks_of(runs, max(int(min(length, len(series) / MIN_BLOCKS)), 1))
-
-    @cached_property
-    def blocks(self) -> np.ndarray:
-        """Block number (bins,) at the shortest block."""
-        return blocks_of(self.problem.run_of_bin, max(round(self.thresholds.block_s / self.problem.numerics.bin_s), 1))
 
 
 def _by_map(trial: Any) -> bool:

@@ -7,9 +7,11 @@ import numpy as np
 from softrl.diagnosis.flexible import correction, pressures
 from softrl.diagnosis.judge import Gap, Judge
 from softrl.diagnosis.locate import corrected, locate
+from softrl.diagnosis.noise import unlike_noise
 from softrl.diagnosis.problem import Problem, Residual
 from softrl.diagnosis.search import jacobian_at
-from softrl.diagnosis.statistics import spectral_line, unlike_noise, whiteness
+from softrl.diagnosis.spectrum import spectral_line
+from softrl.diagnosis.statistics import whiteness
 from softrl.diagnosis.trial import Trial
 
 WHITENESS_LAGS = 20

@@ -1,7 +1,7 @@
 """Find where recordings and simulator part, name the physics that is missing, and correct the simulator."""
 
 import logging
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,49 +12,30 @@ from softrl.core.errors import ConfigError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
 from softrl.diagnosis.compete import add_calibrated, competitors, judged_on, with_map
-from softrl.diagnosis.correct import Model, Traces, errors, in_mm, share_closed
-from softrl.diagnosis.data import (
-    OTHER_FRAME_RAD,
-    TURNED_FRAME_RAD,
-    Data,
-    Refusal,
-    other_frames,
-    prepare,
-    require_robot,
-    turned_frame,
-    within,
-)
+from softrl.diagnosis.conclusion import cannot_tell, conclude
+from softrl.diagnosis.correct import Traces, share_closed
+from softrl.diagnosis.data import Data, Refusal, prepare, require_robot, within
 from softrl.diagnosis.examine import Finding, Part, examine
-from softrl.diagnosis.explain import (
-    effect_entries,
-    next_experiment,
-    retuned_entries,
-    rival_entries,
-    sentences,
-    unexplained,
-    verdict_of,
-)
 from softrl.diagnosis.figures import draw_all
-from softrl.diagnosis.hypothesis import Hypothesis, candidates, in_one_session
+from softrl.diagnosis.frames import in_other_frames
+from softrl.diagnosis.hypothesis import Hypothesis
 from softrl.diagnosis.join import joined
 from softrl.diagnosis.judge import Judge, Thresholds
 from softrl.diagnosis.locate import corrected, locate
 from softrl.diagnosis.mistaken import mistaken
+from softrl.diagnosis.parts import both_at_once, floor_in_bin, part_behind, valve_part
 from softrl.diagnosis.prelude import preludes
-from softrl.diagnosis.problem import ORIENTATION_LEVER, Numerics, Problem
+from softrl.diagnosis.problem import Numerics, Problem
 from softrl.diagnosis.quality import mixed
 from softrl.diagnosis.report import page
-from softrl.diagnosis.response import step_responses
 from softrl.diagnosis.step import suited
 from softrl.diagnosis.trial import Search
-from softrl.effects.effect import SITES
 from softrl.effects.library import names
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.recording import RecordingSet
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
-VALVE_STEPS = 4  # of a valve to one of the body: it costs little, and pressures are measured well
 
 
 @dataclass(frozen=True)
@@ -120,15 +101,14 @@ def run(
     require_robot(recordings, robot)
     found = prepare(recordings, robot, config.heldout_share, config.seed)
     if isinstance(found, Refusal):
-        return _cannot_tell(found, robot, simulator, tracker)
-    longer = _with_step(config, robot, simulator, found)
+        return _refused(found, robot, simulator, tracker)
+    numerics = _steps(config, robot, simulator, found)
     seconds = config.search.fit_lumped_s if isinstance(simulator, PccSimulator) else config.search.fit_s
-    data = found.shortened(seconds * longer.numerics.dt_s / config.numerics.dt_s)
-    config = longer
-    whole = _whole(config, robot, simulator, data)
+    data = found.shortened(seconds * numerics.dt_s / config.numerics.dt_s)
+    whole = _whole(config, robot, simulator, data, numerics)
     apart = _contradiction(whole, found)
     if apart:
-        return _cannot_tell(Refusal(data.check, apart), robot, simulator, tracker)
+        return _refused(Refusal(data.check, apart), robot, simulator, tracker)
     findings = _examine(config, whole, data, found)
     findings = joined(whole.on(data.training), findings, config.search, config.thresholds)
     models = competitors(config.search, whole.on(data.training), findings)
@@ -136,44 +116,35 @@ def run(
     if calibration is not None:
         add_calibrated(whole, data, calibration, models["retuned"], judged, config.search)
     located = [f for part in findings for f in _locate(part)]
-    diagnosis = _conclude(config, data, whole, findings, models, judged, corrected(located))
+    diagnosis = conclude(data, whole, findings, models, judged, corrected(located))
     if calibration is not None:
         diagnosis = with_map(diagnosis, calibration)
-    _report(diagnosis, config, data, whole, findings, judged, tracker)
+    _report(diagnosis, data, whole, findings, judged, tracker)
     return diagnosis
 
 
-def _with_step(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Config:
-    """Return the configuration with the longest steps that the robot's motion allows."""
+def _steps(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Numerics:
+    """Return the numerics with the longest steps that the robot's motion allows."""
     drive = "measured" if data.pressure and config.measured_pressure else "command"
     part = within(data.training, config.search.fit_s)
     body = Problem(robot, simulator, part, config.numerics, "motion", drive, False, False)
-    material = Judge(
-        body, _floor_in_bin(data.noise, data, config), data.travel, config.thresholds, config.seed
-    ).material
-    numerics = suited(body, material)
+    floor = floor_in_bin(data.noise, data, body)
+    numerics = suited(body, Judge(body, floor, data.travel, config.thresholds, config.seed).material)
     if numerics != config.numerics:
         log.info("the motion is slow: steps of %g s, and of %g s to rank", numerics.dt_s, numerics.rough_dt_s)
-    return replace(config, numerics=numerics)
+    return numerics
 
 
-def _whole(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Problem:
+def _whole(config: Config, robot: Robot, simulator: Simulator, data: Data, numerics: Numerics) -> Problem:
     """Return the problem from command to motion, with registration if sessions use different frames."""
     turns = config.orientation and data.orientation
-    bare = Problem(robot, simulator, data.training, config.numerics, "motion", "command", False, turns)
+    bare = Problem(robot, simulator, data.training, numerics, "motion", "command", False, turns)
     bare = replace(bare, before=preludes(data.training, [r for runs in data.splits.values() for r in runs], robot))
     if robot.output == "bend_angle":
         return bare
     nominal = bare.replayed(Hypothesis((), ()), np.zeros(0))
-    apart, turned = other_frames(nominal, data.training), turned_frame(nominal, data.training)
-    if apart < OTHER_FRAME_RAD and turned < TURNED_FRAME_RAD and not data.misplaced:
+    if not in_other_frames(nominal, data.training, data.misplaced):
         return bare
-    log.info(
-        "sessions use frames that turn apart by %.0f deg, and all by %.0f deg against the base frame, or have another "
-        "origin: each is placed by itself",
-        np.degrees(apart),
-        np.degrees(turned),
-    )
     return replace(bare, register=True, orientation=False)
 
 
@@ -190,61 +161,13 @@ def _examine(config: Config, whole: Problem, data: Data, full: Data) -> list[Fin
     The valve alone is simulated in no time, so that its fits see the ``full`` length of the runs.
     """
     if not (data.pressure and config.measured_pressure):
-        return [_examine_motion(config, whole, data, "command to motion", SITES)]
-    valve = _examine_valve(config, whole, full)
-    body = replace(
-        data,
-        training=_without_bias(whole.runs, valve, whole),
-        heldout=_without_bias(data.heldout, valve, whole),
-    )
-    before = preludes(body.training, (*body.training, *body.heldout), whole.robot)
-    behind = replace(whole, drive="measured", runs=body.training, before=before)
-    sites = tuple(site for site in SITES if site != "valve")
-    return [valve, _examine_motion(config, behind, body, "measured pressure to motion", sites)]
+        return [_look(config, both_at_once(whole, data, config.effects))]
+    valve = _look(config, valve_part(whole, full, config.effects))
+    return [valve, _look(config, part_behind(valve, whole, data, config.effects))]
 
 
-def _examine_valve(config: Config, whole: Problem, data: Data) -> Finding:
-    steps = whole.numerics
-    finer = replace(steps, dt_s=steps.dt_s / VALVE_STEPS, rough_dt_s=steps.rough_dt_s / VALVE_STEPS)
-    problem = replace(whole, target="pressure", register=False, orientation=False, runs=data.training, numerics=finer)
-    choices = candidates(config.effects, ("valve",), whole.robot, data.check.excited)
-    floor = _floor_in_bin(data.pressure_noise, data, config)
-    part = Part("command to measured pressure", problem, data.heldout, floor, data.pressure_travel,
-                (), tuple(choices))  # fmt: skip
+def _look(config: Config, part: Part) -> Finding:
     return examine(part, config.search, config.thresholds, config.seed)
-
-
-def _examine_motion(config: Config, problem: Problem, data: Data, title: str, sites: tuple[str, ...]) -> Finding:
-    wanted = [name for name in config.effects if not (problem.register and name == "frame")]
-    choices = in_one_session(wanted, *([run.session for run in side] for side in (data.training, data.heldout)))
-    choices += candidates(wanted, sites, problem.robot, data.check.excited)
-    turned = ORIENTATION_LEVER * problem.robot.length_m * data.turn_noise if problem.orientation else 0.0
-    floor = _floor_in_bin(float(np.hypot(data.noise, turned)), data, config)
-    part = Part(title, problem.on(data.training), data.heldout, floor, data.travel,
-                tuple(problem.simulator.parameters), tuple(choices))  # fmt: skip
-    return examine(part, config.search, config.thresholds, config.seed)
-
-
-def _floor_in_bin(noise: float, data: Data, config: Config) -> float:
-    """Return the rms that white noise leaves in the mean of a bin."""
-    period = float(np.median([run.period_s for run in data.check.runs]))
-    return noise / float(np.sqrt(max(config.numerics.bin_s / period, 1.0)))
-
-
-def _without_bias(runs: tuple[Any, ...], valve: Finding, whole: Problem) -> tuple[Any, ...]:
-    """Return the runs with the constant offset of each measured pressure taken out, as far as the valve explains it.
-
-    A command that is no pressure, or a valve that is not understood, says nothing about a sensor's zero.
-    """
-    if whole.robot.command != "pressure" or valve.unknown:
-        return tuple(runs)
-    problem = replace(valve.part.problem, runs=tuple(runs))
-    supplied = problem.replayed(valve.final.hypothesis, valve.final.fit.point)
-    shifted = []
-    for run, made in zip(runs, supplied, strict=True):
-        bias = (run.pressure_meas - made.pressure_meas).mean(axis=0)
-        shifted.append(replace(run, pressure_meas=run.pressure_meas - bias))
-    return tuple(shifted)
 
 
 def _locate(finding: Finding) -> list[Any]:
@@ -253,62 +176,8 @@ def _locate(finding: Finding) -> list[Any]:
     return locate(problem, residual, finding.part.floor, finding.part.title)
 
 
-def _conclude(
-    config: Config,
-    data: Data,
-    whole: Problem,
-    findings: list[Finding],
-    models: dict[str, Model],
-    judged: dict[str, dict[str, Traces]],
-    located: list[dict[str, Any]],
-) -> Diagnosis:
-    robot, angle = whole.robot, whole.robot.output == "bend_angle"
-    noise = data.noise / (robot.length_m if angle else 1.0)
-    plain = {split: errors(found, noise) for split, found in judged.items()}
-    verdict, responses = verdict_of(findings), step_responses(data.training)
-    space = whole.space(models["corrected"].hypothesis)
-    made = Diagnosis(
-        robot_name=robot.name,
-        simulator_name=type(whole.simulator).__name__,
-        verdict=verdict,
-        sentences=[],
-        effects=effect_entries(findings, whole),
-        simulator_parameters=space.tuned(models["corrected"].point),
-        retuned=retuned_entries(whole, models["retuned"], config.numerics.tuned_factor),
-        rivals=rival_entries(findings, robot),
-        located=located,
-        errors_mm={split: in_mm(values, robot.length_m, angle) for split, values in plain.items()},
-        errors_deg={s: {n: float(np.degrees(e)) for n, e in v.items()} for s, v in plain.items()} if angle else {},
-        unexplained=unexplained(findings),
-        next_experiment=next_experiment(findings, verdict, robot, data.noise),
-        data={
-            "warnings": _warnings(data, whole),
-            "training_runs": [r.name for r in data.training],
-            "heldout_runs": [r.name for r in data.heldout],
-            "sessions_placed_separately": whole.register,
-            "orientation_used": whole.orientation,
-            "measured_pressure_used": len(findings) > 1,
-            "step_responses": asdict(responses),
-        },
-    )
-    read = responses.sentence()
-    return replace(made, sentences=sentences(made, findings) + ([read] if read else []))
-
-
-def _warnings(data: Data, whole: Problem) -> list[str]:
-    """Return what is odd about the recordings, one line each."""
-    lines = [*data.check.warnings, *data.mended]
-    if whole.register:
-        lines.append(
-            "the recorded frame differs from the robot's base frame, or between sessions: every session is placed by "
-            "the rigid motion that fits best, so that a tilt or an offset of the frame cannot be told"
-        )
-    return lines
-
-
 def _report(
     diagnosis: Diagnosis,
-    config: Config,
     data: Data,
     whole: Problem,
     findings: list[Finding],
@@ -332,25 +201,9 @@ def _report(
         tracker.figure(name, figure)
 
 
-def _cannot_tell(refusal: Refusal, robot: Robot, simulator: Simulator, tracker: Tracker) -> Diagnosis:
-    """Return the diagnosis of data that cannot tell anything."""
-    sentence = f"Cannot tell: {refusal.reason}."
-    log.warning("%s", sentence)
-    diagnosis = Diagnosis(
-        robot_name=robot.name,
-        simulator_name=type(simulator).__name__,
-        verdict="unknown",
-        sentences=[sentence],
-        effects=[],
-        simulator_parameters={},
-        retuned={},
-        rivals=[],
-        located=[],
-        errors_mm={"train": {}, "heldout": {}},
-        errors_deg={},
-        unexplained={"cannot_tell": refusal.reason},
-        next_experiment=None,
-        data={"warnings": list(refusal.check.warnings)},
-    )
+def _refused(refusal: Refusal, robot: Robot, simulator: Simulator, tracker: Tracker) -> Diagnosis:
+    """Return the diagnosis of data that cannot tell anything, with its page."""
+    diagnosis = cannot_tell(refusal, robot.name, type(simulator).__name__)
+    log.warning("%s", diagnosis.sentences[0])
     tracker.text("report.html", page(diagnosis, {}))
     return diagnosis

@@ -10,9 +10,9 @@ import numpy as np
 
 from softrl.core.errors import ConfigError, SolverError
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes
+from softrl.diagnosis.least_squares import left_out
 from softrl.diagnosis.problem import Problem, Registration
 from softrl.diagnosis.search import Fit, least_squares, moved_on
-from softrl.diagnosis.statistics import left_out
 
 log = logging.getLogger(__name__)
 FIRST_ITERATIONS = 8  # of every start, with longer steps

@@ -21,7 +21,15 @@ ROLLED, ROLLED_STEPS = 128, 50  # rollouts that choose the ridge of the closed f
 
 @dataclass(frozen=True)
 class TrainingSettings:
-    """Numbers of the stage's config that the training needs; ``physics_weight`` is lambda of eq. 10."""
+    """How f_S is trained.
+
+    Attributes
+    ----------
+    batch, learning_rate : of both parts of the training
+    onestep_updates, rollout_updates, rollout_steps : one step ahead first; then ``rollout_steps`` from own predictions
+    physics_weight : lambda of eq. 10
+    seed : of the batches
+    """
 
     batch: int
     onestep_updates: int

@@ -7,7 +7,7 @@ import numba as nb
 import numpy as np
 
 from softrl.fem.damping import add_rub
-from softrl.fem.material import LAW, STRESS, TANGENT, VISCOUS, add_second_derivative_of_volume, cofactor_of
+from softrl.fem.law import LAW, STRESS, TANGENT, VISCOUS, add_second_derivative_of_volume, cofactor_of
 
 _law = nb.types.FunctionType(LAW)
 _f1, _f2, _f3, _f4 = (nb.types.Array(nb.float64, d, "C") for d in (1, 2, 3, 4))

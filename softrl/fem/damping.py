@@ -9,7 +9,8 @@ resisted as if it were strained, and in what stretches least.
 import numba as nb
 import numpy as np
 
-from softrl.fem.material import LAW, STRESS, TANGENT, Material, lame
+from softrl.fem.law import LAW, STRESS, TANGENT
+from softrl.fem.material import Material, lame
 
 
 def viscous_moduli(material: Material, mean_volume: bool) -> tuple[np.ndarray, float]:

@@ -13,8 +13,9 @@ from softrl.fem.assembly import ASSEMBLERS, multiply_blocks, node_pairs
 from softrl.fem.coupling import Coupling, Pose, quaternion_of
 from softrl.fem.damping import viscous, viscous_moduli
 from softrl.fem.elements import Solid, rigid_bodies, solid_of
+from softrl.fem.law import ENERGY, STRESS, TANGENT, VISCOUS
 from softrl.fem.loads import VOLUME_RULE, add_volume_gradient, add_volume_stiffness, enclosed_volumes
-from softrl.fem.material import ENERGY, STRESS, TANGENT, VISCOUS, Material
+from softrl.fem.material import Material
 from softrl.fem.newton import NewtonSettings, Objective, Solve, Value, factorise, minimise
 from softrl.fem.solver import LinearSolver, linear_solver
 

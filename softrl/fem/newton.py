@@ -8,7 +8,7 @@ import numpy as np
 
 from softrl.core.errors import ConfigError
 from softrl.fem.coupling import Coupling, Pose
-from softrl.fem.material import STRESS, TANGENT
+from softrl.fem.law import STRESS, TANGENT
 from softrl.fem.solver import LinearSolver
 
 SUFFICIENT_DECREASE = 1e-4  # Armijo's constant

@@ -10,7 +10,8 @@ import numpy as np
 from softrl.core.errors import ConfigError, SolverError
 from softrl.core.simulator import Hook, Motion
 from softrl.effects.call import Calls, pack, unpack
-from softrl.pcc.kernel import run_kernel, tip_pose
+from softrl.pcc.kernel import run_kernel
+from softrl.pcc.pose import tip_pose
 from softrl.robots.robot import Robot
 
 QUASI_STATIC_S = 1e12  # one implicit step of this length is an equilibrium

@@ -4,18 +4,32 @@ The equations are those of ``pod.kernel`` and ``pod.potential``; polynomials of 
 seldom needs, the potential outside the samples and a Newton matrix made definite, it does alone.
 """
 
-import math
 import os
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any
 
 import numba as nb
 import numpy as np
 
 from softrl.pod.inside import AXES, Inside, begin_inside, end_inside, fill_own, join, shared_energy, stored_in
 from softrl.pod.kernel import AGAIN, CLOSE, LONGEST_STEP, MAX_ITERATIONS, lag_hold, share_of
+from softrl.pod.lanes import (
+    Lanes,
+    add,
+    fill_behind,
+    fill_factor,
+    fill_monomials,
+    fill_rows,
+    fill_squares,
+    fill_tangent,
+    make_lanes,
+    scale_down,
+    squares_of,
+    take,
+    to_balls,
+)
 from softrl.pod.linear import newton_direction
-from softrl.pod.potential import FAST, PIVOT, Tables, diagonal, fill_potential
+from softrl.pod.potential import FAST, Tables, fill_potential
 
 LANES = 64  # trajectories in step: many for the matrix products, few enough for the cache
 
@@ -38,140 +52,6 @@ def run_batch(
     with ThreadPoolExecutor(min(len(blocks), len(os.sched_getaffinity(0))) or 1) as threads:
         ends = list(threads.map(run, blocks))
     return path, sum(failed for failed, _ in ends), max((farthest for _, farthest in ends), default=0.0)
-
-
-class Lanes(NamedTuple):
-    """What a block of lanes holds during a step, ``r`` coordinates.
-
-    Attributes
-    ----------
-    mass, stiff, loose, inertia, matrix : (r, r, lanes), the last one scratch
-    turning, right, gradient, direction, wanted, trial : (r, lanes)
-    points : (r, lanes) in the unit ball;  radius : (lanes,) of the states they belong to
-    root, other, product : (r r, lanes);  slope : (r r r, lanes);  pairs : (r (r + 1) / 2, lanes)
-    values : (k, lanes) monomials
-    rows : (3 (r + 3), lanes);  gives : (9, lanes)
-    some : (5, lanes) scratch
-    """
-
-    mass: np.ndarray
-    stiff: np.ndarray
-    loose: np.ndarray
-    inertia: np.ndarray
-    matrix: np.ndarray
-    turning: np.ndarray
-    right: np.ndarray
-    gradient: np.ndarray
-    direction: np.ndarray
-    wanted: np.ndarray
-    trial: np.ndarray
-    points: np.ndarray
-    radius: np.ndarray
-    root: np.ndarray
-    other: np.ndarray
-    product: np.ndarray
-    slope: np.ndarray
-    pairs: np.ndarray
-    values: np.ndarray
-    rows: np.ndarray
-    gives: np.ndarray
-    some: np.ndarray
-
-
-@nb.njit(cache=True)
-def _make_lanes(r: int, lanes: int, monomials: int) -> Lanes:
-    """Return room for ``lanes`` lanes."""
-    full = (r, r, lanes)
-    return Lanes(
-        np.zeros(full), np.zeros(full), np.zeros(full), np.zeros(full), np.zeros(full),
-        np.zeros((r, lanes)), np.zeros((r, lanes)), np.zeros((r, lanes)), np.zeros((r, lanes)), np.zeros((r, lanes)),
-        np.zeros((r, lanes)), np.zeros((r, lanes)), np.zeros(lanes),
-        np.zeros((r * r, lanes)), np.zeros((r * r, lanes)), np.zeros((r * r, lanes)), np.zeros((r**3, lanes)),
-        np.zeros((r * (r + 1) // 2, lanes)), np.zeros((monomials, lanes)),
-        np.zeros((AXES * (r + AXES), lanes)), np.zeros((AXES * AXES, lanes)), np.zeros((5, lanes)),
-    )  # fmt: skip
-
-
-@nb.njit(cache=True, fastmath=FAST)
-def _add(total: np.ndarray, left: np.ndarray, right: np.ndarray) -> None:
-    """Add ``left * right`` to ``total``, (lanes,) each."""
-    for lane in range(len(total)):
-        total[lane] += left[lane] * right[lane]
-
-
-@nb.njit(cache=True, fastmath=FAST)
-def _take(total: np.ndarray, left: np.ndarray, right: np.ndarray) -> None:
-    """Take ``left * right`` from ``total``, (lanes,) each."""
-    for lane in range(len(total)):
-        total[lane] -= left[lane] * right[lane]
-
-
-@nb.njit(cache=True)
-def _fill_monomials(points: np.ndarray, tables: Any, values: np.ndarray) -> None:
-    """Fill the monomials ``values`` (k, lanes) at ``points`` (r, lanes)."""
-    lanes = points.shape[1]
-    values[0] = 1.0
-    for k in range(1, len(values)):
-        lower, variable = tables.parent[k], tables.variable[k]
-        for lane in range(lanes):
-            values[k, lane] = values[lower, lane] * points[variable, lane]
-
-
-@nb.njit(cache=True)
-def _fill_rows(coefficients: np.ndarray, values: np.ndarray, rows: np.ndarray) -> None:
-    """Fill ``rows`` (m, lanes) with the polynomials ``coefficients`` (m, k) at monomials ``values`` (>= k, lanes)."""
-    if coefficients.shape[1] > 0:
-        np.dot(coefficients, values[: coefficients.shape[1]], rows)
-    else:
-        rows[:] = 0.0
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _to_balls(y: np.ndarray, points: np.ndarray, radius: np.ndarray) -> None:
-    """Fill the nearest points (r, lanes) of the unit ball to ``y`` (r, lanes), and their ``radius`` (lanes,)."""
-    radius[:] = 0.0
-    for i in range(len(y)):
-        _add(radius, y[i], y[i])
-    for lane in range(len(radius)):
-        radius[lane] = math.sqrt(radius[lane])
-    for i in range(len(y)):
-        for lane in range(len(radius)):
-            points[i, lane] = y[i, lane] / max(radius[lane], 1.0)
-
-
-@nb.njit(cache=True)
-def _fill_squares(root: np.ndarray, squares: np.ndarray) -> None:
-    """Fill ``squares`` (r, r, lanes) with R' R of ``root`` (r r, lanes)."""
-    r = len(squares)
-    for i in range(r):
-        for j in range(i, r):
-            squares[i, j] = 0.0
-            for k in range(r):
-                _add(squares[i, j], root[k * r + i], root[k * r + j])
-            squares[j, i] = squares[i, j]
-
-
-@nb.njit(cache=True)
-def _squares_of(matrix: np.ndarray, vector: np.ndarray, part: np.ndarray, total: np.ndarray) -> None:
-    """Fill ``total`` (lanes,) with vector' matrix vector; ``part`` (lanes,) is scratch."""
-    total[:] = 0.0
-    for i in range(len(vector)):
-        part[:] = 0.0
-        for j in range(len(vector)):
-            _add(part, matrix[i, j], vector[j])
-        _add(total, part, vector[i])
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _scale_down(vector: np.ndarray, energy: np.ndarray, matrix: np.ndarray, some: np.ndarray) -> None:
-    """Scale ``vector`` (r, lanes) until its squares in ``matrix`` are no more than ``energy`` (lanes,)."""
-    _squares_of(matrix, vector, some[0], some[1])
-    for lane in range(len(energy)):
-        now = some[1, lane]
-        if now > energy[lane]:
-            share = math.sqrt(energy[lane] / now)
-            for i in range(len(vector)):
-                vector[i, lane] *= share
 
 
 @nb.njit(cache=True)
@@ -198,11 +78,11 @@ def _fill_mass(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any, insi
     """Fill roots and masses, those of the insides too, a step ahead of ``y`` (r, lanes)."""
     _fill_ahead(y, velocity, dt, held)
     wide = max(tables.mass_root.shape[1], tables.give_root.shape[1], tables.give.shape[1])
-    _fill_monomials(held.points, tables, held.values[:wide])
-    _fill_rows(tables.mass_root, held.values, held.root)
-    _fill_squares(held.root, held.mass)
-    _fill_rows(tables.give_root, held.values, held.rows)
-    _fill_rows(tables.give, held.values, held.gives)
+    fill_monomials(held.points, tables, held.values[:wide])
+    fill_rows(tables.mass_root, held.values, held.root)
+    fill_squares(held.root, held.mass)
+    fill_rows(tables.give_root, held.values, held.rows)
+    fill_rows(tables.give, held.values, held.gives)
     for lane in range(y.shape[1]):
         join(held.root[:, lane], held.rows[:, lane], insides.couple[lane], insides.own[lane])
         fill_own(held.gives[:, lane], insides.give[lane])
@@ -214,13 +94,13 @@ def _fill_ahead(y: np.ndarray, velocity: np.ndarray, dt: float, held: Lanes) -> 
     for i in range(len(y)):
         for lane in range(y.shape[1]):
             held.trial[i, lane] = y[i, lane] + dt * velocity[i, lane]
-    _to_balls(held.trial, held.points, held.radius)
+    to_balls(held.trial, held.points, held.radius)
 
 
 @nb.njit(cache=True, error_model="numpy")
 def _scale_rates(velocity: np.ndarray, inner: np.ndarray, kinetic: np.ndarray, insides: Inside, held: Lanes) -> None:
     """Scale all rates to twice the kinetic energies ``kinetic`` (lanes,)."""
-    _squares_of(held.mass, velocity, held.some[0], held.some[1])
+    squares_of(held.mass, velocity, held.some[0], held.some[1])
     for lane in range(velocity.shape[1]):
         more = shared_energy(velocity[:, lane], inner[lane], _inside_of(insides, lane))
         share = share_of(kinetic[lane], held.some[1, lane] + more)
@@ -231,17 +111,17 @@ def _scale_rates(velocity: np.ndarray, inner: np.ndarray, kinetic: np.ndarray, i
 
 @nb.njit(cache=True)
 def _fill_turning(velocity: np.ndarray, held: Lanes) -> None:
-    """Fill the force of turning from the roots and their gradients, as ``pod.kernel.fill_turning``."""
+    """Fill the force of turning from the roots and their gradients, as ``pod.kernel``."""
     points, force, outward, part, share = held.points, held.turning, held.some[0], held.some[1], held.some[2]
     moved, changed, along = held.wanted, held.gradient, held.trial
     r, lanes = velocity.shape
     outward[:] = 0.0
     for i in range(r):
-        _add(outward, points[i], velocity[i])
+        add(outward, points[i], velocity[i])
         moved[i], changed[i] = 0.0, 0.0
         for j in range(r):
-            _add(moved[i], held.root[i * r + j], velocity[j])
-    _fill_tangent(velocity, outward, held, along)
+            add(moved[i], held.root[i * r + j], velocity[j])
+    fill_tangent(velocity, outward, held, along)
     force[:] = 0.0
     turned, inward = held.direction, held.some[3]
     inward[:] = 0.0
@@ -249,70 +129,20 @@ def _fill_turning(velocity: np.ndarray, held: Lanes) -> None:
         turned[j] = 0.0
         for a in range(r):
             part[:], share[:] = 0.0, 0.0
-            _add(share, along[j], moved[a])
+            add(share, along[j], moved[a])
             for i in range(r):
                 row = held.slope[(j * r + a) * r + i]
-                _add(part, row, velocity[i])
-                _take(force[i], share, row)
-            _add(changed[a], along[j], part)
-            _add(turned[j], part, moved[a])
-        _add(inward, points[j], turned[j])
-    _fill_tangent(turned, inward, held, along)
+                add(part, row, velocity[i])
+                take(force[i], share, row)
+            add(changed[a], along[j], part)
+            add(turned[j], part, moved[a])
+        add(inward, points[j], turned[j])
+    fill_tangent(turned, inward, held, along)
     for j in range(r):
         for lane in range(lanes):
             force[j, lane] += along[j, lane]
         for a in range(r):
-            _take(force[j], held.root[a * r + j], changed[a])
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _fill_tangent(vector: np.ndarray, outward: np.ndarray, held: Lanes, along: np.ndarray) -> None:
-    """Fill ``along`` (r, lanes) with the motion of the points as the states move by ``vector``, of which ``outward``."""
-    for i in range(len(vector)):
-        for lane in range(len(outward)):
-            beyond = held.radius[lane] > 1.0
-            lost = held.points[i, lane] * outward[lane] if beyond else 0.0
-            along[i, lane] = (vector[i, lane] - lost) / max(held.radius[lane], 1.0)
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _fill_factor(elastic: np.ndarray, rest: np.ndarray, factor: np.ndarray, some: np.ndarray) -> None:
-    """Fill ``factor`` (r, r, lanes) from ``elastic`` (pairs, lanes), as ``pod.potential.fill_elastic_factor``."""
-    r, lanes = len(factor), factor.shape[2]
-    pivot, least = some[0], some[1]
-    pair = 0
-    for i in range(r):
-        for j in range(i, r):
-            factor[i, j] = elastic[pair]
-            pair += 1
-    for j in range(r - 1, -1, -1):
-        least[:] = PIVOT * rest[diagonal(j, r)]
-        pivot[:] = factor[j, j]
-        for k in range(j + 1, r):
-            _take(pivot, factor[j, k], factor[j, k])
-        for i in range(j):
-            for k in range(j + 1, r):
-                _take(factor[i, j], factor[i, k], factor[j, k])
-            row = diagonal(i, r)
-            for lane in range(lanes):
-                entry = factor[i, j, lane]
-                least[lane] = max(least[lane], entry * entry / max(elastic[row, lane], rest[row]))
-        for lane in range(lanes):
-            factor[j, j, lane] = math.sqrt(max(pivot[lane], least[lane]))
-        for i in range(j):
-            for lane in range(lanes):
-                factor[i, j, lane] /= factor[j, j, lane]
-
-
-@nb.njit(cache=True)
-def _fill_behind(root: np.ndarray, factor: np.ndarray, product: np.ndarray) -> None:
-    """Fill ``product`` (r r, lanes) with R U' of ``root`` (r r, lanes) and ``factor`` (r, r, lanes)."""
-    r = len(factor)
-    for i in range(r):
-        for j in range(r):
-            product[i * r + j] = 0.0
-            for k in range(j, r):
-                _add(product[i * r + j], root[i * r + k], factor[j, k])
+            take(force[j], held.root[a * r + j], changed[a])
 
 
 @nb.njit(cache=True)
@@ -320,17 +150,17 @@ def _fill_viscosity(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any,
     """Fill viscosity and its lagging share half a step ahead, and the insides'."""
     wide = max(tables.elastic.shape[1], tables.stiffness_root.shape[1], tables.lag_root.shape[1])
     _fill_ahead(y, velocity, 0.5 * dt, held)
-    _fill_monomials(held.points, tables, held.values[: max(wide, tables.drag_root.shape[1])])
-    _fill_rows(tables.elastic, held.values, held.pairs)
-    _fill_rows(tables.stiffness_root, held.values, held.root)
-    _fill_rows(tables.lag_root, held.values, held.other)
-    _fill_factor(held.pairs, tables.elastic[:, 0], held.matrix, held.some)
+    fill_monomials(held.points, tables, held.values[: max(wide, tables.drag_root.shape[1])])
+    fill_rows(tables.elastic, held.values, held.pairs)
+    fill_rows(tables.stiffness_root, held.values, held.root)
+    fill_rows(tables.lag_root, held.values, held.other)
+    fill_factor(held.pairs, tables.elastic[:, 0], held.matrix, held.some)
     if tables.lag_root.shape[1] > 0:
-        _fill_behind(held.other, held.matrix, held.product)
-        _fill_squares(held.product, held.loose)
-    _fill_behind(held.root, held.matrix, held.product)
-    _fill_squares(held.product, held.stiff)
-    _fill_rows(tables.drag_root, held.values, held.rows)
+        fill_behind(held.other, held.matrix, held.product)
+        fill_squares(held.product, held.loose)
+    fill_behind(held.root, held.matrix, held.product)
+    fill_squares(held.product, held.stiff)
+    fill_rows(tables.drag_root, held.values, held.rows)
     for lane in range(y.shape[1]):
         join(held.product[:, lane], held.rows[:, lane], insides.drag[lane], insides.tough[lane])
 
@@ -366,10 +196,10 @@ def _begin(
 def _fill_wanted(y: np.ndarray, waiting: np.ndarray, tables: Any, held: Lanes) -> None:
     """Fill gradient and Newton's direction at ``y`` (r, lanes), those of lanes that do not wait for nothing."""
     r, lanes = y.shape
-    _to_balls(y, held.points, held.radius)
-    _fill_monomials(held.points, tables, held.values[: tables.gradient.shape[1]])
-    _fill_rows(tables.gradient, held.values, held.gradient)
-    _fill_rows(tables.hessian, held.values, held.pairs)
+    to_balls(y, held.points, held.radius)
+    fill_monomials(held.points, tables, held.values[: tables.gradient.shape[1]])
+    fill_rows(tables.gradient, held.values, held.gradient)
+    fill_rows(tables.hessian, held.values, held.pairs)
     for lane in range(lanes):
         if waiting[lane] and held.radius[lane] > 1.0:
             _fill_outside(y, lane, tables, held)
@@ -377,7 +207,7 @@ def _fill_wanted(y: np.ndarray, waiting: np.ndarray, tables: Any, held: Lanes) -
         for lane in range(lanes):
             held.gradient[i, lane] -= held.right[i, lane]
         for j in range(r):
-            _add(held.gradient[i], held.inertia[i, j], y[j])
+            add(held.gradient[i], held.inertia[i, j], y[j])
     _solve(waiting, tables, held)
 
 
@@ -417,13 +247,13 @@ def _solve(waiting: np.ndarray, tables: Any, held: Lanes) -> None:
             for lane in range(lanes):
                 share[lane] = matrix[k, i, lane] * pivot[lane]
             for j in range(i, r):
-                _take(matrix[i, j], share, matrix[k, j])
-            _take(wanted[i], share, wanted[k])
+                take(matrix[i, j], share, matrix[k, j])
+            take(wanted[i], share, wanted[k])
         for lane in range(lanes):
             wanted[k, lane] *= pivot[lane]
     for i in range(r - 1, -1, -1):
         for k in range(i + 1, r):
-            _take(wanted[i], matrix[k, i], wanted[k])
+            take(wanted[i], matrix[k, i], wanted[k])
     for lane in range(lanes):
         if waiting[lane] and not least[lane] > 0.0:
             _solve_alone(lane, tables, held)
@@ -465,54 +295,70 @@ def _move(y: np.ndarray, lane: int, progress: np.ndarray, held: Lanes) -> float:
     return longest
 
 
+@nb.njit(cache=True)
+def _converge(y: np.ndarray, waiting: np.ndarray, progress: np.ndarray, tables: Any, held: Lanes) -> int:
+    """Move ``y`` to where the forces balance; return the number of lanes that do not get there."""
+    waiting[:], progress[:] = True, -1.0
+    for _ in range(MAX_ITERATIONS):
+        _fill_wanted(y, waiting, tables, held)
+        for lane in range(len(waiting)):
+            if waiting[lane]:
+                waiting[lane] = _move(y, lane, progress[lane], held) >= CLOSE
+        if not waiting.any():
+            break
+    return waiting.sum()
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _end(
+    y: np.ndarray, start: np.ndarray, velocity: np.ndarray, lag: np.ndarray, inner: np.ndarray, dt: float, tables: Any,
+    insides: Inside, held: Lanes, energies: tuple[np.ndarray, np.ndarray, np.ndarray],
+) -> None:
+    """Bring ``velocity``, ``lag`` and ``inner`` up to date and fill the energies (lanes,), as ``pod.kernel.end_step``."""
+    (r, lanes), hold, (kinetic, stored, bent) = y.shape, lag_hold(dt, tables), energies
+    for i in range(r):
+        for lane in range(lanes):
+            velocity[i, lane] = (y[i, lane] - start[i, lane]) / dt
+            lag[i, lane] = hold * lag[i, lane] + (1.0 - hold) * velocity[i, lane] if hold > 0.0 else 0.0
+    squares_of(held.mass, velocity, held.some[0], kinetic)
+    for lane in range(lanes):
+        inside = _inside_of(insides, lane)
+        bent[lane] = end_inside(inner[lane], y[:, lane], dt, inside)
+        kinetic[lane] += shared_energy(velocity[:, lane], inner[lane], inside)
+    for i in range(r):
+        for lane in range(lanes):
+            kinetic[lane] -= 2.0 * dt * held.turning[i, lane] * velocity[i, lane]
+    np.maximum(kinetic, 0.0, kinetic)
+    squares_of(held.loose, lag, held.some[0], stored)
+
+
 @nb.njit(cache=True, error_model="numpy", nogil=True)
 def run_block(
     y: np.ndarray, velocity: np.ndarray, lag: np.ndarray, dt: float, load: np.ndarray, tables: Any, path: np.ndarray
 ) -> tuple[int, float]:
     """Fill ``path`` (lanes, steps, r) from ``y``, ``velocity`` and ``lag`` (r, lanes), used up, under ``load``."""
     r, lanes = y.shape
-    held, start, hold = _make_lanes(r, lanes, len(tables.parent)), np.empty((r, lanes)), lag_hold(dt, tables)
+    held, start = make_lanes(r, lanes, len(tables.parent)), np.empty((r, lanes))
     waiting, progress = np.empty(lanes, dtype=np.bool_), np.empty((lanes, 2))
     kinetic, stored, bent = np.empty(lanes), np.full(lanes, np.inf), np.empty(lanes)
     insides, inner = _make_insides(r, lanes), np.zeros((lanes, 2, AXES))
-    _to_balls(y, held.points, held.radius)
+    to_balls(y, held.points, held.radius)
     failed, farthest = 0, held.radius.max()
     _fill_mass(y, velocity, dt, tables, insides, held)
     for step in range(load.shape[1]):
-        _fill_rows(tables.mass_slope, held.values, held.slope)
+        fill_rows(tables.mass_slope, held.values, held.slope)
         _fill_turning(velocity, held)
         if tables.scales[2] > 0.0:
             _fill_viscosity(y, velocity, dt, tables, insides, held)
-            _scale_down(lag, stored, held.loose, held.some)
+            scale_down(lag, stored, held.loose, held.some)
         _begin(y, start, velocity, lag, load[:, step].copy(), dt, tables, held)
         for lane in range(lanes):
             inside, inertia, right = _inside_of(insides, lane), held.inertia[:, :, lane], held.right[:, lane]
             begin_inside(inner[lane], y[:, lane], start[:, lane], dt, tables, inside, inertia, right)
-        waiting[:], progress[:] = True, -1.0
-        for _ in range(MAX_ITERATIONS):
-            _fill_wanted(y, waiting, tables, held)
-            for lane in range(lanes):
-                if waiting[lane]:
-                    waiting[lane] = _move(y, lane, progress[lane], held) >= CLOSE
-            if not waiting.any():
-                break
-        failed += waiting.sum()
-        for i in range(r):
-            for lane in range(lanes):
-                path[lane, step, i] = y[i, lane]
-                velocity[i, lane] = (y[i, lane] - start[i, lane]) / dt
-                lag[i, lane] = hold * lag[i, lane] + (1.0 - hold) * velocity[i, lane] if hold > 0.0 else 0.0
-        _squares_of(held.mass, velocity, held.some[0], kinetic)
-        for lane in range(lanes):
-            inside = _inside_of(insides, lane)
-            bent[lane] = end_inside(inner[lane], y[:, lane], dt, inside)
-            kinetic[lane] += shared_energy(velocity[:, lane], inner[lane], inside)
-        for i in range(r):
-            for lane in range(lanes):
-                kinetic[lane] -= 2.0 * dt * held.turning[i, lane] * velocity[i, lane]
-        np.maximum(kinetic, 0.0, kinetic)
-        _squares_of(held.loose, lag, held.some[0], stored)
-        _to_balls(y, held.points, held.radius)
+        failed += _converge(y, waiting, progress, tables, held)
+        path[:, step] = y.T
+        _end(y, start, velocity, lag, inner, dt, tables, insides, held, (kinetic, stored, bent))
+        to_balls(y, held.points, held.radius)
         farthest = max(farthest, held.radius.max())
         for _ in range(AGAIN):  # the mass ahead hangs on the scaled velocity
             _fill_mass(y, velocity, dt, tables, insides, held)

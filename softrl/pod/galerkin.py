@@ -11,16 +11,9 @@ from softrl.artifacts.mesh import FREE
 from softrl.core.errors import SolverError
 from softrl.core.progress import progress
 from softrl.fem.coupling import Pose
+from softrl.fem.law import LAW, STRESS, TANGENT, VISCOUS, add_second_derivative_of_volume, cofactor_of
 from softrl.fem.loads import add_volume_stiffness
-from softrl.fem.material import (
-    LAW,
-    STRESS,
-    TANGENT,
-    VISCOUS,
-    Material,
-    add_second_derivative_of_volume,
-    cofactor_of,
-)
+from softrl.fem.material import Material
 from softrl.fem.model import FemModel
 from softrl.pod.basis import pod_basis
 from softrl.pod.hyperreduction import sample_elements

@@ -16,7 +16,8 @@ from softrl.core.errors import ArtifactError, ConfigError, SolverError
 from softrl.core.resume import Kept, pack, unpack
 from softrl.core.simulator import Hook, Motion
 from softrl.fem.damping import viscous, viscous_moduli
-from softrl.fem.material import STRESS, TANGENT, VISCOUS, Material, material_of
+from softrl.fem.law import STRESS, TANGENT, VISCOUS
+from softrl.fem.material import Material, material_of
 from softrl.fem.model import FemModel
 from softrl.fem.newton import NewtonSettings
 from softrl.fem.sampling import step_program

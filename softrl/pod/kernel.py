@@ -1,4 +1,4 @@
-"""The energy ROM compiled: implicit Euler with effects inside the step, tip pose."""
+"""The energy ROM compiled: implicit Euler with effects inside the step."""
 
 import math
 from typing import Any
@@ -18,6 +18,7 @@ from softrl.pod.inside import (
 )
 from softrl.pod.linear import newton_direction
 from softrl.pod.ports import add_effects, commit_effects, fill_ports, make_ports
+from softrl.pod.pose import tip_pose
 from softrl.pod.potential import (
     FAST,
     fill_behind,
@@ -26,7 +27,6 @@ from softrl.pod.potential import (
     fill_potential,
     fill_rows,
     fill_square,
-    polynomial,
     to_ball,
 )
 
@@ -38,66 +38,7 @@ AGAIN = 3  # times that a velocity is scaled to its energy, each with the mass w
 
 
 @nb.njit(cache=True, fastmath=FAST)
-def _spun(coefficients: np.ndarray, values: np.ndarray, degrees: np.ndarray, beyond: float) -> float:
-    """Return a polynomial at monomials ``values`` on the sphere, each going on linearly for ``beyond`` radii."""
-    total = 0.0
-    for m in range(len(coefficients)):
-        total += coefficients[m] * values[m] * (1.0 + beyond * degrees[m])
-    return total
-
-
-@nb.njit(cache=True)
-def tip_pose(
-    y: np.ndarray,
-    lag: np.ndarray,
-    gives: np.ndarray,
-    tables: Any,
-    values: np.ndarray,
-    point: np.ndarray,
-    position: np.ndarray,
-    quaternion: np.ndarray,
-) -> None:
-    """Fill the tip's position (3,) m and quaternion (4,) w x y z at ``y``.
-
-    ``lag`` (r,) is the lagged rate; ``gives`` (3,) how far the inside gives beyond what weight makes it give.
-    """
-    n, r = len(y) - 3, len(y)
-    beyond = max(to_ball(y, point) - 1.0, 0.0)
-    few = values[: max(tables.rotation.shape[1], tables.lag_rotation.shape[1], tables.give_rotation.shape[1])]
-    fill_monomials(point, tables.parent, tables.variable, few)
-    square = lagged = 0.0
-    for k in range(3):
-        position[k] = tables.rest_tip[k]
-        for j in range(r):
-            position[k] += tables.frame[n + k, j] * y[j]
-        angle = _spun(tables.rotation[k], few, tables.degrees, beyond)
-        quaternion[1 + k] = angle
-        square += angle * angle
-    half = 0.5 * math.sqrt(square)
-    factor = 0.5 if half < 1e-9 else math.sin(half) / (2.0 * half)
-    quaternion[0] = math.cos(half)
-    for k in range(3):
-        quaternion[1 + k] *= factor
-    w, a, b, c = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
-    turn = (0.0, 0.0, 0.0)
-    for k in range(3):
-        angle = 0.0
-        for j in range(r):
-            angle += polynomial(tables.lag_rotation[k * r + j], few) * lag[j]
-        angle *= 0.5 * tables.scales[5]
-        for j in range(AXES):
-            angle += 0.5 * polynomial(tables.give_rotation[k * AXES + j], few) * gives[j]
-        lagged += angle * angle
-        turn = (turn[1], turn[2], angle)
-    v, (x, y_, z) = 1.0 / math.sqrt(1.0 + lagged), turn
-    quaternion[0] = v * (w - x * a - y_ * b - z * c)
-    quaternion[1] = v * (a + x * w + y_ * c - z * b)
-    quaternion[2] = v * (b + y_ * w + z * a - x * c)
-    quaternion[3] = v * (c + z * w + x * b - y_ * a)
-
-
-@nb.njit(cache=True, fastmath=FAST)
-def fill_turning(
+def _fill_turning(
     radius: float, velocity: np.ndarray, point: np.ndarray, root: np.ndarray, slope: np.ndarray, scratch: np.ndarray,
     force: np.ndarray,
 ) -> None:
@@ -136,25 +77,8 @@ def fill_turning(
         force[j] = total
 
 
-@nb.njit(cache=True)
-def fill_viscosity(
-    elastic: np.ndarray, root: np.ndarray, lag_root: np.ndarray, tables: Any, factor: np.ndarray, product: np.ndarray,
-    stiff: np.ndarray, loose: np.ndarray,
-) -> None:
-    """Fill viscosity and its lagging share (r, r) from the elastic Hessian (pairs,) and the roots (r r,).
-
-    ``product`` (r r,) is left with the root of the former.
-    """
-    fill_elastic_factor(elastic, tables.elastic[:, 0], factor)
-    if tables.lag_root.shape[1] > 0:
-        fill_behind(lag_root, factor, product)
-        fill_square(product, loose)
-    fill_behind(root, factor, product)
-    fill_square(product, stiff)
-
-
 @nb.njit(cache=True, fastmath=FAST)
-def square_of(matrix: np.ndarray, vector: np.ndarray) -> float:
+def _square_of(matrix: np.ndarray, vector: np.ndarray) -> float:
     """Return vector' matrix vector."""
     total = 0.0
     for i in range(len(vector)):
@@ -252,16 +176,40 @@ def end_step(
         velocity[i] = (y[i] - start[i]) / dt
         lag[i] = hold * lag[i] + (1.0 - hold) * velocity[i] if hold > 0.0 else 0.0
     bent = end_inside(inner, y, dt, inside)
-    kinetic = square_of(mass, velocity) + shared_energy(velocity, inner, inside)
+    kinetic = _square_of(mass, velocity) + shared_energy(velocity, inner, inside)
     for i in range(r):
         kinetic -= 2.0 * dt * turning[i] * velocity[i]
-    return max(kinetic, 0.0), square_of(loose, lag), bent
+    return max(kinetic, 0.0), _square_of(loose, lag), bent
 
 
 @nb.njit(cache=True)
 def share_of(energy: float, now: float) -> float:
     """Return the factor that brings what has the energy ``now`` to ``energy``; 1 for what has none."""
     return math.sqrt(energy / now) if now > 0.0 else 1.0
+
+
+@nb.njit(cache=True)
+def _fill_viscosity(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any, work: Any, held: Any) -> None:
+    """Fill viscosity, its lagging share and the inside's half a step ahead of ``y``; ``work`` as for ``_set_out``."""
+    values, point, _, factor, ahead, root, other, slope, elastic = work
+    _, stiff, loose, _, inside = held
+    product = slope[: len(root)]
+    for i in range(len(y)):
+        ahead[i] = y[i] + 0.5 * dt * velocity[i]
+    to_ball(ahead, point)
+    wide = max(tables.elastic.shape[1], tables.stiffness_root.shape[1], tables.lag_root.shape[1])
+    few = values[: max(wide, tables.drag_root.shape[1])]
+    fill_monomials(point, tables.parent, tables.variable, few)
+    fill_rows(tables.elastic, few, elastic)
+    fill_rows(tables.stiffness_root, few, root)
+    fill_rows(tables.lag_root, few, other)
+    fill_elastic_factor(elastic, tables.elastic[:, 0], factor)
+    if tables.lag_root.shape[1] > 0:
+        fill_behind(other, factor, product)
+        fill_square(product, loose)
+    fill_behind(root, factor, product)
+    fill_square(product, stiff)
+    fill_drag(product, tables, few, inside)
 
 
 @nb.njit(cache=True)
@@ -278,8 +226,8 @@ def _set_out(
     work : monomials, point (r,), two matrices (r, r), a vector (r,), rows (r r,), (r r,), (r r r,), (pairs,)
     held : as for ``begin_step``
     """
-    values, point, scratch, factor, ahead, root, other, slope, elastic = work
-    mass, stiff, loose, turning, inside = held
+    values, point, scratch, _, ahead, root, _, slope, _ = work
+    mass, _, loose, turning, inside = held
     kinetic, stored, bent = energies
     radius = to_ball(y, point)
     few, beyond = values[: max(tables.mass_root.shape[1], tables.give_root.shape[1], tables.give.shape[1])], 0.0
@@ -292,7 +240,7 @@ def _set_out(
         fill_square(root, mass)
         fill_inertia(root, tables, few, inside)
         if kinetic >= 0.0:
-            share = share_of(kinetic, square_of(mass, velocity) + shared_energy(velocity, inner, inside))
+            share = share_of(kinetic, _square_of(mass, velocity) + shared_energy(velocity, inner, inside))
             for i in range(len(y)):
                 velocity[i] *= share
             for k in range(AXES):
@@ -301,20 +249,10 @@ def _set_out(
     share = min(1.0, share_of(bent, stored_in(inner[0], inside.give)))
     for k in range(AXES):
         inner[0, k] *= share
-    fill_turning(beyond, velocity, point, root, slope, scratch, turning)
+    _fill_turning(beyond, velocity, point, root, slope, scratch, turning)
     if tables.scales[2] > 0.0:
-        for i in range(len(y)):
-            ahead[i] = y[i] + 0.5 * dt * velocity[i]
-        to_ball(ahead, point)
-        wide = max(tables.elastic.shape[1], tables.stiffness_root.shape[1], tables.lag_root.shape[1])
-        few = values[: max(wide, tables.drag_root.shape[1])]
-        fill_monomials(point, tables.parent, tables.variable, few)
-        fill_rows(tables.elastic, few, elastic)
-        fill_rows(tables.stiffness_root, few, root)
-        fill_rows(tables.lag_root, few, other)
-        fill_viscosity(elastic, root, other, tables, factor, slope[: len(root)], stiff, loose)
-        fill_drag(slope[: len(root)], tables, few, inside)
-        share = min(1.0, share_of(stored, square_of(loose, lag)))
+        _fill_viscosity(y, velocity, dt, tables, work, held)
+        share = min(1.0, share_of(stored, _square_of(loose, lag)))
         for i in range(len(y)):
             lag[i] *= share
     return radius

@@ -13,8 +13,9 @@ from softrl.effects.effect import PORT_KERNEL
 from softrl.pod.batch import run_batch
 from softrl.pod.inside import AXES
 from softrl.pod.inverse import solve_pressures
-from softrl.pod.kernel import run_kernel, tip_pose
+from softrl.pod.kernel import run_kernel
 from softrl.pod.polynomial import basis, degree_of, sum_of_squares
+from softrl.pod.pose import tip_pose
 from softrl.pod.potential import Tables, fill_behind, fill_elastic_factor
 
 log = logging.getLogger(__name__)

@@ -11,7 +11,8 @@ import numpy as np
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.core.errors import ArtifactError, ConfigError, SolverError
 from softrl.core.simulator import Hook, Motion
-from softrl.pod.kernel import run_kernel, tip_pose
+from softrl.pod.kernel import run_kernel
+from softrl.pod.pose import tip_pose
 from softrl.pod.potential import Tables
 from softrl.pod.rom import LOAD_STEPS, QUASI_STATIC_S, STILL, no_hooks, tables_of, typed_hooks, warn_beyond
 from softrl.robots.robot import Robot

@@ -13,7 +13,8 @@ from softrl.core.tracking import NullTracker
 from softrl.dynamics import training
 from softrl.dynamics.checkpoint import Checkpoint
 from softrl.dynamics.dataset import Body
-from softrl.dynamics.stage import _training_mark, generate, learn_forward, learn_inverse, run
+from softrl.dynamics.sets import generate
+from softrl.dynamics.stage import _training_mark, learn_forward, learn_inverse, run
 from softrl.dynamics.transformer import GruNet, weights_of
 from softrl.robots.robot import Robot
 from tests.dynamics.test_stage import HIGH, LOW, config

@@ -16,7 +16,8 @@ from softrl.dynamics.dataset import Body, Windows
 from softrl.dynamics.evaluate import onestep_errors, predictors, rollout_errors
 from softrl.dynamics.inverse import inverse_errors, inverse_net
 from softrl.dynamics.physics_residual import PhysicsResidual
-from softrl.dynamics.stage import Config, Sets, generate, learn_forward, learn_inverse, report, run
+from softrl.dynamics.sets import Sets, generate
+from softrl.dynamics.stage import Config, learn_forward, learn_inverse, report, run
 from softrl.dynamics.transformer import ForwardNet, forward_net, weights_of
 from softrl.robots.robot import Robot
 from tests.pod.conftest import fitted

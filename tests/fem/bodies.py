@@ -9,7 +9,8 @@ from softrl.artifacts.snapshots import Snapshots
 from softrl.fem.assembly import ASSEMBLERS, node_pairs
 from softrl.fem.coupling import Coupling
 from softrl.fem.elements import EDGES, Solid, solid_of
-from softrl.fem.material import TANGENT, Material, StableNeoHookean
+from softrl.fem.law import TANGENT
+from softrl.fem.material import Material, StableNeoHookean
 from softrl.fem.model import FemModel
 from softrl.fem.newton import NewtonSettings, Value, minimise
 from softrl.fem.solver import linear_solver

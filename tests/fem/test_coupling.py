@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from softrl.artifacts.mesh import FIRST_RIB, Mesh
 from softrl.fem.coupling import Coupling, Pose, quaternion_of
-from softrl.fem.material import STRESS, TANGENT
+from softrl.fem.law import STRESS, TANGENT
 from softrl.fem.model import FemModel
 from tests.fem.bodies import model_of
 

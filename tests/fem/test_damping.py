@@ -7,7 +7,8 @@ from scipy.spatial.transform import Rotation
 from softrl.artifacts.mesh import Mesh
 from softrl.fem.assembly import multiply_blocks
 from softrl.fem.damping import add_rub, viscous, viscous_moduli
-from softrl.fem.material import TANGENT, material_of
+from softrl.fem.law import TANGENT
+from softrl.fem.material import material_of
 from tests.fem.bodies import hollow_box, model_of
 
 LAWS = {

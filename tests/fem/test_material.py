@@ -5,10 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from softrl.core.errors import ConfigError
+from softrl.fem.law import ENERGY, TANGENT
 from softrl.fem.material import (
-    ENERGY,
     LAWS,
-    TANGENT,
     Corotational,
     Material,
     MooneyRivlin,

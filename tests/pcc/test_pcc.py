@@ -19,7 +19,7 @@ from softrl.effects.chain import Plant, chain_of
 from softrl.effects.hysteresis import Hysteresis
 from softrl.effects.lag import Lag
 from softrl.effects.viscoelasticity import Viscoelasticity
-from softrl.pcc.kernel import SERIES_BELOW, shape_functions, tip_pose
+from softrl.pcc.pose import SERIES_BELOW, shape_functions, tip_pose
 from softrl.pcc.simulator import PccSimulator
 from softrl.robots.robot import Robot
 

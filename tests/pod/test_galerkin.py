@@ -8,7 +8,8 @@ import pytest
 from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ConfigError, SolverError
 from softrl.core.tracking import NullTracker
-from softrl.fem.material import STRESS, TANGENT, StableNeoHookean
+from softrl.fem.law import STRESS, TANGENT
+from softrl.fem.material import StableNeoHookean
 from softrl.fem.stage import run as run_fem
 from softrl.pod.galerkin import build_body, elastic, full_displacements
 from softrl.pod.galerkin_simulator import GalerkinSimulator

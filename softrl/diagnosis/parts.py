@@ -1,0 +1,76 @@
+"""The parts of the pipeline that are examined apart: the valve and the body behind it, or both at once."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from softrl.diagnosis.data import Data
+from softrl.diagnosis.examine import Finding, Part
+from softrl.diagnosis.hypothesis import candidates, in_one_session
+from softrl.diagnosis.prelude import preludes
+from softrl.diagnosis.problem import ORIENTATION_LEVER, Problem
+from softrl.effects.effect import SITES
+from softrl.recordings.recording import Recording
+
+VALVE_STEPS = 4  # of a valve to one of the body: it costs little, and pressures are measured well
+
+
+def both_at_once(whole: Problem, data: Data, effects: list[str]) -> Part:
+    """Return the pipeline from command to motion."""
+    return _motion_part(whole, data, "command to motion", effects, SITES)
+
+
+def valve_part(whole: Problem, data: Data, effects: list[str]) -> Part:
+    """Return the pipeline from command to measured pressure, in finer steps."""
+    steps = whole.numerics
+    finer = replace(steps, dt_s=steps.dt_s / VALVE_STEPS, rough_dt_s=steps.rough_dt_s / VALVE_STEPS)
+    problem = replace(whole, target="pressure", register=False, orientation=False, runs=data.training, numerics=finer)
+    choices = candidates(effects, ("valve",), whole.robot, data.check.excited)
+    floor = floor_in_bin(data.pressure_noise, data, problem)
+    return Part("command to measured pressure", problem, data.heldout, floor, data.pressure_travel, (), tuple(choices))
+
+
+def part_behind(valve: Finding, whole: Problem, data: Data, effects: list[str]) -> Part:
+    """Return the pipeline from measured pressure to motion."""
+    body = replace(
+        data,
+        training=_without_bias(whole.runs, valve, whole),
+        heldout=_without_bias(data.heldout, valve, whole),
+    )
+    before = preludes(body.training, (*body.training, *body.heldout), whole.robot)
+    behind = replace(whole, drive="measured", runs=body.training, before=before)
+    sites = tuple(site for site in SITES if site != "valve")
+    return _motion_part(behind, body, "measured pressure to motion", effects, sites)
+
+
+def _motion_part(problem: Problem, data: Data, title: str, effects: list[str], sites: tuple[str, ...]) -> Part:
+    wanted = [name for name in effects if not (problem.register and name == "frame")]
+    choices = in_one_session(wanted, *([run.session for run in side] for side in (data.training, data.heldout)))
+    choices += candidates(wanted, sites, problem.robot, data.check.excited)
+    turned = ORIENTATION_LEVER * problem.robot.length_m * data.turn_noise if problem.orientation else 0.0
+    floor = floor_in_bin(float(np.hypot(data.noise, turned)), data, problem)
+    tuned = tuple(problem.simulator.parameters)
+    return Part(title, problem.on(data.training), data.heldout, floor, data.travel, tuned, tuple(choices))
+
+
+def floor_in_bin(noise: float, data: Data, problem: Problem) -> float:
+    """Return the rms that white noise leaves in the mean of a bin."""
+    period = float(np.median([run.period_s for run in data.check.runs]))
+    return noise / float(np.sqrt(max(problem.numerics.bin_s / period, 1.0)))
+
+
+def _without_bias(runs: Sequence[Recording], valve: Finding, whole: Problem) -> tuple[Recording, ...]:
+    """Return the runs with the constant offset of each measured pressure taken out, as far as the valve explains it.
+
+    A command that is no pressure, or a valve that is not understood, says nothing about a sensor's zero.
+    """
+    if whole.robot.command != "pressure" or valve.unknown:
+        return tuple(runs)
+    problem = replace(valve.part.problem, runs=tuple(runs))
+    supplied = problem.replayed(valve.final.hypothesis, valve.final.fit.point)
+    shifted = []
+    for run, made in zip(runs, supplied, strict=True):
+        bias = (run.pressure_meas - made.pressure_meas).mean(axis=0)
+        shifted.append(replace(run, pressure_meas=run.pressure_meas - bias))
+    return tuple(shifted)

@@ -1,0 +1,45 @@
+"""A line in a spectrum that is smooth else."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+MIN_FREQUENCIES = 32  # fewer do not show whether a spectrum is smooth
+DRIVEN_LEVEL = 1e-3  # chance of a peak in a drive's spectrum that marks a frequency as driven
+EULER = 0.5772  # mean of minus the logarithm of an exponential variable
+
+
+def spectral_line(runs: Sequence[np.ndarray], drives: Sequence[np.ndarray]) -> float:
+    """Return the chance that noise with a smooth spectrum shows a peak as high as the highest in ``runs`` (steps, n).
+
+    Frequencies at which the ``drives`` (steps, m) of the same runs swing themselves are left out.
+
+    Notes
+    -----
+    The logarithm of each periodogram, along the direction of largest power, is fitted by a cubic in the logarithm of
+    the frequency; about a smooth spectrum the ratio to it is exponential. The chance is corrected for the number of
+    frequencies and runs looked at (textbook form, no equation number checked).
+    """
+    chances, count = [1.0], 0
+    for run, drive in zip(runs, drives, strict=True):
+        if len(run) // 2 - 2 < MIN_FREQUENCIES:
+            continue
+        centred = run - run.mean(axis=0)
+        height = _above_smooth(centred @ np.linalg.svd(centred.T @ centred)[0][:, 0])
+        driven = np.zeros(len(height), dtype=bool)
+        for pressure in drive.T:
+            if np.ptp(pressure) > 0.0:
+                driven |= _above_smooth(pressure - pressure.mean()) > np.log(-np.log(DRIVEN_LEVEL))
+        height = height[~(driven | np.roll(driven, 1) | np.roll(driven, -1))]
+        if len(height):
+            chances.append(float(np.exp(-np.exp(min(float(height.max()), 6.0)))))
+            count += len(height)
+    return min(1.0, min(chances) * max(count, 1))
+
+
+def _above_smooth(series: np.ndarray) -> np.ndarray:
+    """Return the logarithm (frequencies,) of the periodogram of ``series`` (steps,) over a smooth one."""
+    power = np.maximum(np.abs(np.fft.rfft(series * np.hanning(len(series)))[2:-1]) ** 2, 1e-300)
+    place = np.log(np.arange(2, len(power) + 2))
+    smooth = np.polynomial.Polynomial.fit(place, np.log(power), 3, w=np.sqrt(1.0 / np.arange(2, len(power) + 2)))
+    return np.asarray(np.log(power) - smooth(place) - EULER)

@@ -1,0 +1,69 @@
+"""Where the reduced body's tip is and how it is turned, compiled."""
+
+import math
+from typing import Any
+
+import numba as nb
+import numpy as np
+
+from softrl.pod.inside import AXES
+from softrl.pod.potential import FAST, fill_monomials, polynomial, to_ball
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def _spun(coefficients: np.ndarray, values: np.ndarray, degrees: np.ndarray, beyond: float) -> float:
+    """Return a polynomial at monomials ``values`` on the sphere, each going on linearly for ``beyond`` radii."""
+    total = 0.0
+    for m in range(len(coefficients)):
+        total += coefficients[m] * values[m] * (1.0 + beyond * degrees[m])
+    return total
+
+
+@nb.njit(cache=True)
+def tip_pose(
+    y: np.ndarray,
+    lag: np.ndarray,
+    gives: np.ndarray,
+    tables: Any,
+    values: np.ndarray,
+    point: np.ndarray,
+    position: np.ndarray,
+    quaternion: np.ndarray,
+) -> None:
+    """Fill the tip's position (3,) m and quaternion (4,) w x y z at ``y``.
+
+    ``lag`` (r,) is the lagged rate; ``gives`` (3,) how far the inside gives beyond what weight makes it give.
+    """
+    n, r = len(y) - 3, len(y)
+    beyond = max(to_ball(y, point) - 1.0, 0.0)
+    few = values[: max(tables.rotation.shape[1], tables.lag_rotation.shape[1], tables.give_rotation.shape[1])]
+    fill_monomials(point, tables.parent, tables.variable, few)
+    square = lagged = 0.0
+    for k in range(3):
+        position[k] = tables.rest_tip[k]
+        for j in range(r):
+            position[k] += tables.frame[n + k, j] * y[j]
+        angle = _spun(tables.rotation[k], few, tables.degrees, beyond)
+        quaternion[1 + k] = angle
+        square += angle * angle
+    half = 0.5 * math.sqrt(square)
+    factor = 0.5 if half < 1e-9 else math.sin(half) / (2.0 * half)
+    quaternion[0] = math.cos(half)
+    for k in range(3):
+        quaternion[1 + k] *= factor
+    w, a, b, c = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+    turn = (0.0, 0.0, 0.0)
+    for k in range(3):
+        angle = 0.0
+        for j in range(r):
+            angle += polynomial(tables.lag_rotation[k * r + j], few) * lag[j]
+        angle *= 0.5 * tables.scales[5]
+        for j in range(AXES):
+            angle += 0.5 * polynomial(tables.give_rotation[k * AXES + j], few) * gives[j]
+        lagged += angle * angle
+        turn = (turn[1], turn[2], angle)
+    v, (x, y_, z) = 1.0 / math.sqrt(1.0 + lagged), turn
+    quaternion[0] = v * (w - x * a - y_ * b - z * c)
+    quaternion[1] = v * (a + x * w + y_ * c - z * b)
+    quaternion[2] = v * (b + y_ * w + z * a - x * c)
+    quaternion[3] = v * (c + z * w + x * b - y_ * a)

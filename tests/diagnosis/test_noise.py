@@ -1,0 +1,61 @@
+"""Noise of any colour passes, and jumps and errors that come with motion do not."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from softrl.diagnosis.noise import unlike_noise
+from tests.diagnosis.series import coloured
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.5, 0.9, 0.97, "mixed"])
+@pytest.mark.parametrize(("runs", "length", "holds"), [(1, 120, 4), (2, 300, 20)])
+def test_noise_of_any_colour_is_uneven_as_rarely_as_said(
+    memory: float | str, runs: int, length: int, holds: int
+) -> None:
+    rng, alarms, shares = np.random.default_rng(16), 0, []
+    for _ in range(60):
+        edges = [np.sort(rng.integers(0, length, holds)) for _ in range(runs)]
+        drives = [rng.uniform(size=(holds + 1, 2))[np.searchsorted(edge, np.arange(length))] for edge in edges]
+        slow = [np.stack([coloured(rng, length, 0.9 if memory == "mixed" else memory) for _ in range(2)], axis=1)
+                for _ in range(runs)]  # fmt: skip
+        noise = [x + 2.0 * rng.standard_normal(x.shape) if memory == "mixed" else x for x in slow]
+        found = unlike_noise(noise, drives, 39, rng)
+        alarms += found.p_value <= 0.05
+        shares.append(found.share)
+    assert alarms <= 8, f"{alarms} of 60 false alarms at 5 %"
+    assert np.median(shares) < 0.1, "noise has little power in excess"
+
+
+def test_the_share_in_excess_is_that_of_the_jumps_and_of_what_comes_with_motion() -> None:
+    rng = np.random.default_rng(17)
+    drive = np.repeat(rng.uniform(size=(60, 1)), 20, axis=0)
+    moves = np.abs(np.diff(drive, axis=0, prepend=drive[:1]))
+    quiet, rough = rng.standard_normal((2, 1200, 2))
+    with_motion = quiet + rough * np.sqrt(moves / moves.mean())
+    assert unlike_noise([with_motion], [drive], 39, rng).share == pytest.approx(0.5, abs=0.12)
+    jumps = np.sqrt(40.0) * rough * (np.arange(1200) % 40 == 7)[:, None]
+    assert unlike_noise([quiet + jumps], [drive], 39, rng).share == pytest.approx(0.5, abs=0.12)
+
+
+def test_noise_is_told_from_jumps_and_from_what_comes_with_motion() -> None:
+    rng = np.random.default_rng(13)
+    drive = np.repeat(rng.uniform(size=(20, 1)), 15, axis=0)
+    steps = np.diff(drive, axis=0, prepend=drive[:1])
+    noise = coloured(rng, 300, 0.9)[:, None]
+    jumped = noise + 8.0 * (np.arange(300) > 150)[:, None]
+    assert unlike_noise([jumped], [drive], 200, rng).p_value < 0.02
+    late = np.asarray(lfilter([1.0], [1.0, -0.7], np.abs(steps[:, 0]) * rng.standard_normal(300)))[:, None]
+    assert unlike_noise([0.2 * noise + 20.0 * late], [drive], 200, rng).p_value < 0.02
+
+
+def test_what_parameters_a_little_off_leave_is_no_structure() -> None:
+    rng = np.random.default_rng(15)
+    drive = np.repeat(rng.uniform(size=(20, 1)), 15, axis=0)
+    slope = np.asarray(lfilter([1.0], [1.0, -0.8], np.abs(np.diff(drive, axis=0, prepend=drive[:1])), axis=0))
+    slow = [coloured(rng, 300, 0.98)[:, None] for _ in range(2)]
+    off = [noise + 3.0 * slope for noise in slow]
+    assert unlike_noise(off, [drive, drive], 200, rng).p_value < 0.02
+    assert unlike_noise(off, [drive, drive], 200, rng, [slope[:, :, None]] * 2).p_value > 0.05
+    rough = [noise + 3.0 * slope * rng.standard_normal((300, 1)) for noise in slow]
+    assert unlike_noise(rough, [drive, drive], 200, rng, [slope[:, :, None]] * 2).p_value < 0.02

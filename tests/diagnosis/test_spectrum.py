@@ -1,0 +1,17 @@
+"""A swing shows in a spectrum of any smooth shape, and none where there is none."""
+
+import numpy as np
+
+from softrl.diagnosis.spectrum import spectral_line
+from tests.diagnosis.series import coloured
+
+
+def test_a_line_in_the_spectrum_is_told_from_a_smooth_one() -> None:
+    rng, clock = np.random.default_rng(11), 0.1 * np.arange(400)
+    still = [np.zeros((400, 1))]
+    smooth = [[coloured(rng, 400, m)[:, None]] for m in (0.0, 0.5, 0.9) for _ in range(50)]
+    assert not any(spectral_line(run, still) < 1e-8 for run in smooth)
+    swing = np.sin(2.0 * np.pi * 0.5 * clock)[:, None]
+    line = swing + 0.3 * coloured(rng, 400, 0.5)[:, None]
+    assert spectral_line([line], still) < 1e-8
+    assert spectral_line([line], [swing + 0.1 * coloured(rng, 400, 0.5)[:, None]]) > 1e-8, "the drive swings so itself"
