@@ -1,9 +1,9 @@
-"""Equilibria along a path of loads: each starts from the one before it, moved along its tangent.
+"""Equilibria along a path of loads: each starts from the one before it, moved along its path to second order.
 
 A body that buckles or snaps through has several equilibria under one load, and Newton may leave the branch that
 began at rest. An equilibrium therefore counts only where every load step of its path ended at a stable equilibrium
-and moved the body as the tangents at both its ends say: at the start alone the tangent near a limit point is long and
-may happen to point beyond the jump. Otherwise the step is halved, and the load is missed in the end.
+and moved the body as tangent and bend of the path at both its ends say: at the start alone the tangent near a limit
+point is long and may happen to point beyond the jump. Otherwise the step is halved, and the load is missed in the end.
 """
 
 import logging
@@ -22,7 +22,7 @@ from softrl.fem.newton import Solve
 log = logging.getLogger(__name__)
 PARTS = 32  # of a load step: how short it becomes, by halves, where it fails
 MOST_HALVINGS = 12  # on one path
-DEVIATION = 0.3  # largest share of a step's motion (its largest nodal shift) that the tangent at an end may miss
+DEVIATION = 0.3  # largest share of a step's motion (its largest nodal shift) that the path at an end may miss
 
 
 class JumpError(SolverError):
