@@ -22,7 +22,6 @@ class Snapshots(Artifact):
     coordinate : (samples, n + 3) m^3 and m
     energy : (samples,) J, elastic energy above rest
     compliance : (samples, n + 3, n + 3) d coordinate / d load
-    compliance_slope : (samples, n + 3, n + 3, n + 3) d compliance / d load, symmetric in all three
     tangent_stiffness : (samples, n + 3, n + 3) T' K T with T = dx / d load and K what stiffness-proportional
         damping multiplies
     tangent_mass : (samples, n + 3, n + 3) T' M T with T = dx / d load
@@ -39,6 +38,8 @@ class Snapshots(Artifact):
         damping multiplies
     tip_spin : (samples, 3, n + 3) rotation of the plate by the loads, rad per Pa and N
     tip_quaternion : (samples, 4) w x y z of the plate relative to rest
+    slopes : by the name of each of ``ANSWERS``, its change with the load, the load first: (samples, n + 3, ...); that of
+        the compliance is symmetric in all three
     displacement : (samples, nodes, 3) m, float32, on the mesh's corner nodes
     nodal_mass : (nodes,) kg on the same nodes
     trajectory_time : (steps,) s, common to all trajectories
@@ -55,14 +56,13 @@ class Snapshots(Artifact):
     robot_name : the robot
     """
 
-    schema: ClassVar[int] = 5
+    schema: ClassVar[int] = 6
     stage: ClassVar[str] = "fem"
 
     loads: np.ndarray
     coordinate: np.ndarray
     energy: np.ndarray
     compliance: np.ndarray
-    compliance_slope: np.ndarray
     tangent_stiffness: np.ndarray
     tangent_mass: np.ndarray
     lag_stiffness: np.ndarray
@@ -78,6 +78,7 @@ class Snapshots(Artifact):
     give_drag: np.ndarray
     tip_spin: np.ndarray
     tip_quaternion: np.ndarray
+    slopes: dict[str, np.ndarray]
     displacement: np.ndarray
     nodal_mass: np.ndarray
     trajectory_time: np.ndarray
@@ -108,6 +109,6 @@ class Snapshots(Artifact):
     def validate(self) -> None:
         """Check that every per-sample array has one row per load."""
         super().validate()
-        for name in ("coordinate", "energy", "compliance", "compliance_slope", "lag_stiffness", "tip_quaternion", "displacement"):
+        for name in ("coordinate", "energy", "compliance", "lag_stiffness", "tip_quaternion", "displacement"):
             if len(getattr(self, name)) != len(self.loads):
                 raise ArtifactError(f"Snapshots.{name} has {len(getattr(self, name))} rows for {len(self.loads)} loads")

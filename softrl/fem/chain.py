@@ -5,13 +5,11 @@ from typing import NamedTuple
 import numpy as np
 
 from softrl.core.resume import pack, unpack
-from softrl.fem.bend import compliance_slope
+from softrl.fem.answers import Row, answers_at, slopes_at
 from softrl.fem.continuation import Cost, Equilibrium, Missed, follow
-from softrl.fem.lag import lag_at
 from softrl.fem.model import FemModel
-from softrl.fem.weight import weight_at
 
-Row = dict[str, np.ndarray]  # one equilibrium, by the names that ``Snapshots`` has for it
+SLOPE = "slope/"  # before the name of what changes with the load so
 Found = tuple[int, Row, Cost]
 Lost = tuple[int, Missed]
 
@@ -59,20 +57,13 @@ def trace(model: FemModel, loads: np.ndarray, chain: np.ndarray, scale: np.ndarr
 def row_of(model: FemModel, equilibrium: Equilibrium) -> Row:
     """Return what ``Snapshots`` keeps of an equilibrium; it must be what ``model`` computed last."""
     pose, tangent = equilibrium.pose, equilibrium.tangent
-    blocks = model.viscous(pose)
-    lag = lag_at(model, pose, tangent, blocks)
+    answers = answers_at(model, pose, tangent, model.solve)
+    slopes = slopes_at(model, pose, equilibrium.load, tangent, answers)
     row = {
         "coordinate": model.coordinate(pose),
-        "energy": model.elastic_energy(pose),
-        "compliance": 0.5 * (tangent.compliance + tangent.compliance.T),
-        "compliance_slope": compliance_slope(model, pose, equilibrium.load, tangent),
-        "tangent_stiffness": tangent.stiffness,
-        "tangent_mass": tangent.mass,
-        "lag_stiffness": lag.stiffness,
-        "lag_viscosity": lag.viscosity,
-        "lag_spin": lag.spin,
+        "energy": np.asarray(model.elastic_energy(pose)),
         "centre_of_mass": model.centre_of_mass(pose),
         "tip_quaternion": model.tip_quaternion(pose),
         "displacement": (pose.position - model.quadratic.points)[: model.quadratic.corners].astype(np.float32),
     }
-    return {name: np.asarray(value) for name, value in (row | weight_at(model, pose, tangent, blocks)._asdict()).items()}
+    return row | answers.row | {SLOPE + name: slope for name, slope in slopes.items()}

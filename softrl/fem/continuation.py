@@ -1,9 +1,9 @@
-"""Equilibria along a path of loads: each starts from the one before it, moved along its tangent.
+"""Equilibria along a path of loads: each starts from the one before it, moved along its path to second order.
 
 A body that buckles or snaps through has several equilibria under one load, and Newton may leave the branch that
 began at rest. An equilibrium therefore counts only where every load step of its path ended at a stable equilibrium
-and moved the body as the tangents at both its ends say: at the start alone the tangent near a limit point is long and
-may happen to point beyond the jump. Otherwise the step is halved, and the load is missed in the end.
+and moved the body as tangent and bend of the path at both its ends say: at the start alone the tangent near a limit
+point is long and may happen to point beyond the jump. Otherwise the step is halved, and the load is missed in the end.
 """
 
 import logging
@@ -22,7 +22,7 @@ from softrl.fem.newton import Solve
 log = logging.getLogger(__name__)
 PARTS = 32  # of a load step: how short it becomes, by halves, where it fails
 MOST_HALVINGS = 12  # on one path
-DEVIATION = 0.3  # largest share of a step's motion (its largest nodal shift) that the tangent at an end may miss
+DEVIATION = 0.3  # largest share of a step's motion (its largest nodal shift) that the path at an end may miss
 
 
 class JumpError(SolverError):
@@ -121,31 +121,43 @@ def _reach(
 
 
 class Place(NamedTuple):
-    """An equilibrium on a path: its pose, d unknowns / d load along the path, and whether from factors made there."""
+    """An equilibrium on a path: its pose, first and second derivative of the unknowns along the path, per part of it.
+
+    ``exact`` says whether they are from factors made there.
+    """
 
     pose: Pose
     rate: np.ndarray
+    bend: np.ndarray
     exact: bool
+
+    def ahead(self, model: FemModel, parts: float) -> Pose:
+        """Return where the body is ``parts`` further, to second order."""
+        return model.coupling.move(self.pose, parts * self.rate + 0.5 * parts**2 * self.bend)
+
+    def guesses(self, model: FemModel, parts: float) -> tuple[Pose, Pose]:
+        """Return where the body is ``parts`` further to second order, and to first: near a limit point the bend goes astray."""
+        return self.ahead(model, parts), model.coupling.move(self.pose, parts * self.rate)
 
 
 def _walk(model: FemModel, start: Equilibrium, load: np.ndarray, count: int) -> Equilibrium:
     """Go from ``start`` to ``load`` in ``count`` steps; one that fails is halved, later ones double again."""
     began, whole = time.process_time(), PARTS * count
     unit = (load - start.load) / whole
-    here = Place(start.pose, start.tangent.change @ unit, True)
+    here = _exact(model, start.pose, start.load, unit)
     iterations, factorisations, halvings = 0, 1, 0
     done, stride = 0, PARTS
     while done < whole:
         ends = start.load + done * unit, start.load + (done + stride) / whole * (load - start.load)
-        guess = model.coupling.move(here.pose, stride * here.rate)
-        solve = model.static(ends[1], guess)
+        solve = model.static(ends[1], model.lowest(ends[1], here.guesses(model, stride)))
         iterations, factorisations = iterations + solve.iterations, factorisations + solve.factorisations
         try:
             _check_solve(solve)
-            there = Place(solve.pose, model.answer(solve.pose, unit), False)
+            there = _arrived(model, here, solve.pose, unit, stride)
             if _astray(model, here, there, stride) is not None:  # by tangents as stale as Newton's factors: make new ones
                 factorisations += 1 + (not here.exact)
-                here, there = (_exact(model, *at, unit) for at in ((here, ends[0]), (there, ends[1])))
+                here = here if here.exact else _exact(model, here.pose, ends[0], unit)
+                there = _exact(model, there.pose, ends[1], unit)
                 _check_way(model, here, there, stride)
         except SolverError as failure:
             if stride == 1 or halvings == MOST_HALVINGS:
@@ -162,11 +174,18 @@ def _walk(model: FemModel, start: Equilibrium, load: np.ndarray, count: int) -> 
     return Equilibrium(load, here.pose, tangent, cost)
 
 
-def _exact(model: FemModel, place: Place, load: np.ndarray, unit: np.ndarray) -> Place:
-    if place.exact:
-        return place
-    model.refactorise(place.pose, load)
-    return Place(place.pose, model.answer(place.pose, unit), True)
+def _exact(model: FemModel, pose: Pose, load: np.ndarray, unit: np.ndarray) -> Place:
+    """Return the place by factors made there."""
+    model.refactorise(pose, load)
+    rate = model.answer(pose, unit)
+    return Place(pose, rate, model.bend(pose, load, rate, unit), True)
+
+
+def _arrived(model: FemModel, here: Place, pose: Pose, unit: np.ndarray, parts: int) -> Place:
+    """Return the place ``parts`` after ``here`` by the factors at hand, its bend that of the cubic through both."""
+    rate = model.answer(pose, unit)
+    mean = model.coupling.difference(here.pose, pose) / parts
+    return Place(pose, rate, (2.0 * here.rate + 4.0 * rate - 6.0 * mean) / parts, False)
 
 
 def _check_solve(solve: Solve) -> None:
@@ -189,8 +208,7 @@ def _check_way(model: FemModel, here: Place, there: Place, stride: int) -> None:
 
 def _astray(model: FemModel, here: Place, there: Place, stride: int) -> tuple[int, float] | None:
     """Return the node that a tangent at either end misses by most and by how many m, or None where that is little."""
-    ahead = model.coupling.move(here.pose, stride * here.rate).position
-    behind = model.coupling.move(there.pose, -stride * there.rate).position
+    ahead, behind = here.ahead(model, stride).position, there.ahead(model, -stride).position
     missed = np.maximum(np.abs(there.pose.position - ahead), np.abs(here.pose.position - behind)).max(axis=1)
     allowed = DEVIATION * np.abs(there.pose.position - here.pose.position).max() + 10.0 * model.newton.tolerance_m
     worst = int(missed.argmax())

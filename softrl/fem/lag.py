@@ -28,20 +28,24 @@ class Lag(NamedTuple):
     spin: np.ndarray
 
 
-def lag_at(model: FemModel, pose: Pose, tangent: Tangent, blocks: np.ndarray) -> Lag:
-    """Return the lags at an equilibrium; ``tangent`` must be what ``model`` computed last, ``blocks`` are its ``viscous``."""
-    coupling, pairs, plate = model.coupling, model.pairs, model.coupling.body_slice(0)
+def push_of(model: FemModel, pose: Pose, tangent: Tangent) -> np.ndarray:
+    """Return the viscous force (unknowns, w) of a unit rate of each coordinate."""
+    return _resist(model, pose, tangent, tangent.change @ np.linalg.inv(tangent.compliance))
 
-    def resist(columns: np.ndarray) -> np.ndarray:
-        shapes = (coupling.expand(column, pose) for column in columns.T)
-        forces = [multiply_blocks(blocks, pairs.first, pairs.second, shape) for shape in shapes]
-        return np.stack([coupling.reduce(force, pose) for force in forces], axis=1)
 
-    push = resist(tangent.change @ np.linalg.inv(tangent.compliance))
-    free = model.solve(push)
+def lag_of(model: FemModel, pose: Pose, tangent: Tangent, push: np.ndarray, free: np.ndarray) -> Lag:
+    """Return the lags at an equilibrium that answers ``push``, see ``push_of``, by ``free`` (unknowns, w)."""
+    plate = model.coupling.body_slice(0)
     held = model.load_directions(pose).T @ free
     lag = tangent.change @ np.linalg.solve(tangent.compliance, held) - free
-    stiffness, viscosity = -lag.T @ push, lag.T @ resist(lag)
+    stiffness, viscosity = -lag.T @ push, lag.T @ _resist(model, pose, tangent, lag)
     return Lag(
         0.5 * (stiffness + stiffness.T), 0.5 * (viscosity + viscosity.T), lag[plate.start + 3 : plate.stop]
     )
+
+
+def _resist(model: FemModel, pose: Pose, tangent: Tangent, columns: np.ndarray) -> np.ndarray:
+    """Return the viscous forces (unknowns, k) of rates ``columns`` (unknowns, k) of the unknowns."""
+    shapes = (model.coupling.expand(column, pose) for column in columns.T)
+    forces = (multiply_blocks(tangent.viscous, model.pairs.first, model.pairs.second, shape) for shape in shapes)
+    return np.stack([model.coupling.reduce(force, pose) for force in forces], axis=1)

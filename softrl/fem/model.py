@@ -1,5 +1,6 @@
 """The full finite-element body: equilibria, their tangents, and implicit time steps."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ from softrl.fem.material import Material
 from softrl.fem.newton import NewtonSettings, Objective, Solve, Value, factorise, minimise
 from softrl.fem.solver import LinearSolver, linear_solver
 
+STEP_M = 1e-7  # largest shift of a node in a difference: far above round-off, far below the motion
 NO_RUB = np.zeros(3)  # nothing resists a change
 
 
@@ -54,12 +56,21 @@ class Tangent:
     compliance : (n + 3, n + 3) d (volumes, tip) / d load, symmetric up to round-off
     stiffness : (n + 3, n + 3) T' K_viscous T with T = d nodes / d load, what stiffness-proportional damping multiplies
     mass : (n + 3, n + 3) T' M T
+    shapes : (n + 3, nodes, 3) T' itself
+    viscous : (pairs, 3, 3) N/m, blocks of K_viscous
     """
 
     change: np.ndarray
     compliance: np.ndarray
     stiffness: np.ndarray
     mass: np.ndarray
+    shapes: np.ndarray
+    viscous: np.ndarray
+
+    @property
+    def width(self) -> int:
+        """The number of loads, ``n + 3``."""
+        return len(self.compliance)
 
 
 class FemModel:
@@ -162,6 +173,11 @@ class FemModel:
         first = start if start is not None else self.rest()
         return minimise(self._potential(load), first, self.coupling, self._solver, self.newton)
 
+    def lowest(self, load: np.ndarray, poses: Sequence[Pose]) -> Pose:
+        """Return the one of ``poses`` with the least potential under ``load``."""
+        potential = self._potential(load)
+        return min(poses, key=lambda pose: potential(pose, ENERGY).energy)
+
     def tangent(self, pose: Pose, load: np.ndarray) -> Tangent:
         """Return the tangent at an equilibrium.
 
@@ -171,14 +187,16 @@ class FemModel:
             If the Hessian is not positive: a buckling point, where no tangent exists.
         """
         self.refactorise(pose, load)
-        forces = self.load_directions(pose)
-        change = self._solver.solve(forces)
+        return self.tangent_of(pose, self._solver.solve(self.load_directions(pose)))
+
+    def tangent_of(self, pose: Pose, change: np.ndarray) -> Tangent:
+        """Return the tangent at an equilibrium whose unknowns change by ``change`` (unknowns, chambers + 3) with the load."""
         blocks = self.viscous(pose)
         shapes = np.stack([self.coupling.expand(column, pose) for column in change.T])
         stiff = np.stack([multiply_blocks(blocks, self.pairs.first, self.pairs.second, t) for t in shapes])
         return Tangent(
-            change, forces.T @ change, np.einsum("ani,bni->ab", shapes, stiff),
-            np.einsum("ani,n,bni->ab", shapes, self.nodal_mass, shapes),
+            change, self.load_directions(pose).T @ change, np.einsum("ani,bni->ab", shapes, stiff),
+            np.einsum("ani,n,bni->ab", shapes, self.nodal_mass, shapes), shapes, blocks,
         )
 
     def refactorise(self, pose: Pose, load: np.ndarray) -> None:
@@ -206,6 +224,16 @@ class FemModel:
     def answer(self, pose: Pose, load_change: np.ndarray) -> np.ndarray:
         """Return the change (unknowns,) under a small ``load_change``, by the factors that the last solve left."""
         return self._solver.solve(self.load_directions(pose) @ load_change)
+
+    def bend(self, pose: Pose, load: np.ndarray, rate: np.ndarray, load_change: np.ndarray) -> np.ndarray:
+        """Return how ``rate``, the ``answer`` to ``load_change``, changes (unknowns,) by that, by factors made at ``pose``."""
+        if not rate.any():
+            return np.zeros_like(rate)
+        part = STEP_M / np.abs(rate[: 3 * len(self.coupling.free)]).max()
+        there = self.coupling.move(pose, part * rate)
+        upper = self.stiffness(there, load + part * load_change)
+        resisted = upper @ rate + upper.T @ rate - upper.diagonal() * rate
+        return self._solver.solve(self.load_directions(there) @ load_change - resisted) / part
 
     def response(self, pose: Pose) -> np.ndarray:
         """Return d (volumes, tip) / d load (n + 3, n + 3) near ``pose``, by the factors that the last solve left."""

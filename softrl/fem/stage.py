@@ -16,7 +16,7 @@ from softrl.core.parallel import LOCAL, Parallel
 from softrl.core.progress import progress
 from softrl.core.resume import Kept, pack, unpack
 from softrl.core.tracking import Tracker
-from softrl.fem.chain import Chain, Found, Lost, chain_of, trace
+from softrl.fem.chain import SLOPE, Chain, Found, Lost, chain_of, trace
 from softrl.fem.continuation import Missed, follow
 from softrl.fem.figures import draw_newton, draw_shapes, draw_stretch, draw_tips, draw_trajectories
 from softrl.fem.material import Material, material_of
@@ -236,10 +236,12 @@ def _collect(
     config, model = body.config, build_model(body)
     width = loads.shape[1]
     columns = {name: np.array([row[name] for _, row, _ in samples]) for name in samples[0][1]}
+    slopes = {name.removeprefix(SLOPE): columns.pop(name) for name in list(columns) if name.startswith(SLOPE)}
     empty = np.zeros((0, len(clock), width))
     return Snapshots(
         loads=loads[[number for number, _, _ in samples]],
         **columns,
+        slopes=slopes,
         nodal_mass=corner_mass(model),
         trajectory_time=clock,
         trajectory_load=np.array([t.load for t in trajectories]) if trajectories else empty,

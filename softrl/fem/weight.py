@@ -39,17 +39,20 @@ class Weight(NamedTuple):
     give_drag: np.ndarray
 
 
-def weight_at(model: FemModel, pose: Pose, tangent: Tangent, blocks: np.ndarray) -> Weight:
-    """Return how an equilibrium bears weight; ``tangent`` must be what ``model`` computed last, ``blocks`` its ``viscous``."""
+def pull_of(model: FemModel, pose: Pose) -> np.ndarray:
+    """Return the force (unknowns, 3) of unit gravity along each axis."""
+    return np.stack([model.coupling.reduce(model.nodal_mass[:, None] * unit, pose) for unit in np.eye(3)], axis=1)
+
+
+def weight_of(model: FemModel, pose: Pose, tangent: Tangent, pull: np.ndarray, free: np.ndarray) -> Weight:
+    """Return how an equilibrium bears weight that answers ``pull``, see ``pull_of``, by ``free`` (unknowns, 3)."""
     mass, plate = model.nodal_mass[:, None], model.coupling.body_slice(0)
     spin = slice(plate.start + 3, plate.stop)
-    pull = np.stack([model.coupling.reduce(mass * unit, pose) for unit in np.eye(3)], axis=1)
-    free = model.solve(pull)
     held = free - tangent.change @ np.linalg.solve(tangent.compliance, model.load_directions(pose).T @ free)
     give = pull.T @ held
-    shapes, moved = (np.stack([model.coupling.expand(x, pose) for x in part.T]) for part in (held, tangent.change))
+    shapes, moved = np.stack([model.coupling.expand(x, pose) for x in held.T]), tangent.shapes
     heavy = mass * shapes
-    tough = np.stack([multiply_blocks(blocks, model.pairs.first, model.pairs.second, shape) for shape in shapes])
+    tough = np.stack([multiply_blocks(tangent.viscous, model.pairs.first, model.pairs.second, shape) for shape in shapes])
     return Weight(
         pull.T @ tangent.change / mass.sum(), tangent.change[spin], 0.5 * (give + give.T), held[spin],
         np.einsum("ani,bni->ab", shapes, heavy), np.einsum("ani,bni->ab", heavy, moved),

@@ -10,10 +10,10 @@ from softrl.artifacts.snapshots import Snapshots
 from softrl.core.tracking import Tracker
 from softrl.pod.basis import PodBasis
 from softrl.pod.candidates import Choice
+from softrl.pod.equilibria import Equilibria
 from softrl.pod.fit import fit_model, linear_model
 from softrl.pod.report import motions, rms, statics
 from softrl.pod.settings import FitSettings
-from softrl.pod.symmetry import Equilibria
 from softrl.robots.robot import Robot
 
 

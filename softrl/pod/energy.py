@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from softrl.pod.equilibria import Equilibria
 from softrl.pod.polynomial import basis, multinomials
-from softrl.pod.symmetry import Equilibria
 
 log = logging.getLogger(__name__)
 CHUNK, THIRD_CHUNK = 64, 8  # samples in memory at once
@@ -110,7 +110,7 @@ def accumulate(samples: Equilibria, frame: np.ndarray, scale: Scale, degree: int
                 _add(
                     normal,
                     (turned[:, *triples] * triple_weight[:, None]).reshape(-1, size),
-                    -(part.compliance_slope[few][:, *triples] * triple_weight).ravel(),
+                    -(part.slopes["compliance"][few][:, *triples] * triple_weight).ravel(),
                 )
     return normal
 

@@ -19,10 +19,10 @@ from softrl.core.errors import ConfigError
 from softrl.pod.basis import PodBasis
 from softrl.pod.candidates import Candidates, Choice, anchored, first_that_settles, safest, squared_tip_errors, tried
 from softrl.pod.energy import frame_of
+from softrl.pod.equilibria import Equilibria
 from softrl.pod.map_fit import fit_maps
 from softrl.pod.settings import FitSettings
 from softrl.pod.settling import anchor_loads, settles, trial_loads
-from softrl.pod.symmetry import Equilibria
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)

@@ -27,11 +27,6 @@ class Seen(NamedTuple):
         return np.concatenate([values, change], axis=1)
 
 
-def at_points(points: np.ndarray) -> Seen:
-    """Return what is seen where only values at ``points`` (S, r) are known."""
-    return Seen(points, np.zeros((*points.shape, 0)))
-
-
 def fit_map(
     seen: Seen, targets: np.ndarray, weight: np.ndarray, degree: int, through_origin: bool, ridge: float
 ) -> np.ndarray:

@@ -8,9 +8,9 @@ import numpy as np
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
 from softrl.core.tracking import Tracker
+from softrl.pod.equilibria import Equilibria, rotation_vector
 from softrl.pod.kernel import run_kernel
 from softrl.pod.rom import STILL, no_hooks, roll_poses, static_coordinates, static_points, tables_of, tip_poses
-from softrl.pod.symmetry import Equilibria, rotation_vector
 
 NO_WEIGHT = np.zeros(3)  # the equilibria are without weight
 SPEED_STEPS = 20_000
@@ -125,7 +125,7 @@ def report_weight(model: ReducedModel, tracker: Tracker) -> None:
 
 def orientation_errors(model: ReducedModel, samples: Equilibria) -> np.ndarray:
     """Return the angles (S,) rad between the model's and the full model's plate at the samples' own coordinates."""
-    return relative_angle(tip_poses(model, samples.coordinate)[1], samples.rotation)
+    return relative_angle(tip_poses(model, samples.coordinate)[1], samples.answers["rotation"])
 
 
 def relative_angle(quaternion: np.ndarray, rotation: np.ndarray) -> np.ndarray:

@@ -10,11 +10,11 @@ import numpy as np
 from scipy.stats.qmc import Sobol
 
 from softrl.artifacts.reduced_model import ReducedModel
+from softrl.pod.equilibria import Equilibria
 from softrl.pod.kernel import run_kernel
 from softrl.pod.polynomial import basis, degree_of
 from softrl.pod.potential import Tables, fill_potential
 from softrl.pod.rom import EMPTY, STILL, elastic_hessian_at_rest, gradient_of, no_hooks, static_points, tables_of
-from softrl.pod.symmetry import Equilibria
 from softrl.robots.robot import Robot
 
 LOST = 0.1  # of the mean motion: a body that rests farther off was caught by a well
@@ -101,10 +101,9 @@ def equilibria_of(model: ReducedModel, loads: np.ndarray) -> Equilibria:
     compliance = np.linalg.inv(hessian)
     moved = compliance @ inverse.T  # dy/dload
     bent = -np.einsum("sia,sjb,skc,sabc->sijk", moved, moved, moved, third[stable] @ model.energy, optimize=True)
-    none = np.zeros((len(points), 0))
     return Equilibria(
-        (slope[stable] @ model.energy) @ inverse, points @ model.frame.T, table.values(points) @ model.energy, compliance,
-        bent, *(none for _ in range(15)),
+        (slope[stable] @ model.energy) @ inverse, points @ model.frame.T, table.values(points) @ model.energy,
+        {"compliance": compliance}, {"compliance": bent},
     )
 
 

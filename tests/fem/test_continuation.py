@@ -97,7 +97,9 @@ def test_the_stage_records_jumps_with_their_reason(tmp_path: Path, monkeypatch: 
             texts[name] = content
 
     robot = replace(box_robot(1), pressure_min_pa=-0.1, pressure_max_pa=0.1, tip_force_max_n=8e-3)
-    config = replace(CONFIG, equilibria=6, faces_share=0.0, trajectories=0, max_failed_share=1.0, paths=1, load_step=0.4)
+    config = replace(
+        CONFIG, equilibria=6, faces_share=0.0, trajectories=0, max_failed_share=1.0, paths=1, load_step=0.4, max_iterations=200
+    )
     tracker = Keeper()
     snapshots = run(config, robot, arch(0.004), tracker=tracker)
     rows = list(csv.DictReader(texts["failed_loads.csv"].splitlines()))

@@ -3,9 +3,10 @@
 import numpy as np
 
 from softrl.artifacts.mesh import Mesh
-from softrl.fem.model import FemModel
-from softrl.fem.weight import pull_at_rest, weight_at
-from softrl.pod.symmetry import per_spin, rotation_vector
+from softrl.fem.coupling import Pose
+from softrl.fem.model import FemModel, Tangent
+from softrl.fem.weight import Weight, pull_at_rest, pull_of, weight_of
+from softrl.pod.equilibria import per_spin, rotation_vector
 from tests.fem.bodies import model_of
 
 LOAD = np.array([1.5e5, -1e4, 2.0, 1.0, -3.0])
@@ -17,10 +18,15 @@ def centre_and_turn(model: FemModel, load: np.ndarray) -> np.ndarray:
     return np.r_[model.centre_of_mass(pose), rotation_vector(model.tip_quaternion(pose)[None])[0]]
 
 
+def bears(model: FemModel, pose: Pose, tangent: Tangent) -> Weight:
+    pull = pull_of(model, pose)
+    return weight_of(model, pose, tangent, pull, model.solve(pull))
+
+
 def test_slopes_are_those_of_neighbouring_equilibria(box: Mesh) -> None:
     model = model_of(box)
     pose = model.static(LOAD).pose
-    weight = weight_at(model, pose, model.tangent(pose, LOAD), model.viscous(pose))
+    weight = bears(model, pose, model.tangent(pose, LOAD))
     turn = per_spin(rotation_vector(model.tip_quaternion(pose)[None]))[0]
     for k, step in enumerate((200.0, 200.0, 0.02, 0.02, 0.02)):
         nudge = step * np.eye(5)[k]
@@ -40,7 +46,7 @@ def test_a_load_that_pulls_like_the_weight_leaves_what_gives_way(box: Mesh) -> N
         pose = model.static(load).pose
         tangent = model.tangent(pose, load)
         load = load + np.linalg.solve(tangent.compliance, wanted - model.coordinate(pose))
-    weight = weight_at(model, pose, tangent, model.viscous(pose))
+    weight = bears(model, pose, tangent)
     left = mass * (heavy.centre_of_mass(weighed) - model.centre_of_mass(pose))
     np.testing.assert_allclose(left, weight.give @ gravity, atol=0.1 * np.abs(left).max())
     assert np.linalg.eigvalsh(weight.give).min() > 0.0

@@ -6,9 +6,9 @@ import pytest
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
 from softrl.pod.basis import pod_basis
+from softrl.pod.equilibria import equilibria
 from softrl.pod.fit import fit_model
 from softrl.pod.settings import FitSettings
-from softrl.pod.symmetry import equilibria
 from softrl.robots.robot import Robot
 from tests.pod.synthetic import robot_with, synthetic_snapshots
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softrl.artifacts.snapshots import Snapshots
-from softrl.pod.symmetry import per_spin
+from softrl.pod.equilibria import per_spin
 from softrl.robots.robot import Robot
 
 YOUNG_PA, MASS_KG = 1e6, 0.5
@@ -100,12 +100,36 @@ class Law:
         hessian[range(n), range(n)] += 6.0 * self.cubic_n_per_m2 * z[:n] / STROKE_N_PER_PA**3
         return hessian
 
-    def compliance_slope(self, z: np.ndarray) -> np.ndarray:
-        """Return d compliance / d load (n + 3, n + 3, n + 3); the Hessian is quadratic, so differences are exact."""
-        compliance = np.linalg.inv(self.hessian(z))
-        steps = np.diag(np.r_[np.full(self.chambers, 1e-6), np.full(3, 1e-3)])
-        third = np.array([(self.hessian(z + e) - self.hessian(z - e)) / (2.0 * e.sum()) for e in steps])
-        return -np.einsum("ai,bj,ck,ijk->abc", compliance, compliance, compliance, third)
+    def answers(self, z: np.ndarray) -> dict[str, np.ndarray]:
+        """Return by the names of ``Snapshots`` how the equilibrium z answers its loads, its viscosity and its weight."""
+        n, stiffness = self.chambers, self.hessian(z)
+        compliance = np.linalg.inv(stiffness)
+        shared = joint(np.zeros((n + 3, n + 3)), GIVE_DRAG, np.zeros((3, 3)))[: n + 3, n + 3 :]
+        shared = shared @ np.linalg.inv(GIVE) @ shared.T  # of what lags, the share in the shapes that give
+        return {
+            "compliance": 0.5 * (compliance + compliance.T),
+            "tangent_stiffness": compliance @ stiffness @ compliance,
+            "tangent_mass": compliance @ self.mass(z) @ compliance,
+            "lag_stiffness": LAG_RATIO * LAG_SHARE * stiffness + shared,
+            "lag_viscosity": LAG_RATIO**2 * LAG_SHARE * stiffness + shared,
+            "lag_spin": np.zeros((3, n + 3)),
+            "give": GIVE,
+            "give_spin": np.zeros((3, 3)),
+            "give_mass": GIVE_MASS,
+            "give_coupling": np.hstack([np.zeros((3, n)), GIVE_COUPLING]) @ compliance,
+            "give_viscosity": GIVE,
+            "give_drag": np.hstack([np.zeros((3, n)), GIVE_DRAG]) @ compliance,
+        }
+
+    def slopes(self, z: np.ndarray) -> dict[str, np.ndarray]:
+        """Return how ``answers`` change with each load."""
+        return {name: self.slopes_of(lambda at, key=name: self.answers(at)[key], z) for name in self.answers(z)}
+
+    def slopes_of(self, function: Callable[[np.ndarray], np.ndarray], z: np.ndarray) -> np.ndarray:
+        """Return how ``function`` of z changes with each load, by differences."""
+        steps = np.diag(np.r_[np.full(self.chambers, 1e-8), np.full(3, 1e-5)])
+        rates = [(function(z + step) - function(z - step)) / (2.0 * step.sum()) for step in steps]
+        return np.tensordot(np.linalg.inv(self.hessian(z)), np.array(rates), axes=(0, 0))
 
     def equilibrium(self, load: np.ndarray) -> np.ndarray:
         """Return z at rest under ``load``, by Newton along a ramp."""
@@ -202,12 +226,9 @@ def synthetic_snapshots(robot: Robot, samples: int, seed: int, trajectories: int
     force *= robot.tip_force_max_n * rng.random((samples, 1)) / np.linalg.norm(force, axis=1, keepdims=True)
     loads = np.hstack([rng.uniform(robot.pressure_min_pa, robot.pressure_max_pa, (samples, n)), force])
     z = np.array([law.equilibrium(load) for load in loads])
-    compliance = np.array([np.linalg.inv(law.hessian(point)) for point in z])
-    compliance = 0.5 * (compliance + compliance.transpose(0, 2, 1))
-    shared = joint(np.zeros((n + 3, n + 3)), GIVE_DRAG, np.zeros((3, 3)))[: n + 3, n + 3 :]
-    shared = shared @ np.linalg.inv(GIVE) @ shared.T  # of what lags, the share in the shapes that give
-    turned = np.array([law.rotation(point) for point in z])
-    masses, stiffness = np.array([law.mass(point) for point in z]), np.array([law.hessian(point) for point in z])
+    answers, slopes = ({name: np.array([row[name] for row in rows]) for name in rows[0]}
+                       for rows in ([law.answers(point) for point in z], [law.slopes(point) for point in z]))
+    compliance, turned = answers["compliance"], np.array([law.rotation(point) for point in z])
     nodes = np.stack([rng.uniform(-0.05, 0.05, 40), rng.uniform(-0.05, 0.05, 40), rng.uniform(0, 0.18, 40)], axis=1)
     tip = z[:, n:]
     height = nodes[:, 2] / 0.18
@@ -222,21 +243,10 @@ def synthetic_snapshots(robot: Robot, samples: int, seed: int, trajectories: int
         loads=loads,
         coordinate=z,
         energy=np.array([law.energy(point) for point in z]),
-        compliance=compliance,
-        compliance_slope=np.array([law.compliance_slope(point) for point in z]),
-        tangent_stiffness=compliance @ stiffness @ compliance,
-        tangent_mass=compliance @ masses @ compliance,
-        lag_stiffness=LAG_RATIO * LAG_SHARE * stiffness + shared,
-        lag_viscosity=LAG_RATIO**2 * LAG_SHARE * stiffness + shared,
-        lag_spin=np.zeros((samples, 3, n + 3)),
+        **answers,
+        slopes=slopes,
         centre_of_mass=np.array([law.centre_of_mass(point) for point in z]),
         centre_slope=np.array([differences(law.centre_of_mass, point) for point in z]) @ compliance,
-        give=np.tile(GIVE, (samples, 1, 1)),
-        give_spin=np.zeros((samples, 3, 3)),
-        give_mass=np.tile(GIVE_MASS, (samples, 1, 1)),
-        give_coupling=np.hstack([np.zeros((3, n)), GIVE_COUPLING]) @ compliance,
-        give_viscosity=np.tile(GIVE, (samples, 1, 1)),
-        give_drag=np.hstack([np.zeros((3, n)), GIVE_DRAG]) @ compliance,
         tip_spin=np.linalg.inv(per_spin(turned)) @ np.array([differences(law.rotation, point) for point in z]) @ compliance,
         tip_quaternion=np.array([quaternion(turn) for turn in turned]),
         displacement=shape.astype(np.float32),

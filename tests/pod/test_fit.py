@@ -10,12 +10,12 @@ from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ConfigError
 from softrl.pod.basis import pod_basis
 from softrl.pod.energy import Weights, accumulate, scale_of, solve
+from softrl.pod.equilibria import equilibria
 from softrl.pod.fit import fit_model, linear_model
 from softrl.pod.polynomial import basis
 from softrl.pod.report import motions, orientation_errors, statics
 from softrl.pod.rom import mechanical_energy
 from softrl.pod.settling import equilibria_of
-from softrl.pod.symmetry import equilibria
 from softrl.robots.robot import Robot
 from tests.pod.conftest import SETTINGS
 from tests.pod.synthetic import law_of, synthetic_snapshots
@@ -82,9 +82,9 @@ def test_anchors_are_the_equilibria_of_the_lower_degree(tripod: Body) -> None:
     anchors = equilibria_of(model, loads)
     law = law_of(robot)
     np.testing.assert_allclose(anchors.load, loads, atol=1e-4)
-    scale = np.abs(snapshots.compliance_slope).max(axis=0)
-    expected = np.array([law.compliance_slope(z) for z in anchors.coordinate])
-    assert (np.abs(anchors.compliance_slope - expected) < 1e-3 * scale + 1e-30).all()
+    scale = np.abs(snapshots.slopes["compliance"]).max(axis=0)
+    expected = np.array([law.slopes(z)["compliance"] for z in anchors.coordinate])
+    assert (np.abs(anchors.slopes["compliance"] - expected) < 1e-3 * scale + 1e-30).all()
 
 
 def test_too_few_equilibria_are_refused(tripod: Body) -> None:

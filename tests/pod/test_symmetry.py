@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from softrl.pod.symmetry import equilibria, reflected, rotation_vector, symmetries
+from softrl.pod.equilibria import equilibria, rotation_vector
+from softrl.pod.symmetry import reflected, symmetries
 from tests.pod.synthetic import law_of, quaternion, robot_with, synthetic_snapshots
 
 
@@ -30,8 +31,8 @@ def test_images_are_equilibria_of_the_same_body(chambers: int) -> None:
         images.coordinate,
         images.energy,
         images.compliance,
-        images.centre_of_mass,
-        images.rotation,
+        images.answers["centre_of_mass"],
+        images.answers["rotation"],
         strict=True,
     ):
         np.testing.assert_allclose(law.gradient(z), load, rtol=1e-9, atol=1e-6)
@@ -39,6 +40,18 @@ def test_images_are_equilibria_of_the_same_body(chambers: int) -> None:
         np.testing.assert_allclose(law.hessian(z) @ compliance, np.eye(len(z)), atol=1e-6)
         np.testing.assert_allclose(law.centre_of_mass(z), centre, atol=1e-12)
         np.testing.assert_allclose(law.rotation(z), turn, atol=1e-12)
+
+
+def test_answers_of_images_change_as_those_of_the_same_body() -> None:
+    robot = robot_with(3)
+    law, samples = law_of(robot), equilibria(synthetic_snapshots(robot, 3, seed=4, trajectories=0))
+    images = reflected(samples, symmetries(robot.chamber_direction))
+    mass = np.array([law.mass(z) for z in images.coordinate])
+    np.testing.assert_allclose(images.answers["mass"], mass, atol=1e-9 * np.abs(mass).max())
+    slopes = np.array([law.slopes_of(law.mass, z) for z in images.coordinate])
+    unit, load = 1.0 / np.sqrt(np.diag(mass[0])), np.abs(images.load).max(axis=0)[:, None, None]
+    error = np.abs(images.slopes["mass"] - slopes) * load * unit * unit[:, None]
+    assert error.max() < 1e-5 < 1e-2 < (np.abs(slopes) * load * unit * unit[:, None]).max()
 
 
 def test_rotation_vectors_invert_quaternions() -> None:

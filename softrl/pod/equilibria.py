@@ -1,0 +1,109 @@
+"""What a fit reads of the snapshots: equilibria with their answers, and how these change along the equilibria."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from softrl.artifacts.snapshots import Snapshots
+
+STEP = 1e-4  # of the largest load, for differences: they are of second order
+Answers = dict[str, np.ndarray]
+
+# the axes of each answer after that of the samples: w as a load or coordinate, v a vector, s a spin
+AXES = {
+    "compliance": "ww",
+    "stiffness": "ww",
+    "mass": "ww",
+    "lag_stiffness": "ww",
+    "lag_viscosity": "ww",
+    "lag_spin": "sw",
+    "centre_of_mass": "v",
+    "give": "vv",
+    "give_spin": "sv",
+    "give_mass": "vv",
+    "give_coupling": "vw",
+    "give_viscosity": "vv",
+    "give_drag": "vw",
+    "rotation": "s",
+}
+
+
+class Equilibria(NamedTuple):
+    """Equilibria, first axis samples.
+
+    Attributes
+    ----------
+    load, coordinate : (S, n + 3) Pa and N, m^3 and m
+    energy : (S,) J
+    answers : by the names of ``AXES``, units as in ``Snapshots``, with rates of coordinates in place of loads
+    slopes : likewise (S, n + 3, ...), their change with each load
+    """
+
+    load: np.ndarray
+    coordinate: np.ndarray
+    energy: np.ndarray
+    answers: Answers
+    slopes: Answers
+
+    @property
+    def compliance(self) -> np.ndarray:
+        """(S, n + 3, n + 3) d coordinate / d load."""
+        return self.answers["compliance"]
+
+    def rows(self, index: np.ndarray | slice) -> "Equilibria":
+        """Return the samples ``index``."""
+        arrays = (self.load[index], self.coordinate[index], self.energy[index])
+        return Equilibria(*arrays, *({n: v[index] for n, v in part.items()} for part in (self.answers, self.slopes)))
+
+
+def equilibria(snapshots: Snapshots) -> Equilibria:
+    """Return the equilibria of ``snapshots``, the plate's orientation as rotation vector (samples, 3) rad."""
+    loads = {name: getattr(snapshots, name) for name in snapshots.slopes}
+    scale = np.abs(snapshots.loads).max(axis=0)
+    answers, slopes = _per_coordinate(loads), slopes_of(_per_coordinate, loads, snapshots.slopes, scale)
+    rotation = rotation_vector(snapshots.tip_quaternion)
+    moved = {
+        "centre_of_mass": (snapshots.centre_of_mass, snapshots.centre_slope),
+        "rotation": (rotation, per_spin(rotation) @ snapshots.tip_spin),
+    }
+    answers |= {name: value for name, (value, _) in moved.items()}
+    slopes |= {name: slope.transpose(0, 2, 1) for name, (_, slope) in moved.items()}
+    return Equilibria(snapshots.loads, snapshots.coordinate, snapshots.energy, answers, slopes)
+
+
+def slopes_of(
+    derived: Callable[[Answers], Answers], answers: Answers, slopes: Answers, scale: np.ndarray
+) -> Answers:
+    """Return the slopes (S, n + 3, ...) of what ``derived`` makes of ``answers``, by differences of ``STEP`` of ``scale``."""
+    found = []
+    for k, step in enumerate(STEP * scale):
+        ends = [derived({n: v + s * step * slopes[n][:, k] for n, v in answers.items()}) for s in (1.0, -1.0)]
+        found.append({name: (ahead - ends[1][name]) / (2.0 * step) for name, ahead in ends[0].items()})
+    return {name: np.stack([slope[name] for slope in found], axis=1) for name in found[0]}
+
+
+def rotation_vector(quaternion: np.ndarray) -> np.ndarray:
+    """Return the rotation vectors (samples, 3) rad of ``quaternion`` (samples, 4) w x y z, turning by at most pi."""
+    quaternion = np.where(quaternion[:, :1] < 0.0, -quaternion, quaternion)
+    sine = np.linalg.norm(quaternion[:, 1:], axis=1)
+    half = np.arctan2(sine, quaternion[:, 0])
+    factor = np.where(sine > 1e-9, 2.0 * half / np.where(sine > 1e-9, sine, 1.0), 2.0)
+    return quaternion[:, 1:] * factor[:, None]
+
+
+def per_spin(rotation: np.ndarray) -> np.ndarray:
+    """Return d rotation vector / d spin (samples, 3, 3) at rotation vectors (samples, 3), of less than a whole turn."""
+    angle = np.linalg.norm(rotation, axis=1)[:, None, None]
+    half = np.maximum(0.5 * angle, 1e-6)
+    cross = np.cross(rotation[:, None, :], np.eye(3)).transpose(0, 2, 1)  # rotation x
+    bend = np.where(angle > 1e-4, (1.0 - half / np.tan(half)) / np.maximum(angle, 1e-9) ** 2, 1.0 / 12.0)
+    return np.eye(3) - 0.5 * cross + bend * cross @ cross
+
+
+def _per_coordinate(answers: Answers) -> Answers:
+    """Return the answers with rates of coordinates in place of rates of loads."""
+    inverse = np.linalg.inv(answers["compliance"])
+    turned = {"stiffness": inverse @ answers["tangent_stiffness"] @ inverse, "mass": inverse @ answers["tangent_mass"] @ inverse}
+    turned |= {name: answers[name] @ inverse for name in ("give_coupling", "give_drag")}
+    return {name: answers[name] for name in AXES if name in answers} | turned
