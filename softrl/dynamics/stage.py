@@ -83,9 +83,9 @@ class Config(SetSettings, TrainingSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("heads", "layers", "feedforward", "linear_rows", "ridge", "polynomial_degree", "onestep_updates",
-                     "rollout_steps", "learning_rate", "physics_samples", "inverse_hidden", "inverse_updates",
-                     "inverse_learning_rate", "checkpoint_updates"):  # fmt: skip
+        for name in ("width", "heads", "layers", "feedforward", "linear_rows", "ridge", "polynomial_degree", "batch",
+                     "onestep_updates", "rollout_steps", "learning_rate", "physics_samples", "inverse_hidden",
+                     "inverse_updates", "inverse_batch", "inverse_learning_rate", "checkpoint_updates"):  # fmt: skip
             if getattr(self, name) <= 0:
                 raise ConfigError(f"stage.{name}={getattr(self, name):g} must be positive")
         for name in ("physics_weight", "cycle_weight", "rollout_updates", "gru_update_share"):

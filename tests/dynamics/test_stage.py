@@ -173,6 +173,7 @@ def test_report_names_errors_beside_baselines(body: Body, sets: Sets, trained: F
     [
         ("physics_weight", -1.0, "lambda=-1"),
         ("width", 30, "stage.heads"),
+        ("batch", 0, "stage.batch=0 must be positive"),
         ("window", 1, "stage.linear_rows"),
         ("run_s", 0.2, "stage.run_s"),
     ],
