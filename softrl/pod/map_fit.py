@@ -6,22 +6,21 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softrl.pod.equilibria import Answers, Equilibria, slopes_of
-from softrl.pod.maps import Seen, best_degree, elastic_factors, fit_map, symmetric_roots
+from softrl.pod.maps import Seen, best_form, elastic_factors, equations, symmetric_roots
 from softrl.pod.settings import FitSettings
 from softrl.pod.symmetry import images_of, reflected, symmetries
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
-ROOT_RIDGE, MAP_RIDGE = 1e-8, 1e-12  # roots near the identity go on tamely beyond the samples; maps are exact
+RIDGES = (1e-10, 1e-8, 1e-7, 1e-6, 1e-5)  # tried for every map
 LAG_FLOOR = 0.005  # of the viscosity lags everywhere: keeps the root smooth at rest, where nothing else does
 
 
 class Kind(NamedTuple):
-    """How a map is fitted: the highest degree tried, whether it vanishes at rest, its ridge."""
+    """How a map is fitted: the highest degree tried, and whether it vanishes at rest."""
 
     degree_max: int
     through_origin: bool
-    ridge: float
 
 
 def fit_maps(
@@ -46,23 +45,26 @@ def fit_maps(
     for image_weight in settings.image_weights_of(robot):
         rows = slice(0, len(folds) if image_weight else len(fold))
         weight = np.where(np.arange(len(folds)) < len(fold), 1.0, image_weight)[rows]
-        for name, (degree_max, *shape) in kinds.items():
+        for name, kind in kinds.items():
             values = goals[name][rows]
-            found = best_degree(seen.rows(rows), values / weights.get(name, 1.0), weight, folds[rows], own, degree_max, *shape)
+            found = best_form(
+                seen.rows(rows), values / weights.get(name, 1.0), weight, folds[rows], own, *kind, RIDGES
+            )
             if found.error < least.get(name, np.inf):
                 least[name] = found.error
-                maps[name] = fit_map(seen.rows(rows), values, weight, found.degree, *shape)
-                log.debug("%s of degree %d with images of weight %g", name, found.degree, image_weight)
+                normal = equations(seen.rows(rows), values, weight, found.degree, kind.through_origin)
+                maps[name] = normal.solve(found.ridge)
+                log.debug("%s of degree %d, ridge %g, images of weight %g", name, found.degree, found.ridge, image_weight)
     return maps
 
 
 def _kinds(settings: FitSettings) -> dict[str, Kind]:
-    root = Kind(settings.root_degree_max, False, ROOT_RIDGE)
+    root = Kind(settings.root_degree_max, False)
     exact = {
-        "centre_of_mass": Kind(settings.energy_degree_max, True, MAP_RIDGE),
-        "rotation": Kind(settings.map_degree_max, True, MAP_RIDGE),
-        "lag_rotation": Kind(settings.map_degree_max, True, MAP_RIDGE),
-        "give_rotation": Kind(settings.map_degree_max, False, MAP_RIDGE),
+        "centre_of_mass": Kind(settings.energy_degree_max, True),
+        "rotation": Kind(settings.map_degree_max, True),
+        "lag_rotation": Kind(settings.map_degree_max, True),
+        "give_rotation": Kind(settings.map_degree_max, False),
     }
     return dict.fromkeys(("mass_root", "lag_root", "stiffness_root", "give_root", "drag_root", "give"), root) | exact
 

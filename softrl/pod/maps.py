@@ -1,5 +1,6 @@
 """Polynomial maps of the reduced coordinates: roots of mass and stiffness, centre of mass, rotation of the tip."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,52 +28,67 @@ class Seen(NamedTuple):
         return np.concatenate([values, change], axis=1)
 
 
-def fit_map(
-    seen: Seen, targets: np.ndarray, weight: np.ndarray, degree: int, through_origin: bool, ridge: float
-) -> np.ndarray:
-    """Return coefficients (columns, monomials) of polynomials with ``targets`` (S, 1 + k, columns) where they are seen.
+class Normal(NamedTuple):
+    """The equations of a map of polynomials of one degree, scaled monomials, ready for any ridge."""
 
-    ``weight`` (S,) is that of each sample's squares; ``ridge`` is relative to their sum. ``through_origin`` leaves out
-    the constant term: the map of rest is zero.
+    matrix: np.ndarray
+    right: np.ndarray
+    total_weight: float
+    scale: np.ndarray
+    skip: int
+
+    def solve(self, ridge: float) -> np.ndarray:
+        """Return the coefficients (columns, monomials); ``ridge`` is relative to the sum of the weights."""
+        matrix = self.matrix + ridge * self.total_weight * np.eye(len(self.matrix))
+        found = np.linalg.solve(matrix, self.right) * self.scale[:, None]
+        return np.pad(found.T, ((0, 0), (self.skip, 0)))
+
+
+def equations(seen: Seen, targets: np.ndarray, weight: np.ndarray, degree: int, through_origin: bool) -> Normal:
+    """Return the equations of polynomials with ``targets`` (S, 1 + k, columns) where they are seen.
+
+    ``weight`` (S,) is that of each sample's squares. ``through_origin`` leaves out the constant term: the map of rest is
+    zero.
     """
     spread = np.sqrt(multinomials(seen.points.shape[1], degree))
     skip = 1 if through_origin else 0
     rows = (seen.design(degree) * spread)[..., skip:]
     scaled, equal = rows.reshape(-1, rows.shape[2]), targets.reshape(-1, targets.shape[2])
     weighed = scaled * np.repeat(weight, rows.shape[1])[:, None]
-    normal = weighed.T @ scaled + ridge * weight.sum() * np.eye(scaled.shape[1])
-    found = np.linalg.solve(normal, weighed.T @ equal) * spread[skip:, None]
-    return np.pad(found.T, ((0, 0), (skip, 0)))
+    return Normal(weighed.T @ scaled, weighed.T @ equal, float(weight.sum()), spread[skip:], skip)
 
 
-class Degree(NamedTuple):
-    """A degree, and its mean squared error over folds that the fit did not see."""
+class Form(NamedTuple):
+    """A degree and a ridge, and their mean squared error over folds that the fit did not see."""
 
     degree: int
+    ridge: float
     error: float
 
 
-def best_degree(
+def best_form(
     seen: Seen, targets: np.ndarray, weight: np.ndarray, fold: np.ndarray, judged: slice, degree_max: int,
-    through_origin: bool, ridge: float,
-) -> Degree:
-    """Return the degree up to ``degree_max`` whose error over folds that the fit did not see is smallest.
+    through_origin: bool, ridges: Sequence[float],
+) -> Form:
+    """Return the degree up to ``degree_max`` and the ridge whose error over folds that the fit did not see is smallest.
 
     ``weight`` (S,) is that of each sample in the fits, ``fold`` (S,) numbers its part; the error is that of the rows
     ``judged``. A degree with more monomials than equations is not tried.
     """
-    errors: dict[int, float] = {}
+    tried: list[Form] = []
     for degree in range(1 if through_origin else 0, degree_max + 1):
-        if errors and count(seen.points.shape[1], degree) > 0.7 * targets.shape[0] * targets.shape[1]:
+        if tried and count(seen.points.shape[1], degree) > 0.7 * targets.shape[0] * targets.shape[1]:
             break
-        left = np.empty_like(targets)
+        left = np.empty((len(ridges), *targets.shape))
         for part in np.unique(fold):
             inside = fold != part
-            found = fit_map(seen.rows(inside), targets[inside], weight[inside], degree, through_origin, ridge)
-            left[~inside] = seen.rows(~inside).design(degree) @ found.T
-        errors[degree] = float(((left - targets)[judged] ** 2).mean())
-    best = min(errors, key=lambda degree: errors[degree])
-    return Degree(best, errors[best])
+            normal = equations(seen.rows(inside), targets[inside], weight[inside], degree, through_origin)
+            design = seen.rows(~inside).design(degree)
+            for k, ridge in enumerate(ridges):
+                left[k, ~inside] = design @ normal.solve(ridge).T
+        errors = ((left - targets)[:, judged] ** 2).mean(axis=(1, 2, 3))
+        tried += [Form(degree, ridge, float(error)) for ridge, error in zip(ridges, errors, strict=True)]
+    return min(tried, key=lambda form: form.error)
 
 
 def symmetric_roots(matrices: np.ndarray) -> np.ndarray:

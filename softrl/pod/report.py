@@ -125,7 +125,7 @@ def report_weight(model: ReducedModel, tracker: Tracker) -> None:
 
 def orientation_errors(model: ReducedModel, samples: Equilibria) -> np.ndarray:
     """Return the angles (S,) rad between the model's and the full model's plate at the samples' own coordinates."""
-    return relative_angle(tip_poses(model, samples.coordinate)[1], samples.answers["rotation"])
+    return relative_angle(tip_poses(model, samples.coordinate, NO_WEIGHT)[1], samples.answers["rotation"])
 
 
 def relative_angle(quaternion: np.ndarray, rotation: np.ndarray) -> np.ndarray:

@@ -214,9 +214,14 @@ def static_points(tables: Tables, loads: np.ndarray) -> tuple[np.ndarray, np.nda
     return found, failed
 
 
-def tip_poses(model: ReducedModel, coordinate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return tip positions (S, 3) m and quaternions (S, 4) w x y z at coordinates z (S, n + 3), nothing lagging."""
-    tables = tables_of(model)
+def tip_poses(
+    model: ReducedModel, coordinate: np.ndarray, gravity_m_s2: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return tip positions (S, 3) m and quaternions (S, 4) w x y z at coordinates z (S, n + 3), nothing lagging.
+
+    The model's own gravity turns the tip a little, unless another is given.
+    """
+    tables = tables_of(model, gravity_m_s2)
     position, quaternion = np.empty((len(coordinate), 3)), np.empty((len(coordinate), 4))
     values, point, still = np.empty(len(tables.parent)), np.empty(model.order), np.zeros(model.order)
     for k, y in enumerate(coordinate @ tables.inverse.T):
