@@ -7,7 +7,6 @@ from softrl.artifacts.artifact import Artifact
 from softrl.core.errors import ArtifactError
 
 VERDICTS = ("nothing missing", "named", "indistinguishable", "unknown")
-COMPETITORS = ("noise_floor", "nominal", "retuned", "corrected", "one_lag", "static", "blackbox")
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from softrl.diagnosis.gaps import MIN_PART_S
-from softrl.recordings.check import CLIPPED_SHARE, DataCheck, driven
+from softrl.recordings.check import CLIPPED_SHARE, DataCheck, driven, moved_by_command
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
@@ -77,11 +77,9 @@ def mixed(runs: Sequence[Recording], simulated: Sequence[Recording], robot: Robo
 def _clipped(runs: Sequence[Recording]) -> str | None:
     shares: dict[str, list[float]] = {}
     for run in runs:
-        changes = np.diff(run.pressure_cmd, axis=0, prepend=run.pressure_cmd[:1]) != 0.0
         for channel, values in _seen(run):
             for k, series in enumerate(values.T):
-                # a chamber that is not driven rests at its least pressure, and is not clipped there
-                moves = changes[:, k] if channel == "pressure_meas" else np.any(changes, axis=1)
+                moves = moved_by_command(run, channel, k)
                 if np.ptp(series) > 0.0 and np.count_nonzero(moves) > 1.0 / CLIPPED_SHARE:
                     ends = [float(np.mean((series == end)[moves])) for end in (series.max(), series.min())]
                     shares.setdefault(f"{channel}[{k}]", []).append(max(ends))

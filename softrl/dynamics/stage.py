@@ -167,8 +167,7 @@ def _mark(config: Config, robot: Robot, model: ReducedModel) -> str:
 def _training_mark(config: Config, motion: Kept) -> str:
     """Return a hash of all that the weights depend on."""
     settings = {key: value for key, value in asdict(config).items() if key not in NO_TRAINING_KEYS}
-    code = fingerprint.of_code("softrl.dynamics.training", "softrl.dynamics.inverse")
-    return fingerprint.of_values([settings, motion.folder.name, code])
+    return fingerprint.of_values([settings, motion.folder.name, fingerprint.of_code(__name__)])
 
 
 def _windows(runs: Trajectories | StoredWindows, window: int) -> Windows:

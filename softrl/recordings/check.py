@@ -119,6 +119,15 @@ def driven(runs: Sequence[Recording], robot: Robot) -> tuple[int, ...]:
     return tuple(np.flatnonzero(moved > EXCITED_SHARE * span).tolist())
 
 
+def moved_by_command(recording: Recording, channel: str, component: int) -> np.ndarray:
+    """Return at which samples (steps,) a command changes that moves ``channel[component]``: of its own chamber, or any.
+
+    A chamber that is not driven rests at its least pressure, and is not clipped there.
+    """
+    changes = np.diff(recording.pressure_cmd, axis=0, prepend=recording.pressure_cmd[:1]) != 0.0
+    return np.asarray(changes[:, component] if channel == "pressure_meas" else changes.any(axis=1))
+
+
 def _sensed(recording: Recording) -> Iterator[tuple[str, np.ndarray]]:
     """Yield the measured channels as (steps, components)."""
     for channel, values in recording.channels():
@@ -198,11 +207,11 @@ def _held_warnings(held: dict[str, float]) -> Iterator[str]:
 
 
 def _clipping_warnings(recording: Recording) -> Iterator[str]:
-    command_moves = np.any(np.diff(recording.pressure_cmd, axis=0, prepend=recording.pressure_cmd[:1]) != 0.0, axis=1)
     for channel, values in _sensed(recording):
         for i, series in enumerate(values.T):
+            moved = moved_by_command(recording, channel, i)
             for extreme, name in ((series.max(), "maximum"), (series.min(), "minimum")):
-                share = float(np.mean((series == extreme) & command_moves))
+                share = float(np.mean((series == extreme) & moved))
                 if share > CLIPPED_SHARE and np.ptp(series) > 0.0:
                     yield f"{channel}[{i}] is at its {name} {extreme:g} in {share:.0%} of the samples: clipped?"
 

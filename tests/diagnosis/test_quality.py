@@ -10,6 +10,7 @@ from softrl.core.tracking import NullTracker
 from softrl.diagnosis.quality import unusable
 from softrl.diagnosis.stage import run
 from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.check import check_run
 from softrl.recordings.recording import Recording, RecordingSet
 from tests.diagnosis.conftest import configured, made
 
@@ -82,6 +83,7 @@ def test_a_chamber_at_rest_is_not_clipped(body: PccSimulator) -> None:
     tip = robot.length_m * np.array([0.0, 0.0, 1.0]) + 1e-6 * pressure
     plain = Recording("run", "day", time, pressure, position=tip + 1e-5 * np.sin(np.outer(time, [1.0, 2.0, 3.0])))
     assert unusable([replace(plain, pressure_meas=pressure)], robot) is None
+    assert not any("pressure_meas" in warning for warning in check_run(replace(plain, pressure_meas=pressure), robot).warnings)
     low = np.minimum(pressure, 0.5 * robot.pressure_max_pa)
     assert "clipped" in str(unusable([replace(plain, pressure_meas=low)], robot))
 
