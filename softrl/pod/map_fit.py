@@ -59,14 +59,15 @@ def fit_maps(
 
 
 def _kinds(settings: FitSettings) -> dict[str, Kind]:
-    root = Kind(settings.root_degree_max, False)
+    tough, root = Kind(settings.viscosity_degree_max, False), Kind(settings.root_degree_max, False)
     exact = {
         "centre_of_mass": Kind(settings.energy_degree_max, True),
         "rotation": Kind(settings.map_degree_max, True),
         "lag_rotation": Kind(settings.map_degree_max, True),
-        "give_rotation": Kind(settings.map_degree_max, False),
+        "give_rotation": Kind(settings.root_degree_max, False),
     }
-    return dict.fromkeys(("mass_root", "lag_root", "stiffness_root", "give_root", "drag_root", "give"), root) | exact
+    roots = dict.fromkeys(("mass_root", "give_root", "drag_root", "give"), root)
+    return roots | dict.fromkeys(("lag_root", "stiffness_root"), tough) | exact
 
 
 class Terms(NamedTuple):
