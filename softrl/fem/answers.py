@@ -1,10 +1,12 @@
 """What is read off an equilibrium besides where it is: how it answers its loads, its own viscosity and its weight."""
 
 from collections.abc import Callable
+from functools import partial
 from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 
 from softrl.fem.coupling import Pose
 from softrl.fem.lag import lag_of, push_of
@@ -56,15 +58,16 @@ def slopes_at(model: FemModel, pose: Pose, load: np.ndarray, tangent: Tangent, h
     for column, unit in zip(tangent.change.T, np.eye(len(load)), strict=True):
         part = STEP_M / np.abs(column[: 3 * len(model.coupling.free)]).max()
         there = model.coupling.move(pose, part * column)
-        upper = model.stiffness(there, load + part * unit)
-
-        def corrected(forces: np.ndarray, answer: np.ndarray) -> np.ndarray:
-            resisted = upper @ answer + upper.T @ answer - upper.diagonal()[:, None] * answer  # noqa: B023
-            return answer + model.solve(forces - resisted)
-
-        bent = model.tangent_of(there, corrected(model.load_directions(there), tangent.change))
-        row = answers_at(model, there, bent, lambda forces: corrected(forces, here.free)).row
+        corrected = partial(_corrected, model, model.stiffness(there, load + part * unit))
+        bent = model.tangent_of(there, corrected(tangent.change, model.load_directions(there)))
+        row = answers_at(model, there, bent, partial(corrected, here.free)).row
         slopes.append({name: (row[name] - value) / part for name, value in here.row.items()})
     rows = {name: np.array([slope[name] for slope in slopes]) for name in here.row}
     rows["compliance"] = np.mean([rows["compliance"].transpose(order) for order in permutations(range(3))], axis=0)
     return rows
+
+
+def _corrected(model: FemModel, upper: sp.csr_matrix, answer: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """Return how unknowns with the stiffness ``upper`` answer ``forces``, by factors made nearby, where it was ``answer``."""
+    resisted = upper @ answer + upper.T @ answer - upper.diagonal()[:, None] * answer
+    return answer + model.solve(forces - resisted)
