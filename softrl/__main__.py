@@ -1,6 +1,5 @@
 """The door: ``python -m softrl stage=...``."""
 
-import _thread
 import os
 import signal
 import sys
@@ -123,14 +122,15 @@ def _stop(number: int, frame: Any) -> NoReturn:
 def _repeat_interrupt(lost: "sys.UnraisableHookArgs") -> None:
     """Interrupt again if a destructor or a callback swallowed the interrupt; leave the rest to Python.
 
-    On a busy machine the timer may ring before this is left, where the interrupt would be swallowed too.
+    On a busy machine the timer may ring before this is left, where the interrupt would be swallowed too. A signal, unlike
+    a mere mark, also wakes a main thread that sleeps or waits.
     """
     if lost.exc_type is not KeyboardInterrupt:
         sys.__unraisablehook__(lost)
         return
     while True:
         try:
-            threading.Timer(0.1, _thread.interrupt_main).start()
+            threading.Timer(0.1, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT)).start()
             return
         except KeyboardInterrupt:
             continue

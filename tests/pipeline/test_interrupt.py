@@ -4,8 +4,9 @@ import subprocess
 import sys
 
 SWALLOWED = """
-import _thread, sys, time
+import _thread, signal, sys, time
 from softrl.__main__ import _repeat_interrupt
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it, and so do their children
 sys.unraisablehook = _repeat_interrupt
 
 class Part:
