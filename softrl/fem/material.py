@@ -1,5 +1,6 @@
 """Hyperelastic materials: each is a small class of moduli and the compiled law that reads them."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Protocol
@@ -107,15 +108,15 @@ class Corotational(_Hookean):
 
 
 @dataclass(frozen=True)
-class _Isochoric:
+class _Isochoric(ABC):
     """A law of isochoric invariants, with a bulk modulus that weighs J; its parameters end with that."""
 
     def __post_init__(self) -> None:
         _check(self)
 
+    @abstractmethod
     def pack(self) -> np.ndarray:
         """Return the moduli and kappa in Pa."""
-        raise NotImplementedError
 
     def split(self) -> tuple[np.ndarray, float]:
         """Return ((moduli, 0), kappa) in Pa."""

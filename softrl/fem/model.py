@@ -73,6 +73,29 @@ class Tangent:
         return len(self.compliance)
 
 
+class Nearby(NamedTuple):
+    """An equilibrium near the one at which factors were made, which are enough for its answers.
+
+    Attributes
+    ----------
+    pose : where it is;  part : of the change of load that leads there;  upper : its stiffness, upper triangle
+    solver : holds the factors
+    """
+
+    pose: Pose
+    part: float
+    upper: sp.csr_matrix
+    solver: LinearSolver
+
+    def answer(self, before: np.ndarray, forces: np.ndarray) -> np.ndarray:
+        """Return the answer (unknowns, k) to ``forces``, which was ``before`` at the factors: one correction of it.
+
+        It leaves an error of second order in the distance.
+        """
+        resisted = self.upper @ before + self.upper.T @ before - self.upper.diagonal()[:, None] * before
+        return before + self.solver.solve(forces - resisted)
+
+
 class FemModel:
     """Tetrahedra of one material with rigid plate and ribs, fixed base, pressure in the cavities.
 
@@ -229,11 +252,14 @@ class FemModel:
         """Return how ``rate``, the ``answer`` to ``load_change``, changes (unknowns,) by that, by factors made at ``pose``."""
         if not rate.any():
             return np.zeros_like(rate)
+        near = self.nearby(pose, load, rate, load_change)
+        return (near.answer(rate[:, None], self.load_directions(near.pose) @ load_change[:, None])[:, 0] - rate) / near.part
+
+    def nearby(self, pose: Pose, load: np.ndarray, rate: np.ndarray, load_change: np.ndarray) -> "Nearby":
+        """Return the equilibrium a little from ``pose`` along its ``answer`` ``rate``, not zero, to ``load_change``."""
         part = STEP_M / np.abs(rate[: 3 * len(self.coupling.free)]).max()
         there = self.coupling.move(pose, part * rate)
-        upper = self.stiffness(there, load + part * load_change)
-        resisted = upper @ rate + upper.T @ rate - upper.diagonal() * rate
-        return self._solver.solve(self.load_directions(there) @ load_change - resisted) / part
+        return Nearby(there, part, self.stiffness(there, load + part * load_change), self._solver)
 
     def response(self, pose: Pose) -> np.ndarray:
         """Return d (volumes, tip) / d load (n + 3, n + 3) near ``pose``, by the factors that the last solve left."""

@@ -75,16 +75,22 @@ def _inside_of(insides: Inside, lane: int) -> Inside:
 
 @nb.njit(cache=True)
 def _fill_mass(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any, insides: Inside, held: Lanes) -> None:
-    """Fill roots and masses, those of the insides too, a step ahead of ``y`` (r, lanes)."""
+    """Fill roots and masses, those of the insides too, a step ahead of ``y`` (r, lanes), and all monomials there."""
     _fill_ahead(y, velocity, dt, held)
     wide = max(tables.mass_root.shape[1], tables.give_root.shape[1], tables.give.shape[1])
     fill_monomials(held.points, tables, held.values[:wide])
     fill_rows(tables.mass_root, held.values, held.root)
     fill_squares(held.root, held.mass)
     fill_rows(tables.give_root, held.values, held.rows)
-    fill_rows(tables.give, held.values, held.gives)
     for lane in range(y.shape[1]):
         join(held.root[:, lane], held.rows[:, lane], insides.couple[lane], insides.own[lane])
+
+
+@nb.njit(cache=True)
+def _fill_give(tables: Any, insides: Inside, held: Lanes) -> None:
+    """Fill the stiffness of the insides at the monomials that ``_fill_mass`` left."""
+    fill_rows(tables.give, held.values, held.gives)
+    for lane in range(held.gives.shape[1]):
         fill_own(held.gives[:, lane], insides.give[lane])
 
 
@@ -345,6 +351,7 @@ def run_block(
     to_balls(y, held.points, held.radius)
     failed, farthest = 0, held.radius.max()
     _fill_mass(y, velocity, dt, tables, insides, held)
+    _fill_give(tables, insides, held)
     for step in range(load.shape[1]):
         fill_rows(tables.mass_slope, held.values, held.slope)
         _fill_turning(velocity, held)
@@ -363,6 +370,7 @@ def run_block(
         for _ in range(AGAIN):  # the mass ahead hangs on the scaled velocity
             _fill_mass(y, velocity, dt, tables, insides, held)
             _scale_rates(velocity, inner, kinetic, insides, held)
+        _fill_give(tables, insides, held)
         for lane in range(lanes):
             inner[lane, 0] *= min(1.0, share_of(bent[lane], stored_in(inner[lane, 0], insides.give[lane])))
     return failed, farthest

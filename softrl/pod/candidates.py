@@ -8,10 +8,11 @@ import numpy as np
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.pod.energy import Normal, accumulate, scale_of, solve
 from softrl.pod.equilibria import Equilibria
-from softrl.pod.rom import static_points, tables_of
+from softrl.pod.rom import static_points
 from softrl.pod.settings import FitSettings
 from softrl.pod.settling import equilibria_of, settles, stands
 from softrl.pod.symmetry import images_of, reflected
+from softrl.pod.tables import tables_of
 from softrl.robots.robot import Robot
 
 LOST = 0.1  # of the rms motion: an equilibrium farther off counts as lost, however far it is

@@ -53,10 +53,15 @@ def make_inside(r: int) -> Inside:
 
 
 @nb.njit(cache=True)
-def fill_inertia(root: np.ndarray, tables: Any, values: np.ndarray, inside: Any) -> None:
-    """Fill masses and stiffness at monomials ``values``; ``root`` (r r,) is that of the coordinates' mass."""
+def fill_mass(root: np.ndarray, tables: Any, values: np.ndarray, inside: Any) -> None:
+    """Fill masses at monomials ``values``; ``root`` (r r,) is that of the coordinates' mass."""
     fill_rows(tables.give_root, values, inside.rows)
     join(root, inside.rows, inside.couple, inside.own)
+
+
+@nb.njit(cache=True)
+def fill_give(tables: Any, values: np.ndarray, inside: Any) -> None:
+    """Fill the stiffness at monomials ``values``."""
     fill_rows(tables.give, values, inside.gives)
     fill_own(inside.gives, inside.give)
 
@@ -81,20 +86,16 @@ def join(root: np.ndarray, rows: np.ndarray, across: np.ndarray, own: np.ndarray
             for a in range(r):
                 total += root[a * r + i] * rows[a * AXES + k]
             across[i, k] = total
-        for j in range(AXES):
-            total = 0.0
-            for a in range(r + AXES):
-                total += rows[a * AXES + j] * rows[a * AXES + k]
-            own[j, k] = total
+    fill_own(rows, own)
 
 
 @nb.njit(cache=True)
 def fill_own(rows: np.ndarray, matrix: np.ndarray) -> None:
-    """Fill ``matrix`` (3, 3) with R'R of ``rows`` R (9,)."""
+    """Fill ``matrix`` (3, 3) with R'R of ``rows`` R (3 k,), three columns."""
     for j in range(AXES):
         for k in range(AXES):
             total = 0.0
-            for a in range(AXES):
+            for a in range(len(rows) // AXES):
                 total += rows[AXES * a + j] * rows[AXES * a + k]
             matrix[j, k] = total
 

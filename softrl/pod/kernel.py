@@ -11,7 +11,8 @@ from softrl.pod.inside import (
     begin_inside,
     end_inside,
     fill_drag,
-    fill_inertia,
+    fill_give,
+    fill_mass,
     make_inside,
     shared_energy,
     stored_in,
@@ -238,7 +239,7 @@ def _set_out(
         fill_monomials(point, tables.parent, tables.variable, few)
         fill_rows(tables.mass_root, few, root)
         fill_square(root, mass)
-        fill_inertia(root, tables, few, inside)
+        fill_mass(root, tables, few, inside)
         if kinetic >= 0.0:
             share = share_of(kinetic, _square_of(mass, velocity) + shared_energy(velocity, inner, inside))
             for i in range(len(y)):
@@ -246,6 +247,7 @@ def _set_out(
             for k in range(AXES):
                 inner[1, k] *= share
     fill_rows(tables.mass_slope, few, slope)
+    fill_give(tables, few, inside)
     share = min(1.0, share_of(bent, stored_in(inner[0], inside.give)))
     for k in range(AXES):
         inner[0, k] *= share
@@ -275,8 +277,8 @@ def run_kernel(
 ) -> tuple[int, float]:
     """Advance ``y``, ``velocity``, ``lag`` (r,) and ``inner`` (2, 3) by implicit Euler over ``load`` (steps, r) Pa and N.
 
-    Mass is that at the start of a step, and so is the force of inertia by which a turning body leaves the straight way;
-    viscosity is that half a step ahead, as in the full model. After a step the velocity is scaled so that neither that
+    Mass is that where the velocity leads in a step, and so is the force of inertia by which a turning body leaves the
+    straight way; viscosity is that half a step ahead. After a step the velocity is scaled so that neither that
     force nor the change of mass alters the kinetic energy: energy is created nowhere. A share of the viscosity lags: it
     acts on ``lag``, the rate as the body's inside follows it, ``tau d lag/dt = rate - lag``, and ``lag`` is scaled down
     where it would gain energy. So is ``inner``, by which the inside gives to acceleration (``pod.inside``).

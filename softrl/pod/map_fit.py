@@ -30,15 +30,15 @@ def fit_maps(
 
     A map is fitted to its values at the equilibria and to how it changes under the largest load of each kind.
     """
-    images, kinds = images_of(robot), _kinds(settings)
+    images, kinds, ratio = images_of(robot), _kinds(settings), _lag_ratio(samples)
     everything = reflected(samples, [*symmetries(robot.chamber_direction)[:1], *images])
     largest = np.abs(everything.load).max(axis=0)
-    goals = _goals(everything, Terms(frame, _lag_ratio(samples), _mean_factor(everything, frame)), largest)
+    goals = _goals(everything, Terms(frame, ratio, _mean_factor(everything, frame)), largest)
     seen = Seen(
         np.linalg.solve(frame, everything.coordinate.T).T, np.linalg.solve(frame, everything.compliance) * largest
     )
     weights = {"mass_root": _coordinate_weights(everything, frame)}
-    maps: dict[str, Any] = {"lag_ratio": _lag_ratio(samples)}
+    maps: dict[str, Any] = {"lag_ratio": ratio}
     least: dict[str, float] = {}
     folds = np.tile(fold, 1 + len(images))
     own = slice(0, len(fold))

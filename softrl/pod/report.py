@@ -10,7 +10,8 @@ from softrl.artifacts.snapshots import Snapshots
 from softrl.core.tracking import Tracker
 from softrl.pod.equilibria import Equilibria, rotation_vector
 from softrl.pod.kernel import run_kernel
-from softrl.pod.rom import STILL, no_hooks, roll_poses, static_coordinates, static_points, tables_of, tip_poses
+from softrl.pod.rom import STILL, no_hooks, roll_poses, static_coordinates, static_points, tip_poses
+from softrl.pod.tables import tables_of
 
 NO_WEIGHT = np.zeros(3)  # the equilibria are without weight
 SPEED_STEPS = 20_000

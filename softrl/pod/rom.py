@@ -1,4 +1,4 @@
-"""The energy ROM from Python: equilibria, inverse statics, trajectories, energies."""
+"""The energy ROM from Python: equilibria, inverse statics, trajectories."""
 
 import logging
 from typing import Any, NamedTuple
@@ -14,128 +14,16 @@ from softrl.pod.batch import run_batch
 from softrl.pod.inside import AXES
 from softrl.pod.inverse import solve_pressures
 from softrl.pod.kernel import run_kernel
-from softrl.pod.polynomial import basis, degree_of, sum_of_squares
 from softrl.pod.pose import tip_pose
-from softrl.pod.potential import Tables, fill_behind, fill_elastic_factor
+from softrl.pod.potential import Tables
+from softrl.pod.tables import tables_of
 
 log = logging.getLogger(__name__)
 
 FAILED_SHARE = 0.01  # of the steps: more that do not converge are no motion
 QUASI_STATIC_S = 1e6  # one implicit step of this length is an equilibrium
 LOAD_STEPS = 4  # an equilibrium is approached in this many equal steps of the load
-WALL = 3.0  # of the largest curvature at rest: what rises outside the samples
-MAPS = ("mass_root", "stiffness_root", "lag_root", "lag_rotation", "give_root", "drag_root")
 PORT = nb.types.FunctionType(PORT_KERNEL)
-
-
-def tables_of(
-    model: ReducedModel,
-    gravity_m_s2: np.ndarray | None = None,
-    youngs_modulus_scale: float = 1.0,
-    damping_scale: float = 1.0,
-    mass_scale: float = 1.0,
-) -> Tables:
-    """Return the kernels' tables of ``model``.
-
-    Parameters
-    ----------
-    gravity_m_s2 : (3,) in the base frame; the model's own if None
-    youngs_modulus_scale : of the elastic energy and of the stiffness that damps
-    damping_scale : of both Rayleigh coefficients
-    mass_scale : of inertia and weight
-    """
-    gravity = np.array(model.gravity_m_s2 if gravity_m_s2 is None else gravity_m_s2, dtype=float)
-    r, n = model.order, model.chambers
-    mass = mass_scale * model.mass
-    weight = gradient_of(model.centre_of_mass, r)  # (r, 3, k)
-    more = mass_scale / youngs_modulus_scale  # heavier, and softer, a body gives more
-    give, give_rotation = (mass_scale * more) ** 0.5 * model.give, more * model.give_rotation
-    pressed = np.einsum("j,ijk->ik", gravity, give.reshape(3, 3, -1))
-    drop, settling = mass * gravity @ model.centre_of_mass, 0.5 * sum_of_squares(r, pressed)
-    turn = np.einsum("j,ijk->ik", gravity, give_rotation.reshape(3, 3, -1))
-    degree = max(2, *(degree_of(r, len(part)) for part in (model.energy, drop, settling)))
-    potential = np.zeros(basis(r, degree).monomials)
-    potential[: len(model.energy)] = youngs_modulus_scale * model.energy
-    potential[: len(drop)] -= drop
-    potential[: len(settling)] -= settling
-    gradient, hessian = basis(r, degree).derivative(potential), basis(r, degree).hessian(potential)
-    turning = gradient_of(model.mass_root, r)
-    rotation = _sum(model.rotation, turn)
-    maps = (gradient, weight, rotation, give, give_rotation, *(getattr(model, name) for name in MAPS))
-    full = basis(r, max(degree_of(r, table.shape[-1]) for table in maps if table.shape[-1]))
-    inverse = np.linalg.inv(model.frame)
-    quadratic = youngs_modulus_scale * elastic_hessian_at_rest(model)
-    compliance = np.linalg.inv(inverse.T @ quadratic @ inverse)
-    return Tables(
-        *map(
-            np.ascontiguousarray,
-            (
-                model.frame,
-                inverse,
-                full.parent,
-                full.variable,
-                full.degrees.astype(float),
-                1.0 / (full.degrees + 1.0),
-                gradient,
-                hessian,
-                quadratic,
-                model.mass_root,
-                model.stiffness_root,
-                model.lag_root,
-                turning.reshape(r**3, turning.shape[-1]),
-                elastic_hessian(model),
-                mass * weight.transpose(1, 0, 2),
-                rotation,
-                model.lag_rotation,
-                give,
-                more * model.give_root,
-                more * model.drag_root,
-                give_rotation,
-                model.rest_volume,
-                model.rest_tip,
-                np.diag(np.linalg.inv(compliance[:n, :n])) * model.rest_volume,
-                gravity,
-                np.array(
-                    [
-                        mass_scale,
-                        damping_scale * mass_scale * model.rayleigh_mass_per_s,
-                        damping_scale * youngs_modulus_scale * model.rayleigh_stiffness_s,
-                        WALL * np.linalg.eigvalsh(quadratic)[-1],
-                        damping_scale * model.rayleigh_stiffness_s * model.lag_ratio,
-                        damping_scale * model.rayleigh_stiffness_s,
-                    ]
-                ),
-            ),
-        )
-    )
-
-
-def _sum(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Return the sum of two maps (rows, monomials), which may be of different degree."""
-    total = np.zeros((len(left), max(left.shape[1], right.shape[1])))
-    total[:, : left.shape[1]] += left
-    total[:, : right.shape[1]] += right
-    return total
-
-
-def gradient_of(coefficients: np.ndarray, order: int) -> np.ndarray:
-    """Return the gradient (order, ..., monomials) of polynomials ``coefficients`` (..., monomials)."""
-    return basis(order, degree_of(order, coefficients.shape[-1])).derivative(coefficients)
-
-
-def elastic_hessian(model: ReducedModel) -> np.ndarray:
-    """Return the Hessian of the elastic energy by y as polynomials (pairs, k) J."""
-    r = model.order
-    table = basis(r, max(degree_of(r, len(model.energy)), 2))
-    return table.hessian(np.pad(model.energy, (0, table.monomials - len(model.energy))))
-
-
-def elastic_hessian_at_rest(model: ReducedModel) -> np.ndarray:
-    """Return the Hessian (r, r) of the elastic energy by y at rest, J."""
-    r = model.order
-    full = np.zeros((r, r))
-    full[np.triu_indices(r)] = elastic_hessian(model)[:, 0]
-    return full + np.triu(full, 1).T
 
 
 def typed_hooks(body: Any = (), load: Any = ()) -> tuple[Any, ...]:
@@ -325,57 +213,3 @@ def _check(path: np.ndarray, failed: int, farthest: float, model: ReducedModel, 
     if failed:
         log.warning("reduced model of %s: %d of %d steps did not converge to the last digit", model.robot_name, failed, steps)
     warn_beyond(model, farthest)
-
-
-def mechanical_energy(
-    model: ReducedModel,
-    coordinate: np.ndarray,
-    velocity: np.ndarray,
-    gravity_m_s2: np.ndarray | None = None,
-    lag: np.ndarray | None = None,
-    inner: np.ndarray | None = None,
-    dt_s: float = 0.0,
-) -> np.ndarray:
-    """Return kinetic, elastic and weight's energy (S,) J at z and its rate (S, n + 3), within the samples' ball.
-
-    ``lag`` (S, n + 3) is the lagged rate, in which further elastic energy is stored; between steps of ``dt_s`` that
-    store is the one half a step ahead. ``inner`` (S, 2, 3) is how far the inside gives, and its rate. None: nothing.
-    """
-    r = model.order
-    inverse = np.linalg.inv(model.frame)
-    y, rate = coordinate @ inverse.T, velocity @ inverse.T
-    maps = (model.energy, model.centre_of_mass, model.give, model.mass_root, model.give_root)
-    widest = max(part.shape[-1] for part in maps)
-    values = basis(r, degree_of(r, widest)).values(y)
-    gravity = np.asarray(model.gravity_m_s2 if gravity_m_s2 is None else gravity_m_s2, dtype=float)
-    height = values[:, : model.centre_of_mass.shape[1]] @ model.centre_of_mass.T
-    give = (values[:, : model.give.shape[1]] @ model.give.T).reshape(-1, 3, 3)
-    settling = 0.5 * ((give @ gravity) ** 2).sum(axis=1)
-    root = values[:, : model.mass_root.shape[1]] @ model.mass_root.T
-    moving = np.einsum("sij,sj->si", root.reshape(-1, r, r), rate)
-    energy = 0.5 * (moving**2).sum(axis=1) + values[:, : len(model.energy)] @ model.energy
-    energy -= model.mass * height @ gravity + settling
-    if inner is not None:
-        rows = (values[:, : model.give_root.shape[1]] @ model.give_root.T).reshape(-1, r + 3, 3)
-        pushed = np.einsum("sij,sj->si", rows, inner[:, 1])
-        energy += 0.5 * (pushed**2).sum(axis=1) + (moving * pushed[:, :r]).sum(axis=1)
-        energy += 0.5 * (np.einsum("sij,sj->si", give, inner[:, 0]) ** 2).sum(axis=1)
-    if lag is None or not model.lag_root.size:
-        return energy
-    loose = _lag_roots(model, y + 0.5 * dt_s * rate)
-    pulled = np.einsum("sij,sj->si", loose, lag @ inverse.T)
-    return energy + 0.5 * model.lag_ratio * model.rayleigh_stiffness_s**2 * (pulled**2).sum(axis=1)
-
-
-def _lag_roots(model: ReducedModel, points: np.ndarray) -> np.ndarray:
-    """Return R U' (S, r, r) of the viscosity that lags at ``points`` (S, r)."""
-    tables, r = tables_of(model), model.order
-    table = basis(r, degree_of(r, len(tables.parent)))
-    factor, product = np.empty((r, r)), np.empty(r * r)
-    found = []
-    for row in table.values(points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1.0)):
-        elastic = tables.elastic @ row[: tables.elastic.shape[1]]
-        fill_elastic_factor(elastic, tables.elastic[:, 0], factor)
-        fill_behind(model.lag_root @ row[: model.lag_root.shape[1]], factor, product)
-        found.append(product.reshape(r, r).copy())
-    return np.array(found)

@@ -14,7 +14,8 @@ from softrl.pod.equilibria import Equilibria
 from softrl.pod.kernel import run_kernel
 from softrl.pod.polynomial import basis, degree_of
 from softrl.pod.potential import Tables, fill_potential
-from softrl.pod.rom import EMPTY, STILL, elastic_hessian_at_rest, gradient_of, no_hooks, static_points, tables_of
+from softrl.pod.rom import EMPTY, STILL, no_hooks, static_points
+from softrl.pod.tables import elastic_hessian_at_rest, gradient_of, tables_of
 from softrl.robots.robot import Robot
 
 LOST = 0.1  # of the mean motion: a body that rests farther off was caught by a well

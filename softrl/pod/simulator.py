@@ -14,7 +14,8 @@ from softrl.core.simulator import Hook, Motion
 from softrl.pod.kernel import run_kernel
 from softrl.pod.pose import tip_pose
 from softrl.pod.potential import Tables
-from softrl.pod.rom import LOAD_STEPS, QUASI_STATIC_S, STILL, no_hooks, tables_of, typed_hooks, warn_beyond
+from softrl.pod.rom import LOAD_STEPS, QUASI_STATIC_S, STILL, no_hooks, typed_hooks, warn_beyond
+from softrl.pod.tables import tables_of
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)

@@ -7,7 +7,7 @@ from torch import Tensor
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.pod.kernel import AGAIN
 from softrl.pod.potential import PIVOT
-from softrl.pod.rom import tables_of
+from softrl.pod.tables import tables_of
 
 NEWTON = 30
 TOLERANCE = 1e-10

@@ -14,10 +14,10 @@ from softrl.pod.equilibria import equilibria
 from softrl.pod.fit import fit_model, linear_model
 from softrl.pod.polynomial import basis
 from softrl.pod.report import motions, orientation_errors, statics
-from softrl.pod.rom import mechanical_energy
 from softrl.pod.settling import equilibria_of
 from softrl.robots.robot import Robot
 from tests.pod.conftest import SETTINGS
+from tests.pod.mechanics import mechanical_energy
 from tests.pod.synthetic import law_of, synthetic_snapshots
 
 Body = tuple[Robot, Snapshots, ReducedModel]

@@ -12,8 +12,10 @@ from softrl.pod.kernel import run_kernel
 from softrl.pod.linear import solve_general
 from softrl.pod.polynomial import basis
 from softrl.pod.potential import fill_elastic_factor, fill_potential, fill_square
-from softrl.pod.rom import mechanical_energy, no_hooks, roll, static_coordinates, tables_of
+from softrl.pod.rom import no_hooks, roll, static_coordinates
+from softrl.pod.tables import tables_of
 from softrl.robots.robot import Robot
+from tests.pod.mechanics import mechanical_energy
 
 Body = tuple[Robot, Snapshots, ReducedModel]
 

@@ -1,0 +1,120 @@
+"""What compiled code reads of a reduced model: its polynomials with their derivatives, under a gravity and scales."""
+
+import numpy as np
+
+from softrl.artifacts.reduced_model import ReducedModel
+from softrl.pod.polynomial import basis, degree_of, sum_of_squares
+from softrl.pod.potential import Tables
+
+WALL = 3.0  # of the largest curvature at rest: what rises outside the samples
+MAPS = ("mass_root", "stiffness_root", "lag_root", "lag_rotation", "give_root", "drag_root")
+
+
+def tables_of(
+    model: ReducedModel,
+    gravity_m_s2: np.ndarray | None = None,
+    youngs_modulus_scale: float = 1.0,
+    damping_scale: float = 1.0,
+    mass_scale: float = 1.0,
+) -> Tables:
+    """Return the kernels' tables of ``model``.
+
+    Parameters
+    ----------
+    gravity_m_s2 : (3,) in the base frame; the model's own if None
+    youngs_modulus_scale : of the elastic energy and of the stiffness that damps
+    damping_scale : of both Rayleigh coefficients
+    mass_scale : of inertia and weight
+    """
+    gravity = np.array(model.gravity_m_s2 if gravity_m_s2 is None else gravity_m_s2, dtype=float)
+    r, n = model.order, model.chambers
+    mass = mass_scale * model.mass
+    weight = gradient_of(model.centre_of_mass, r)  # (r, 3, k)
+    more = mass_scale / youngs_modulus_scale  # heavier, and softer, a body gives more
+    give, give_rotation = (mass_scale * more) ** 0.5 * model.give, more * model.give_rotation
+    pressed = np.einsum("j,ijk->ik", gravity, give.reshape(3, 3, -1))
+    drop, settling = mass * gravity @ model.centre_of_mass, 0.5 * sum_of_squares(r, pressed)
+    turn = np.einsum("j,ijk->ik", gravity, give_rotation.reshape(3, 3, -1))
+    degree = max(2, *(degree_of(r, len(part)) for part in (model.energy, drop, settling)))
+    potential = np.zeros(basis(r, degree).monomials)
+    potential[: len(model.energy)] = youngs_modulus_scale * model.energy
+    potential[: len(drop)] -= drop
+    potential[: len(settling)] -= settling
+    gradient, hessian = basis(r, degree).derivative(potential), basis(r, degree).hessian(potential)
+    turning = gradient_of(model.mass_root, r)
+    rotation = _sum(model.rotation, turn)
+    maps = (gradient, weight, rotation, give, give_rotation, *(getattr(model, name) for name in MAPS))
+    full = basis(r, max(degree_of(r, table.shape[-1]) for table in maps if table.shape[-1]))
+    inverse = np.linalg.inv(model.frame)
+    quadratic = youngs_modulus_scale * elastic_hessian_at_rest(model)
+    compliance = np.linalg.inv(inverse.T @ quadratic @ inverse)
+    return Tables(
+        *map(
+            np.ascontiguousarray,
+            (
+                model.frame,
+                inverse,
+                full.parent,
+                full.variable,
+                full.degrees.astype(float),
+                1.0 / (full.degrees + 1.0),
+                gradient,
+                hessian,
+                quadratic,
+                model.mass_root,
+                model.stiffness_root,
+                model.lag_root,
+                turning.reshape(r**3, turning.shape[-1]),
+                elastic_hessian(model),
+                mass * weight.transpose(1, 0, 2),
+                rotation,
+                model.lag_rotation,
+                give,
+                more * model.give_root,
+                more * model.drag_root,
+                give_rotation,
+                model.rest_volume,
+                model.rest_tip,
+                np.diag(np.linalg.inv(compliance[:n, :n])) * model.rest_volume,
+                gravity,
+                np.array(
+                    [
+                        mass_scale,
+                        damping_scale * mass_scale * model.rayleigh_mass_per_s,
+                        damping_scale * youngs_modulus_scale * model.rayleigh_stiffness_s,
+                        WALL * np.linalg.eigvalsh(quadratic)[-1],
+                        damping_scale * model.rayleigh_stiffness_s * model.lag_ratio,
+                        damping_scale * model.rayleigh_stiffness_s,
+                    ]
+                ),
+            ),
+        )
+    )
+
+
+def _sum(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return the sum of two maps (rows, monomials), which may be of different degree."""
+    total = np.zeros((len(left), max(left.shape[1], right.shape[1])))
+    total[:, : left.shape[1]] += left
+    total[:, : right.shape[1]] += right
+    return total
+
+
+def gradient_of(coefficients: np.ndarray, order: int) -> np.ndarray:
+    """Return the gradient (order, ..., monomials) of polynomials ``coefficients`` (..., monomials)."""
+    return basis(order, degree_of(order, coefficients.shape[-1])).derivative(coefficients)
+
+
+def elastic_hessian(model: ReducedModel) -> np.ndarray:
+    """Return the Hessian of the elastic energy by y as polynomials (pairs, k) J."""
+    r = model.order
+    table = basis(r, max(degree_of(r, len(model.energy)), 2))
+    return table.hessian(np.pad(model.energy, (0, table.monomials - len(model.energy))))
+
+
+def elastic_hessian_at_rest(model: ReducedModel) -> np.ndarray:
+    """Return the Hessian (r, r) of the elastic energy by y at rest, J."""
+    r = model.order
+    full = np.zeros((r, r))
+    full[np.triu_indices(r)] = elastic_hessian(model)[:, 0]
+    return full + np.triu(full, 1).T
