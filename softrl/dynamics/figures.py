@@ -6,16 +6,22 @@ from matplotlib.figure import Figure
 from softrl.dynamics.training import History
 
 
-def draw_losses(history: History, inverse: np.ndarray) -> Figure:
-    """Return the losses of f_S (data, physics, validation) and of its inverse (updates, 2), over 50 updates."""
+def draw_losses(history: History, onestep_updates: int, inverse: np.ndarray) -> Figure:
+    """Return the losses of f_S (data, physics, validation) and of its inverse (updates, 2), over 50 updates.
+
+    After ``onestep_updates`` the data are rollouts, whose loss counts the drift too and has another scale.
+    """
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     forward, backward = figure.subplots(1, 2)
-    forward.semilogy(_smooth(history.data), label="data")
+    for part, label in ((slice(onestep_updates), "data, one step"), (slice(onestep_updates, None), "data, rollouts with drift")):
+        losses = history.data[part]
+        if len(losses):
+            forward.semilogy(np.arange(len(history.data))[part][-len(_smooth(losses)) :], _smooth(losses), label=label)
     if np.isfinite(history.physics).all():
         forward.semilogy(_smooth(history.physics), label="physics residual")
     forward.semilogy(history.validation_update, history.validation, "k.-", lw=0.8, ms=3, label="validation, one step")
-    forward.axhline(1.0, color="0.6", lw=0.8, label="closed form")
-    forward.set(xlabel="update", ylabel="loss, closed form = 1", title="f_S")
+    forward.axhline(1.0, color="0.6", lw=0.8, label="closed form, one step")
+    forward.set(xlabel="update", ylabel="loss", title="f_S")
     backward.semilogy(_smooth(inverse[:, 0]), label="pressure")
     if inverse[:, 1].any():
         backward.semilogy(_smooth(inverse[:, 1]), label="cycle through f_S")

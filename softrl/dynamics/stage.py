@@ -139,7 +139,7 @@ def run(
     others = {"gru": learn_gru(config, sets, body, trainings["gru"])} if config.gru_update_share > 0.0 else {}
     inverse, inverse_losses = learn_inverse(config, net, sets.train, trainings["inverse"])
     tracker.metric("updates_resumed", sum(training.resumed for training in trainings.values()))
-    tracker.figure("losses", draw_losses(history, inverse_losses))
+    tracker.figure("losses", draw_losses(history, config.onestep_updates, inverse_losses))
     full = full_order(snapshots, gravity, robot.axis, config.dt_s)
     report(config, net, inverse, body, sets, full, tracker, others)
     forward = ForwardDynamics(

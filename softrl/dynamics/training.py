@@ -42,7 +42,7 @@ class TrainingSettings:
 
 @dataclass(frozen=True)
 class History:
-    """Losses by update, dimensionless: 1 is the closed form's prediction. ``physics`` is nan where it had no weight."""
+    """Losses by update, dimensionless: 1 is the closed form's prediction one step ahead. ``physics`` is nan without weight."""
 
     data: np.ndarray
     physics: np.ndarray
