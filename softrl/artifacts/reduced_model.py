@@ -23,6 +23,8 @@ class ReducedModel(Artifact):
     mass_root : (r r, monomials) kg^0.5 m, rows of R with M = R' R in y
     stiffness_root : (r r, monomials) rows of R with T' K T = U R' R U' in y, U upper triangular with U U' the Hessian of
         the energy: what stiffness-proportional damping multiplies, less its share that lags
+    stiffness_root_by_gravity : (3 r r, monomials) s^2/m, change of ``stiffness_root`` by unit gravity along each axis, to
+        which the body gives
     lag_root : (r r, monomials) likewise the share that lags; without columns nothing lags
     lag_ratio : time constant of the lags over ``rayleigh_stiffness_s``
     lag_rotation : (3 r, monomials) rad per y s, further turn of the tip by the lagged rate times
@@ -52,13 +54,14 @@ class ReducedModel(Artifact):
     and ``rayleigh_stiffness lag_ratio u' = z' - u``: a slow motion meets B + G = T' K T, a sudden one B.
     """
 
-    schema: ClassVar[int] = 5
+    schema: ClassVar[int] = 6
     stage: ClassVar[str] = "pod"
 
     frame: np.ndarray
     energy: np.ndarray
     mass_root: np.ndarray
     stiffness_root: np.ndarray
+    stiffness_root_by_gravity: np.ndarray
     lag_root: np.ndarray
     lag_ratio: float
     lag_rotation: np.ndarray
@@ -103,6 +106,7 @@ class ReducedModel(Artifact):
         for name, rows in (
             ("mass_root", order**2),
             ("stiffness_root", order**2),
+            ("stiffness_root_by_gravity", 3 * order**2),
             ("lag_root", order**2),
             ("lag_rotation", 3 * order),
             ("centre_of_mass", 3),

@@ -36,6 +36,8 @@ class Snapshots(Artifact):
     give_coupling : (samples, 3, n + 3) of these shapes with the motion by the loads, in the mass, kg s^2 m per Pa and N
     give_viscosity, give_drag : (samples, 3, 3) kg s^2 and (samples, 3, n + 3), likewise in what stiffness-proportional
         damping multiplies
+    viscosity_by_gravity : (samples, 3, n + 3, n + 3) change of ``tangent_stiffness`` by unit gravity along each axis, volumes
+        and tip held
     tip_spin : (samples, 3, n + 3) rotation of the plate by the loads, rad per Pa and N
     tip_quaternion : (samples, 4) w x y z of the plate relative to rest
     slopes : by the name of each of ``ANSWERS``, its change with the load, the load first: (samples, n + 3, ...); that of
@@ -56,7 +58,7 @@ class Snapshots(Artifact):
     robot_name : the robot
     """
 
-    schema: ClassVar[int] = 6
+    schema: ClassVar[int] = 7
     stage: ClassVar[str] = "fem"
 
     loads: np.ndarray
@@ -76,6 +78,7 @@ class Snapshots(Artifact):
     give_coupling: np.ndarray
     give_viscosity: np.ndarray
     give_drag: np.ndarray
+    viscosity_by_gravity: np.ndarray
     tip_spin: np.ndarray
     tip_quaternion: np.ndarray
     slopes: dict[str, np.ndarray]

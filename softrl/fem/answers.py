@@ -9,8 +9,9 @@ import numpy as np
 
 from softrl.fem.coupling import Pose
 from softrl.fem.lag import lag_of, push_of
-from softrl.fem.model import FemModel, Tangent
-from softrl.fem.weight import pull_of, weight_of
+from softrl.fem.model import FemModel
+from softrl.fem.tangent import Tangent
+from softrl.fem.weight import held_of, pull_of, viscosity_by_gravity, weight_of
 
 Row = dict[str, np.ndarray]  # of one equilibrium, by the names that ``Snapshots`` has for it
 
@@ -21,10 +22,12 @@ class Answers(NamedTuple):
     Attributes
     ----------
     free : (unknowns, n + 6) to the viscous force of a unit rate of each coordinate, and to unit gravity along each axis
+    gives : (3, nodes, 3) by which shapes the body gives to unit gravity along each axis, volumes and tip held
     row : what ``Snapshots`` keeps of them
     """
 
     free: np.ndarray
+    gives: np.ndarray
     row: Row
 
 
@@ -35,7 +38,8 @@ def answers_at(
     push, pull = push_of(model, pose, tangent), pull_of(model, pose)
     free = solve(np.hstack([push, pull]))
     lag = lag_of(model, pose, tangent, push, free[:, : tangent.width])
-    weight = weight_of(model, pose, tangent, pull, free[:, tangent.width :])
+    held = held_of(model, pose, tangent, free[:, tangent.width :])
+    weight = weight_of(model, pose, tangent, pull, held)
     row = {
         "compliance": 0.5 * (tangent.compliance + tangent.compliance.T),
         "tangent_stiffness": tangent.stiffness,
@@ -44,20 +48,24 @@ def answers_at(
         "lag_viscosity": lag.viscosity,
         "lag_spin": lag.spin,
     }
-    return Answers(free, row | weight._asdict())
+    return Answers(free, np.stack([model.coupling.expand(x, pose) for x in held.T]), row | weight._asdict())
 
 
-def slopes_at(model: FemModel, pose: Pose, load: np.ndarray, tangent: Tangent, here: Answers) -> Row:
+def slopes_at(
+    model: FemModel, pose: Pose, load: np.ndarray, tangent: Tangent, here: Answers
+) -> tuple[Row, np.ndarray]:
     """Return how the answers change with the load, (n + 3, ...) each, by the factors that ``model`` made at ``pose``.
 
-    By differences between ``here`` and equilibria a little further along each column of the tangent.
+    By differences between ``here`` and equilibria a little further along each column of the tangent. After them comes
+    how the viscosity changes with gravity, see ``fem.weight``.
     """
-    slopes = []
+    slopes, bent = [], []
     for column, unit in zip(tangent.change.T, np.eye(len(load)), strict=True):
         near = model.nearby(pose, load, column, unit)
-        bent = model.tangent_of(near.pose, near.answer(tangent.change, model.load_directions(near.pose)))
-        row = answers_at(model, near.pose, bent, partial(near.answer, here.free)).row
-        slopes.append({name: (row[name] - value) / near.part for name, value in here.row.items()})
+        turned = model.tangent_of(near.pose, near.answer(tangent.change, model.load_directions(near.pose)))
+        there = answers_at(model, near.pose, turned, partial(near.answer, here.free))
+        slopes.append({name: (there.row[name] - value) / near.part for name, value in here.row.items()})
+        bent.append((there.gives - here.gives) / near.part)
     rows = {name: np.array([slope[name] for slope in slopes]) for name in here.row}
     rows["compliance"] = np.mean([rows["compliance"].transpose(order) for order in permutations(range(3))], axis=0)
-    return rows
+    return rows, viscosity_by_gravity(model, pose, tangent, here.gives, np.stack(bent))

@@ -58,12 +58,13 @@ def row_of(model: FemModel, equilibrium: Equilibrium) -> Row:
     """Return what ``Snapshots`` keeps of an equilibrium; it must be what ``model`` computed last."""
     pose, tangent = equilibrium.pose, equilibrium.tangent
     answers = answers_at(model, pose, tangent, model.solve)
-    slopes = slopes_at(model, pose, equilibrium.load, tangent, answers)
+    slopes, by_gravity = slopes_at(model, pose, equilibrium.load, tangent, answers)
     row = {
         "coordinate": model.coordinate(pose),
         "energy": np.asarray(model.elastic_energy(pose)),
         "centre_of_mass": model.centre_of_mass(pose),
         "tip_quaternion": model.tip_quaternion(pose),
+        "viscosity_by_gravity": by_gravity,
         "displacement": (pose.position - model.quadratic.points)[: model.quadratic.corners].astype(np.float32),
     }
     return row | answers.row | {SLOPE + name: slope for name, slope in slopes.items()}

@@ -16,8 +16,9 @@ import numpy as np
 
 from softrl.core.errors import SolverError
 from softrl.fem.coupling import Pose
-from softrl.fem.model import FemModel, Tangent
+from softrl.fem.model import FemModel
 from softrl.fem.newton import Solve
+from softrl.fem.tangent import Tangent
 
 log = logging.getLogger(__name__)
 PARTS = 32  # of a load step: how short it becomes, by halves, where it fails

@@ -10,7 +10,8 @@ import numpy as np
 
 from softrl.fem.assembly import multiply_blocks
 from softrl.fem.coupling import Pose
-from softrl.fem.model import FemModel, Tangent
+from softrl.fem.model import FemModel
+from softrl.fem.tangent import Tangent
 
 
 class Lag(NamedTuple):

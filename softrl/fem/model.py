@@ -18,6 +18,7 @@ from softrl.fem.loads import VOLUME_RULE, add_volume_gradient, add_volume_stiffn
 from softrl.fem.material import Material
 from softrl.fem.newton import NewtonSettings, Objective, Solve, Value, factorise, minimise
 from softrl.fem.solver import LinearSolver, linear_solver
+from softrl.fem.tangent import Nearby, Tangent
 
 STEP_M = 1e-7  # largest shift of a node in a difference: far above round-off, far below the motion
 NO_RUB = np.zeros(3)  # nothing resists a change
@@ -44,56 +45,6 @@ class Step(NamedTuple):
 
     state: State
     solve: Solve
-
-
-@dataclass(frozen=True)
-class Tangent:
-    """How an equilibrium answers a change of its load (p_1 .. p_n, F_x, F_y, F_z).
-
-    Attributes
-    ----------
-    change : (unknowns, n + 3) d unknowns / d load
-    compliance : (n + 3, n + 3) d (volumes, tip) / d load, symmetric up to round-off
-    stiffness : (n + 3, n + 3) T' K_viscous T with T = d nodes / d load, what stiffness-proportional damping multiplies
-    mass : (n + 3, n + 3) T' M T
-    shapes : (n + 3, nodes, 3) T' itself
-    viscous : (pairs, 3, 3) N/m, blocks of K_viscous
-    """
-
-    change: np.ndarray
-    compliance: np.ndarray
-    stiffness: np.ndarray
-    mass: np.ndarray
-    shapes: np.ndarray
-    viscous: np.ndarray
-
-    @property
-    def width(self) -> int:
-        """The number of loads, ``n + 3``."""
-        return len(self.compliance)
-
-
-class Nearby(NamedTuple):
-    """An equilibrium near the one at which factors were made, which are enough for its answers.
-
-    Attributes
-    ----------
-    pose : where it is;  part : of the change of load that leads there;  upper : its stiffness, upper triangle
-    solver : holds the factors
-    """
-
-    pose: Pose
-    part: float
-    upper: sp.csr_matrix
-    solver: LinearSolver
-
-    def answer(self, before: np.ndarray, forces: np.ndarray) -> np.ndarray:
-        """Return the answer (unknowns, k) to ``forces``, which was ``before`` at the factors: one correction of it.
-
-        It leaves an error of second order in the distance.
-        """
-        resisted = self.upper @ before + self.upper.T @ before - self.upper.diagonal()[:, None] * before
-        return before + self.solver.solve(forces - resisted)
 
 
 class FemModel:
@@ -255,7 +206,7 @@ class FemModel:
         near = self.nearby(pose, load, rate, load_change)
         return (near.answer(rate[:, None], self.load_directions(near.pose) @ load_change[:, None])[:, 0] - rate) / near.part
 
-    def nearby(self, pose: Pose, load: np.ndarray, rate: np.ndarray, load_change: np.ndarray) -> "Nearby":
+    def nearby(self, pose: Pose, load: np.ndarray, rate: np.ndarray, load_change: np.ndarray) -> Nearby:
         """Return the equilibrium a little from ``pose`` along its ``answer`` ``rate``, not zero, to ``load_change``."""
         part = STEP_M / np.abs(rate[: 3 * len(self.coupling.free)]).max()
         there = self.coupling.move(pose, part * rate)

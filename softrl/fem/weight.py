@@ -11,7 +11,10 @@ import numpy as np
 
 from softrl.fem.assembly import multiply_blocks
 from softrl.fem.coupling import Pose
-from softrl.fem.model import FemModel, Tangent
+from softrl.fem.model import FemModel
+from softrl.fem.tangent import Tangent
+
+NUDGE_M = 1e-6  # for a difference of what is a square of positions
 
 
 class Weight(NamedTuple):
@@ -44,11 +47,15 @@ def pull_of(model: FemModel, pose: Pose) -> np.ndarray:
     return np.stack([model.coupling.reduce(model.nodal_mass[:, None] * unit, pose) for unit in np.eye(3)], axis=1)
 
 
-def weight_of(model: FemModel, pose: Pose, tangent: Tangent, pull: np.ndarray, free: np.ndarray) -> Weight:
-    """Return how an equilibrium bears weight that answers ``pull``, see ``pull_of``, by ``free`` (unknowns, 3)."""
+def held_of(model: FemModel, pose: Pose, tangent: Tangent, free: np.ndarray) -> np.ndarray:
+    """Return the shapes (unknowns, k) of ``free`` with volumes and tip held."""
+    return free - tangent.change @ np.linalg.solve(tangent.compliance, model.load_directions(pose).T @ free)
+
+
+def weight_of(model: FemModel, pose: Pose, tangent: Tangent, pull: np.ndarray, held: np.ndarray) -> Weight:
+    """Return how an equilibrium bears weight that gives to ``pull``, see ``pull_of``, by ``held`` (unknowns, 3)."""
     mass, plate = model.nodal_mass[:, None], model.coupling.body_slice(0)
     spin = slice(plate.start + 3, plate.stop)
-    held = free - tangent.change @ np.linalg.solve(tangent.compliance, model.load_directions(pose).T @ free)
     give = pull.T @ held
     shapes, moved = np.stack([model.coupling.expand(x, pose) for x in held.T]), tangent.shapes
     heavy = mass * shapes
@@ -58,6 +65,26 @@ def weight_of(model: FemModel, pose: Pose, tangent: Tangent, pull: np.ndarray, f
         np.einsum("ani,bni->ab", shapes, heavy), np.einsum("ani,bni->ab", heavy, moved),
         np.einsum("ani,bni->ab", shapes, tough), np.einsum("ani,bni->ab", tough, moved),
     )
+
+
+def viscosity_by_gravity(
+    model: FemModel, pose: Pose, tangent: Tangent, shapes: np.ndarray, bent: np.ndarray
+) -> np.ndarray:
+    """Return how the viscosity (3, w, w) by the loads changes as the body gives to unit gravity along each axis.
+
+    ``shapes`` (3, nodes, 3) are what it gives by, ``bent`` (w, 3, nodes, 3) how they change with each load: by as much the
+    shapes of motion change as the body gives, beside what resists them.
+    """
+    first, second, moved = model.pairs.first, model.pairs.second, tangent.shapes
+    tough = np.stack([multiply_blocks(tangent.viscous, first, second, shape) for shape in moved])
+    change = 2.0 * np.einsum("lkni,jni->klj", bent, tough, optimize=True)
+    for k, shape in enumerate(shapes):
+        part = NUDGE_M / np.abs(shape).max()
+        there = Pose(pose.position + part * shape, pose.centre, pose.rotation)
+        blocks = (model.viscous(there) - tangent.viscous) / part
+        forces = np.stack([multiply_blocks(blocks, first, second, column) for column in moved])
+        change[k] += np.einsum("ani,bni->ab", moved, forces)
+    return 0.5 * (change + change.transpose(0, 2, 1))
 
 
 def pull_at_rest(model: FemModel, gravity_m_s2: np.ndarray) -> np.ndarray:

@@ -11,8 +11,16 @@ from typing import Any
 import numba as nb
 import numpy as np
 
-from softrl.pod.inside import AXES, Inside, begin_inside, end_inside, fill_own, join, shared_energy, stored_in
-from softrl.pod.kernel import AGAIN, CLOSE, LONGEST_STEP, MAX_ITERATIONS, lag_hold, share_of
+from softrl.pod.inside import AXES, Inside, make_inside
+from softrl.pod.insides import (
+    begin_insides,
+    end_insides,
+    fill_drags,
+    fill_gives,
+    fill_masses,
+    shared_energies,
+)
+from softrl.pod.kernel import AGAIN, CLOSE, LONGEST_STEP, MAX_ITERATIONS, VISCOUS, lag_hold, share_of
 from softrl.pod.lanes import (
     Lanes,
     add,
@@ -55,25 +63,6 @@ def run_batch(
 
 
 @nb.njit(cache=True)
-def _make_insides(r: int, lanes: int) -> Inside:
-    """Return room for the insides of ``lanes`` lanes: the first axis of every array is the lane."""
-    square, wide = (lanes, AXES, AXES), (lanes, r, AXES)
-    return Inside(
-        np.zeros(wide), np.zeros(square), np.zeros(wide), np.zeros(square), np.zeros(square), np.zeros(square),
-        np.zeros((lanes, AXES)), np.zeros(wide), np.zeros((lanes, AXES)), np.zeros((1, 0)), np.zeros((1, 0)),
-    )  # fmt: skip
-
-
-@nb.njit(cache=True)
-def _inside_of(insides: Inside, lane: int) -> Inside:
-    """Return the inside of one lane."""
-    return Inside(
-        insides.couple[lane], insides.own[lane], insides.drag[lane], insides.tough[lane], insides.give[lane],
-        insides.inverse[lane], insides.push[lane], insides.pull[lane], insides.flown[lane], insides.rows[0], insides.gives[0],
-    )  # fmt: skip
-
-
-@nb.njit(cache=True)
 def _fill_mass(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any, insides: Inside, held: Lanes) -> None:
     """Fill roots and masses, those of the insides too, a step ahead of ``y`` (r, lanes), and all monomials there."""
     _fill_ahead(y, velocity, dt, held)
@@ -81,17 +70,7 @@ def _fill_mass(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any, insi
     fill_monomials(held.points, tables, held.values[:wide])
     fill_rows(tables.mass_root, held.values, held.root)
     fill_squares(held.root, held.mass)
-    fill_rows(tables.give_root, held.values, held.rows)
-    for lane in range(y.shape[1]):
-        join(held.root[:, lane], held.rows[:, lane], insides.couple[lane], insides.own[lane])
-
-
-@nb.njit(cache=True)
-def _fill_give(tables: Any, insides: Inside, held: Lanes) -> None:
-    """Fill the stiffness of the insides at the monomials that ``_fill_mass`` left."""
-    fill_rows(tables.give, held.values, held.gives)
-    for lane in range(held.gives.shape[1]):
-        fill_own(held.gives[:, lane], insides.give[lane])
+    fill_masses(held.root, tables, held.values, insides)
 
 
 @nb.njit(cache=True)
@@ -106,13 +85,13 @@ def _fill_ahead(y: np.ndarray, velocity: np.ndarray, dt: float, held: Lanes) -> 
 @nb.njit(cache=True, error_model="numpy")
 def _scale_rates(velocity: np.ndarray, inner: np.ndarray, kinetic: np.ndarray, insides: Inside, held: Lanes) -> None:
     """Scale all rates to twice the kinetic energies ``kinetic`` (lanes,)."""
-    squares_of(held.mass, velocity, held.some[0], held.some[1])
-    for lane in range(velocity.shape[1]):
-        more = shared_energy(velocity[:, lane], inner[lane], _inside_of(insides, lane))
-        share = share_of(kinetic[lane], held.some[1, lane] + more)
-        for i in range(len(velocity)):
-            velocity[i, lane] *= share
-        inner[lane, 1] *= share
+    share = held.some[1]
+    squares_of(held.mass, velocity, held.some[0], share)
+    shared_energies(velocity, inner, insides, held.some[0], held.some[2])
+    for lane in range(len(share)):
+        share[lane] = share_of(kinetic[lane], share[lane] + held.some[2, lane])
+    velocity *= share
+    inner[1] *= share
 
 
 @nb.njit(cache=True)
@@ -153,9 +132,9 @@ def _fill_turning(velocity: np.ndarray, held: Lanes) -> None:
 
 @nb.njit(cache=True)
 def _fill_viscosity(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any, insides: Inside, held: Lanes) -> None:
-    """Fill viscosity and its lagging share half a step ahead, and the insides'."""
+    """Fill viscosity and its lagging share, and the insides', as ``pod.kernel``."""
     wide = max(tables.elastic.shape[1], tables.stiffness_root.shape[1], tables.lag_root.shape[1])
-    _fill_ahead(y, velocity, 0.5 * dt, held)
+    _fill_ahead(y, velocity, VISCOUS * dt, held)
     fill_monomials(held.points, tables, held.values[: max(wide, tables.drag_root.shape[1])])
     fill_rows(tables.elastic, held.values, held.pairs)
     fill_rows(tables.stiffness_root, held.values, held.root)
@@ -166,9 +145,7 @@ def _fill_viscosity(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any,
         fill_squares(held.product, held.loose)
     fill_behind(held.root, held.matrix, held.product)
     fill_squares(held.product, held.stiff)
-    fill_rows(tables.drag_root, held.values, held.rows)
-    for lane in range(y.shape[1]):
-        join(held.product[:, lane], held.rows[:, lane], insides.drag[lane], insides.tough[lane])
+    fill_drags(held.product, tables, held.values, insides)
 
 
 @nb.njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -327,10 +304,9 @@ def _end(
             velocity[i, lane] = (y[i, lane] - start[i, lane]) / dt
             lag[i, lane] = hold * lag[i, lane] + (1.0 - hold) * velocity[i, lane] if hold > 0.0 else 0.0
     squares_of(held.mass, velocity, held.some[0], kinetic)
-    for lane in range(lanes):
-        inside = _inside_of(insides, lane)
-        bent[lane] = end_inside(inner[lane], y[:, lane], dt, inside)
-        kinetic[lane] += shared_energy(velocity[:, lane], inner[lane], inside)
+    end_insides(inner, y, dt, insides, held.some[0], bent)
+    shared_energies(velocity, inner, insides, held.some[0], held.some[1])
+    kinetic += held.some[1]
     for i in range(r):
         for lane in range(lanes):
             kinetic[lane] -= 2.0 * dt * held.turning[i, lane] * velocity[i, lane]
@@ -347,11 +323,11 @@ def run_block(
     held, start = make_lanes(r, lanes, len(tables.parent)), np.empty((r, lanes))
     waiting, progress = np.empty(lanes, dtype=np.bool_), np.empty((lanes, 2))
     kinetic, stored, bent = np.empty(lanes), np.full(lanes, np.inf), np.empty(lanes)
-    insides, inner = _make_insides(r, lanes), np.zeros((lanes, 2, AXES))
+    insides, inner = make_inside(r, (lanes,)), np.zeros((2, AXES, lanes))
     to_balls(y, held.points, held.radius)
     failed, farthest = 0, held.radius.max()
     _fill_mass(y, velocity, dt, tables, insides, held)
-    _fill_give(tables, insides, held)
+    fill_gives(tables, held.values, insides)
     for step in range(load.shape[1]):
         fill_rows(tables.mass_slope, held.values, held.slope)
         _fill_turning(velocity, held)
@@ -359,9 +335,7 @@ def run_block(
             _fill_viscosity(y, velocity, dt, tables, insides, held)
             scale_down(lag, stored, held.loose, held.some)
         _begin(y, start, velocity, lag, load[:, step].copy(), dt, tables, held)
-        for lane in range(lanes):
-            inside, inertia, right = _inside_of(insides, lane), held.inertia[:, :, lane], held.right[:, lane]
-            begin_inside(inner[lane], y[:, lane], start[:, lane], dt, tables, inside, inertia, right)
+        begin_insides(inner, y, start, dt, tables, insides, held.trial, held.inertia, held.right)
         failed += _converge(y, waiting, progress, tables, held)
         path[:, step] = y.T
         _end(y, start, velocity, lag, inner, dt, tables, insides, held, (kinetic, stored, bent))
@@ -370,7 +344,6 @@ def run_block(
         for _ in range(AGAIN):  # the mass ahead hangs on the scaled velocity
             _fill_mass(y, velocity, dt, tables, insides, held)
             _scale_rates(velocity, inner, kinetic, insides, held)
-        _fill_give(tables, insides, held)
-        for lane in range(lanes):
-            inner[lane, 0] *= min(1.0, share_of(bent[lane], stored_in(inner[lane, 0], insides.give[lane])))
+        fill_gives(tables, held.values, insides)
+        scale_down(inner[0], bent, insides.give, held.some)
     return failed, farthest

@@ -69,6 +69,7 @@ def with_elastic_viscosity(model: ReducedModel) -> ReducedModel:
     return replace(
         model,
         stiffness_root=np.eye(model.order).reshape(-1, 1),
+        stiffness_root_by_gravity=0.0 * model.stiffness_root_by_gravity[:, :1],
         lag_root=model.lag_root[:, :0],
         lag_rotation=model.lag_rotation[:, :0],
         drag_root=0.0 * model.drag_root[:, :1],
@@ -76,8 +77,8 @@ def with_elastic_viscosity(model: ReducedModel) -> ReducedModel:
 
 
 def without_lags(model: ReducedModel) -> ReducedModel:
-    """Return ``model`` without the share of its viscosity that lags."""
-    return replace(model, lag_root=model.lag_root[:, :0], lag_rotation=model.lag_rotation[:, :0])
+    """Return ``model`` with the share of its viscosity that lags acting at once: no less of it, as in a slow motion."""
+    return replace(model, lag_ratio=0.0)
 
 
 def report_coordinates(

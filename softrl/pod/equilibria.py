@@ -26,6 +26,7 @@ AXES = {
     "give_viscosity": "vv",
     "give_drag": "vw",
     "rotation": "s",
+    "viscosity_by_gravity": "vww",
 }
 
 
@@ -37,7 +38,7 @@ class Equilibria(NamedTuple):
     load, coordinate : (S, n + 3) Pa and N, m^3 and m
     energy : (S,) J
     answers : by the names of ``AXES``, units as in ``Snapshots``, with rates of coordinates in place of loads
-    slopes : likewise (S, n + 3, ...), their change with each load
+    slopes : likewise (S, n + 3, ...), their change with each load, as far as it is known
     """
 
     load: np.ndarray
@@ -67,7 +68,9 @@ def equilibria(snapshots: Snapshots) -> Equilibria:
         "centre_of_mass": (snapshots.centre_of_mass, snapshots.centre_slope),
         "rotation": (rotation, per_spin(rotation) @ snapshots.tip_spin),
     }
+    inverse = np.linalg.inv(snapshots.compliance)[:, None]
     answers |= {name: value for name, (value, _) in moved.items()}
+    answers["viscosity_by_gravity"] = inverse @ snapshots.viscosity_by_gravity @ inverse
     slopes |= {name: slope.transpose(0, 2, 1) for name, (_, slope) in moved.items()}
     return Equilibria(snapshots.loads, snapshots.coordinate, snapshots.energy, answers, slopes)
 

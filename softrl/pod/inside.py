@@ -43,12 +43,13 @@ class Inside(NamedTuple):
 
 
 @nb.njit(cache=True)
-def make_inside(r: int) -> Inside:
-    """Return the room that ``r`` coordinates need."""
+def make_inside(r: int, lanes: tuple[int, ...]) -> Inside:
+    """Return the room that ``r`` coordinates need: ``lanes`` is empty, or how many trajectories go in step, the last axis."""
+    wide, square, one = (r, AXES, *lanes), (AXES, AXES, *lanes), (AXES, *lanes)
     return Inside(
-        np.zeros((r, AXES)), np.zeros((AXES, AXES)), np.zeros((r, AXES)), np.zeros((AXES, AXES)), np.zeros((AXES, AXES)),
-        np.zeros((AXES, AXES)), np.zeros(AXES), np.zeros((r, AXES)), np.zeros(AXES), np.zeros(AXES * (r + AXES)),
-        np.zeros(AXES * AXES),
+        np.zeros(wide), np.zeros(square), np.zeros(wide), np.zeros(square), np.zeros(square), np.zeros(square),
+        np.zeros(one), np.zeros(wide), np.zeros(one), np.zeros((AXES * (r + AXES), *lanes)),
+        np.zeros((AXES * AXES, *lanes)),
     )  # fmt: skip
 
 

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 
-from softrl.pod.inside import AXES
 from softrl.pod.potential import FAST, PIVOT, diagonal
 
 
@@ -20,7 +19,6 @@ class Lanes(NamedTuple):
     points : (r, lanes) in the unit ball;  radius : (lanes,) of the states they belong to
     root, other, product : (r r, lanes);  slope : (r r r, lanes);  pairs : (r (r + 1) / 2, lanes)
     values : (k, lanes) monomials
-    rows : (3 (r + 3), lanes);  gives : (9, lanes)
     some : (5, lanes) scratch
     """
 
@@ -43,8 +41,6 @@ class Lanes(NamedTuple):
     slope: np.ndarray
     pairs: np.ndarray
     values: np.ndarray
-    rows: np.ndarray
-    gives: np.ndarray
     some: np.ndarray
 
 
@@ -58,7 +54,7 @@ def make_lanes(r: int, lanes: int, monomials: int) -> Lanes:
         np.zeros((r, lanes)), np.zeros((r, lanes)), np.zeros(lanes),
         np.zeros((r * r, lanes)), np.zeros((r * r, lanes)), np.zeros((r * r, lanes)), np.zeros((r**3, lanes)),
         np.zeros((r * (r + 1) // 2, lanes)), np.zeros((monomials, lanes)),
-        np.zeros((AXES * (r + AXES), lanes)), np.zeros((AXES * AXES, lanes)), np.zeros((5, lanes)),
+        np.zeros((5, lanes)),
     )  # fmt: skip
 
 

@@ -28,12 +28,15 @@ def fit_maps(
 ) -> dict[str, Any]:
     """Return the coefficients of all maps besides the energy; each weighs the samples' images as predicts it best.
 
-    A map is fitted to its values at the equilibria and to how it changes under the largest load of each kind.
+    A map is fitted to its values at the equilibria and, where that is known, to how it changes under the largest load of
+    each kind.
     """
     images, kinds, ratio = images_of(robot), _kinds(settings), _lag_ratio(samples)
     everything = reflected(samples, [*symmetries(robot.chamber_direction)[:1], *images])
     largest = np.abs(everything.load).max(axis=0)
-    goals = _goals(everything, Terms(frame, ratio, _mean_factor(everything, frame)), largest)
+    terms = Terms(frame, ratio, _mean_factor(everything, frame))
+    goals = _goals(everything, terms, largest)
+    goals["stiffness_root_by_gravity"] = _stiffness_root_by_gravity(everything.answers, terms)
     seen = Seen(
         np.linalg.solve(frame, everything.coordinate.T).T, np.linalg.solve(frame, everything.compliance) * largest
     )
@@ -47,12 +50,11 @@ def fit_maps(
         weight = np.where(np.arange(len(folds)) < len(fold), 1.0, image_weight)[rows]
         for name, kind in kinds.items():
             values = goals[name][rows]
-            found = best_form(
-                seen.rows(rows), values / weights.get(name, 1.0), weight, folds[rows], own, *kind, RIDGES
-            )
+            here = Seen(seen.points[rows], seen.moves[rows, :, : values.shape[1] - 1])
+            found = best_form(here, values / weights.get(name, 1.0), weight, folds[rows], own, *kind, RIDGES)
             if found.error < least.get(name, np.inf):
                 least[name] = found.error
-                normal = equations(seen.rows(rows), values, weight, found.degree, kind.through_origin)
+                normal = equations(here, values, weight, found.degree, kind.through_origin)
                 maps[name] = normal.solve(found.ridge)
                 log.debug("%s of degree %d, ridge %g, images of weight %g", name, found.degree, found.ridge, image_weight)
     return maps
@@ -66,7 +68,7 @@ def _kinds(settings: FitSettings) -> dict[str, Kind]:
         "lag_rotation": Kind(settings.map_degree_max, True),
         "give_rotation": Kind(settings.root_degree_max, False),
     }
-    roots = dict.fromkeys(("mass_root", "give_root", "drag_root", "give"), root)
+    roots = dict.fromkeys(("mass_root", "give_root", "drag_root", "give", "stiffness_root_by_gravity"), root)
     return roots | dict.fromkeys(("lag_root", "stiffness_root"), tough) | exact
 
 
@@ -84,41 +86,60 @@ def _goals(images: Equilibria, terms: Terms, largest: np.ndarray) -> dict[str, n
     def values(answers: Answers) -> Answers:
         return _values(answers, terms)
 
-    slopes = slopes_of(values, images.answers, images.slopes, largest)
+    slopes = slopes_of(values, {name: images.answers[name] for name in images.slopes}, images.slopes, largest)
     return {
         name: np.concatenate([value[:, None], slopes[name] * largest[:, None]], axis=1)
         for name, value in values(images.answers).items()
     }
 
 
-def _values(answers: Answers, terms: Terms) -> Answers:
-    """Return the values (S, columns) of every map.
+class Roots(NamedTuple):
+    """Roots (S, r, r) of mass, of the viscosity that lags and of the rest, the latter two beside the elastic factor.
 
-    Viscosity is seen beside the elastic Hessian, which it equals at rest and whose stiff directions it shares wherever
-    they turn: in these terms low degrees predict it three times better.
+    Beside the elastic Hessian, which viscosity equals at rest and whose stiff directions it shares wherever they turn, low
+    degrees predict it three times better.
     """
+
+    mass: np.ndarray
+    lag: np.ndarray
+    rest: np.ndarray
+    elastic_factor: np.ndarray
+
+
+def _roots(answers: Answers, terms: Terms) -> Roots:
     frame, factor = terms.frame, terms.mass_factor
     viscous, mass = (frame.T @ answers[name] @ frame for name in ("stiffness", "mass"))
-    lag = _beside_gives(answers)
-    lagging = frame.T @ lag.stiffness @ frame / terms.lag_ratio + LAG_FLOOR * viscous
+    lagging = frame.T @ _beside_gives(answers).stiffness @ frame / terms.lag_ratio + LAG_FLOOR * viscous
     inverse = np.linalg.inv(factor)
-    mass_root = symmetric_roots(inverse @ mass @ inverse.T) @ factor.T
     elastic_factor = elastic_factors(frame.T @ np.linalg.inv(answers["compliance"]) @ frame)
     apart = np.linalg.inv(elastic_factor)
-    lag_root, rest_root = (
-        symmetric_roots(apart @ part @ apart.transpose(0, 2, 1)) for part in (lagging, viscous - lagging)
-    )
+    parts = (symmetric_roots(apart @ part @ apart.transpose(0, 2, 1)) for part in (lagging, viscous - lagging))
+    return Roots(symmetric_roots(inverse @ mass @ inverse.T) @ factor.T, *parts, elastic_factor)
+
+
+def _stiffness_root_by_gravity(answers: Answers, terms: Terms) -> np.ndarray:
+    """Return the changes (S, 1, 3 r r) of the root of the viscosity that does not lag, by unit gravity along each axis."""
+    roots = _roots(answers, terms)
+    apart = np.linalg.inv(roots.elastic_factor)[:, None]
+    change = apart @ (terms.frame.T @ answers["viscosity_by_gravity"] @ terms.frame) @ apart.transpose(0, 1, 3, 2)
+    return 0.5 * np.linalg.solve(roots.rest[:, None], change).reshape(len(change), 1, -1)
+
+
+def _values(answers: Answers, terms: Terms) -> Answers:
+    """Return the values (S, columns) of every map whose slopes are known."""
+    frame, roots = terms.frame, _roots(answers, terms)
     drag_across, give_across = answers["give_drag"] @ frame, answers["give_coupling"] @ frame
+    rest_root = roots.rest @ roots.elastic_factor.transpose(0, 2, 1)
     values = {
-        "mass_root": mass_root,
-        "lag_root": lag_root,
-        "stiffness_root": rest_root,
-        "give_root": _rows_beside(mass_root, give_across, answers["give_mass"]),
-        "drag_root": _rows_beside(rest_root @ elastic_factor.transpose(0, 2, 1), drag_across, answers["give_viscosity"]),
+        "mass_root": roots.mass,
+        "lag_root": roots.lag,
+        "stiffness_root": roots.rest,
+        "give_root": _rows_beside(roots.mass, give_across, answers["give_mass"]),
+        "drag_root": _rows_beside(rest_root, drag_across, answers["give_viscosity"]),
         "give": symmetric_roots(answers["give"]),
         "centre_of_mass": answers["centre_of_mass"],
         "rotation": answers["rotation"],
-        "lag_rotation": lag.spin @ frame,
+        "lag_rotation": _beside_gives(answers).spin @ frame,
         "give_rotation": answers["give_spin"],
     }
     return {name: value.reshape(len(value), -1) for name, value in values.items()}

@@ -7,7 +7,7 @@ from softrl.pod.polynomial import basis, degree_of, sum_of_squares
 from softrl.pod.potential import Tables
 
 WALL = 3.0  # of the largest curvature at rest: what rises outside the samples
-MAPS = ("mass_root", "stiffness_root", "lag_root", "lag_rotation", "give_root", "drag_root")
+MAPS = ("mass_root", "lag_root", "lag_rotation", "give_root", "drag_root")
 
 
 def tables_of(
@@ -41,9 +41,12 @@ def tables_of(
     potential[: len(drop)] -= drop
     potential[: len(settling)] -= settling
     gradient, hessian = basis(r, degree).derivative(potential), basis(r, degree).hessian(potential)
+    by_gravity = model.stiffness_root_by_gravity
+    weighed = np.einsum("j,jik->ik", more * gravity, by_gravity.reshape(3, r * r, by_gravity.shape[1]))
+    stiffness_root = _sum(model.stiffness_root, weighed)
     turning = gradient_of(model.mass_root, r)
     rotation = _sum(model.rotation, turn)
-    maps = (gradient, weight, rotation, give, give_rotation, *(getattr(model, name) for name in MAPS))
+    maps = (gradient, weight, rotation, stiffness_root, give, give_rotation, *(getattr(model, name) for name in MAPS))
     full = basis(r, max(degree_of(r, table.shape[-1]) for table in maps if table.shape[-1]))
     inverse = np.linalg.inv(model.frame)
     quadratic = youngs_modulus_scale * elastic_hessian_at_rest(model)
@@ -62,7 +65,7 @@ def tables_of(
                 hessian,
                 quadratic,
                 model.mass_root,
-                model.stiffness_root,
+                stiffness_root,
                 model.lag_root,
                 turning.reshape(r**3, turning.shape[-1]),
                 elastic_hessian(model),

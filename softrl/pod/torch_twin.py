@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from softrl.artifacts.reduced_model import ReducedModel
-from softrl.pod.kernel import AGAIN
+from softrl.pod.kernel import AGAIN, VISCOUS
 from softrl.pod.potential import PIVOT
 from softrl.pod.tables import tables_of
 
@@ -101,7 +101,7 @@ class TorchRom(torch.nn.Module):
         """
         start, rate, late = z @ self.inverse.T, velocity @ self.inverse.T, lag @ self.inverse.T
         mass, turning, couple, own, give = self._inertia(start + dt_s * rate, rate)
-        stiff, loose, drag, tough = self._viscosity(start + 0.5 * dt_s * rate)
+        stiff, loose, drag, tough = self._viscosity(start + VISCOUS * dt_s * rate)
         hold, viscous = self.lag_time / (self.lag_time + dt_s), self.stiffness_damping / dt_s
         free, rub = self.mass_scale / dt_s**2, self.mass_damping / dt_s
         ahead, (gives, giving) = start + dt_s * rate, inner.unbind(1)
@@ -134,7 +134,7 @@ class TorchRom(torch.nn.Module):
             moved, giving = moved * ratio, giving * ratio
         now = _dot(given, _times(give, given))
         given = given * _root_ratio(torch.minimum(bent, now), now)
-        _, tighter, _, _ = self._viscosity(y + 0.5 * dt_s * moved)
+        _, tighter, _, _ = self._viscosity(y + VISCOUS * dt_s * moved)
         stored, held = _dot(late, _times(loose, late)), _dot(late, _times(tighter, late))
         late = late * _root_ratio(torch.minimum(stored, held), held)
         inner = torch.stack([given, giving], dim=1)

@@ -20,7 +20,7 @@ def test_slopes_are_the_differences_of_neighbours(box: Mesh) -> None:
     model = model_of(box)
     pose = model.static(LOAD).pose
     tangent = model.tangent(pose, LOAD)
-    slopes = slopes_at(model, pose, LOAD, tangent, answers_at(model, pose, tangent, model.solve))
+    slopes, _ = slopes_at(model, pose, LOAD, tangent, answers_at(model, pose, tangent, model.solve))
     expected: dict[str, list[np.ndarray]] = {name: [] for name in slopes}
     for step, unit in zip(1e-3 * SCALE, np.eye(len(LOAD)), strict=True):
         ahead, behind = (answers(model, LOAD + s * step * unit).row for s in (1.0, -1.0))

@@ -5,7 +5,8 @@ import numpy as np
 from softrl.artifacts.mesh import Mesh
 from softrl.fem.coupling import Pose
 from softrl.fem.lag import Lag, lag_of, push_of
-from softrl.fem.model import FemModel, Tangent
+from softrl.fem.model import FemModel
+from softrl.fem.tangent import Tangent
 from tests.fem.bodies import model_of
 
 LOAD = np.array([1.5e5, -1e4, 2.0, 1.0, -3.0])

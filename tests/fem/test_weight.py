@@ -3,11 +3,13 @@
 import numpy as np
 
 from softrl.artifacts.mesh import Mesh
+from softrl.fem.answers import answers_at, slopes_at
 from softrl.fem.coupling import Pose
-from softrl.fem.model import FemModel, Tangent
-from softrl.fem.weight import Weight, pull_at_rest, pull_of, weight_of
+from softrl.fem.model import FemModel
+from softrl.fem.tangent import Tangent
+from softrl.fem.weight import Weight, held_of, pull_at_rest, pull_of, weight_of
 from softrl.pod.equilibria import per_spin, rotation_vector
-from tests.fem.bodies import model_of
+from tests.fem.bodies import hollow_box, model_of
 
 LOAD = np.array([1.5e5, -1e4, 2.0, 1.0, -3.0])
 GRAVITY = (30.0, 0.0, -90.0)
@@ -20,7 +22,7 @@ def centre_and_turn(model: FemModel, load: np.ndarray) -> np.ndarray:
 
 def bears(model: FemModel, pose: Pose, tangent: Tangent) -> Weight:
     pull = pull_of(model, pose)
-    return weight_of(model, pose, tangent, pull, model.solve(pull))
+    return weight_of(model, pose, tangent, pull, held_of(model, pose, tangent, model.solve(pull)))
 
 
 def test_slopes_are_those_of_neighbouring_equilibria(box: Mesh) -> None:
@@ -62,3 +64,29 @@ def test_the_pull_at_rest_sags_the_body_like_its_weight(box: Mesh) -> None:
     sag = heavy.coordinate(heavy.static(np.zeros(5)).pose)
     pulled = model.coordinate(model.static(pull_at_rest(model, np.array(light))).pose)
     np.testing.assert_allclose(pulled[2:], sag[2:], atol=1e-3 * np.abs(sag[2:]).max())
+
+
+def test_viscosity_changes_as_the_body_gives(box: Mesh) -> None:
+    model = model_of(box)
+    pose = model.static(LOAD).pose
+    tangent, wanted, pull = model.tangent(pose, LOAD), model.coordinate(pose), np.array([3.0, 1.0, -6.0])
+    _, told = slopes_at(model, pose, LOAD, tangent, answers_at(model, pose, tangent, model.solve))
+    found = per_coordinate(np.tensordot(pull, told, axes=1), tangent)
+    ahead, behind = (viscosity_under(sign * pull, wanted) for sign in (1.0, -1.0))
+    expected, scale = 0.5 * (ahead - behind), np.sqrt(np.outer(np.diag(ahead), np.diag(ahead)))
+    assert np.abs((found - expected) / scale).max() < 0.02 * np.abs(expected / scale).max()
+
+
+def viscosity_under(gravity: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Return the viscosity by the coordinates, held at ``wanted``, of the box under ``gravity``."""
+    model, load = model_of(hollow_box(chambers=2), gravity_m_s2=tuple(gravity)), LOAD
+    for _ in range(8):
+        pose = model.static(load).pose
+        tangent = model.tangent(pose, load)
+        load = load + np.linalg.solve(tangent.compliance, wanted - model.coordinate(pose))
+    return per_coordinate(tangent.stiffness, tangent)
+
+
+def per_coordinate(matrix: np.ndarray, tangent: Tangent) -> np.ndarray:
+    inverse = np.linalg.inv(tangent.compliance)
+    return inverse @ matrix @ inverse

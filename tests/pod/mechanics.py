@@ -3,6 +3,7 @@
 import numpy as np
 
 from softrl.artifacts.reduced_model import ReducedModel
+from softrl.pod.kernel import VISCOUS
 from softrl.pod.polynomial import basis, degree_of
 from softrl.pod.potential import fill_behind, fill_elastic_factor
 from softrl.pod.tables import tables_of
@@ -20,15 +21,15 @@ def mechanical_energy(
     """Return kinetic, elastic and weight's energy (S,) J at z and its rate (S, n + 3), within the samples' ball.
 
     ``lag`` (S, n + 3) is the lagged rate, in which further elastic energy is stored; between steps of ``dt_s`` that
-    store is the one half a step ahead. ``inner`` (S, 2, 3) is how far the inside gives, and its rate. None: nothing.
+    store is the one ``VISCOUS`` of a step ahead. ``inner`` (S, 2, 3) is how far the inside gives, and its rate. None: nothing.
     """
     r = model.order
     inverse = np.linalg.inv(model.frame)
     y, rate = coordinate @ inverse.T, velocity @ inverse.T
+    gravity = np.asarray(model.gravity_m_s2 if gravity_m_s2 is None else gravity_m_s2, dtype=float)
     maps = (model.energy, model.centre_of_mass, model.give, model.mass_root, model.give_root)
     widest = max(part.shape[-1] for part in maps)
     values = basis(r, degree_of(r, widest)).values(y)
-    gravity = np.asarray(model.gravity_m_s2 if gravity_m_s2 is None else gravity_m_s2, dtype=float)
     height = values[:, : model.centre_of_mass.shape[1]] @ model.centre_of_mass.T
     give = (values[:, : model.give.shape[1]] @ model.give.T).reshape(-1, 3, 3)
     settling = 0.5 * ((give @ gravity) ** 2).sum(axis=1)
@@ -43,7 +44,7 @@ def mechanical_energy(
         energy += 0.5 * (np.einsum("sij,sj->si", give, inner[:, 0]) ** 2).sum(axis=1)
     if lag is None or not model.lag_root.size:
         return energy
-    loose = _lag_roots(model, y + 0.5 * dt_s * rate)
+    loose = _lag_roots(model, y + VISCOUS * dt_s * rate)
     pulled = np.einsum("sij,sj->si", loose, lag @ inverse.T)
     return energy + 0.5 * model.lag_ratio * model.rayleigh_stiffness_s**2 * (pulled**2).sum(axis=1)
 

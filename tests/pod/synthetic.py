@@ -7,6 +7,7 @@ import numpy as np
 
 from softrl.artifacts.snapshots import Snapshots
 from softrl.pod.equilibria import per_spin
+from softrl.pod.kernel import VISCOUS
 from softrl.robots.robot import Robot
 
 YOUNG_PA, MASS_KG = 1e6, 0.5
@@ -186,13 +187,13 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
 def march(law: Law, loads: np.ndarray, dt: float, mass_damping: float, stiffness_damping: float) -> np.ndarray:
     """Return z (steps, n + 3) by implicit Euler in SI, from rest, the inside's three coordinates solved for with the rest.
 
-    Mass is that a step ahead; the stiffness in the damping is the law's Hessian half a step ahead, a share of it lags.
+    Mass is that a step ahead; the stiffness in the damping is the law's Hessian ``VISCOUS`` of a step ahead, a share lags.
     """
     r = loads.shape[1]
     z, v, u, path = np.zeros(r + 3), np.zeros(r + 3), np.zeros(r), []
     hold = LAG_RATIO * stiffness_damping / (LAG_RATIO * stiffness_damping + dt)
     for load in loads:
-        stiffness = law.hessian((z + 0.5 * dt * v)[:r])
+        stiffness = law.hessian((z + VISCOUS * dt * v)[:r])
         mass = joint(law.mass((z + dt * v)[:r]), GIVE_COUPLING, GIVE_MASS)
         viscosity = joint((1.0 - LAG_SHARE * hold) * stiffness, GIVE_DRAG, GIVE)
         damping = mass_damping * mass + stiffness_damping * viscosity
@@ -251,6 +252,7 @@ def synthetic_snapshots(robot: Robot, samples: int, seed: int, trajectories: int
         tip_quaternion=np.array([quaternion(turn) for turn in turned]),
         displacement=shape.astype(np.float32),
         nodal_mass=np.full(40, MASS_KG / 40),
+        viscosity_by_gravity=np.zeros((samples, 3, n + 3, n + 3)),
         trajectory_time=dt * np.arange(1, steps + 1),
         trajectory_load=path_load,
         trajectory_coordinate=paths,

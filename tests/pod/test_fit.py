@@ -12,13 +12,15 @@ from softrl.pod.basis import pod_basis
 from softrl.pod.energy import Weights, accumulate, scale_of, solve
 from softrl.pod.equilibria import equilibria
 from softrl.pod.fit import fit_model, linear_model
+from softrl.pod.map_fit import fit_maps
 from softrl.pod.polynomial import basis
 from softrl.pod.report import motions, orientation_errors, statics
 from softrl.pod.settling import equilibria_of
+from softrl.pod.tables import tables_of
 from softrl.robots.robot import Robot
 from tests.pod.conftest import SETTINGS
 from tests.pod.mechanics import mechanical_energy
-from tests.pod.synthetic import law_of, synthetic_snapshots
+from tests.pod.synthetic import LAG_SHARE, law_of, synthetic_snapshots
 
 Body = tuple[Robot, Snapshots, ReducedModel]
 
@@ -50,6 +52,19 @@ def test_unseen_motion_is_recovered(body: Body) -> None:
     # and half a per cent of the viscosity lags besides what does in the law
     assert prediction.tip_errors()[:, 0].max() < 1e-3 * travel
     assert motions(linear_model(model), snapshots).tip_errors().max() > 5.0 * prediction.tip_errors().max()
+
+
+def test_viscosity_is_that_under_the_weight(tripod: Body) -> None:
+    robot, snapshots, model = tripod
+    along_z, share = np.array([0.0, 0.0, 1.0])[:, None, None], 0.01  # a hundredth more by each m/s^2 along z
+    seen = replace(snapshots, viscosity_by_gravity=share * along_z * snapshots.tangent_stiffness[:, None])
+    fold = np.arange(len(snapshots.loads)) % 2
+    model = replace(model, **fit_maps(SETTINGS, robot, equilibria(seen), model.frame, fold))
+    values = basis(6, 4).values(np.linalg.solve(model.frame, snapshots.coordinate[:5].T).T)
+    tables = [tables_of(model, np.array([1.0, 2.0, g])).stiffness_root for g in (0.0, 3.0)]
+    roots = [(values[:, : table.shape[1]] @ table.T).reshape(-1, 6, 6) for table in tables]
+    light, heavy = (root.transpose(0, 2, 1) @ root for root in roots)
+    np.testing.assert_allclose(heavy, (1.0 + 0.03 / (1.0 - LAG_SHARE)) * light, atol=2e-3 * np.abs(light).max())
 
 
 def test_symmetry_spares_equilibria(tripod: Body) -> None:

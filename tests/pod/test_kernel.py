@@ -8,7 +8,7 @@ import pytest
 
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
-from softrl.pod.kernel import run_kernel
+from softrl.pod.kernel import VISCOUS, run_kernel
 from softrl.pod.linear import solve_general
 from softrl.pod.polynomial import basis
 from softrl.pod.potential import fill_elastic_factor, fill_potential, fill_square
@@ -16,6 +16,7 @@ from softrl.pod.rom import no_hooks, roll, static_coordinates
 from softrl.pod.tables import tables_of
 from softrl.robots.robot import Robot
 from tests.pod.mechanics import mechanical_energy
+from tests.pod.synthetic import law_of
 
 Body = tuple[Robot, Snapshots, ReducedModel]
 
@@ -109,11 +110,12 @@ def test_an_unforced_body_never_gains_energy(body: Body, dt_s: float) -> None:
 
 
 def test_an_inside_of_any_map_gains_no_energy(tripod: Body) -> None:
-    """Its stiffness and masses are squares of roots, so that no polynomial, however wild, makes them drive the body."""
+    """Stiffness, masses and viscosity are squares of roots, so that no polynomial, however wild, makes them drive the body."""
     _, _, model = tripod
     rng = np.random.default_rng(2)
     rough = {name: rng.standard_normal((rows, 28)) * size for name, rows, size in (
-        ("give", 9, 9e-3), ("give_root", 27, 1e-4), ("drag_root", 27, 1e-2))}  # fmt: skip
+        ("give", 9, 9e-3), ("give_root", 27, 1e-4), ("drag_root", 27, 1e-2), ("stiffness_root_by_gravity", 108, 0.05),
+    )}  # fmt: skip
     wild = replace(model, **rough)
     tables, y = tables_of(wild), 0.3 * rng.standard_normal(6)
     velocity, lag, inner, energy = rng.standard_normal(6), np.zeros(6), 3.0 * rng.standard_normal((2, 3)), []
@@ -146,6 +148,22 @@ def test_a_long_step_is_the_equilibrium(tripod: Body) -> None:
     load[..., 1] = 0.5 * robot.pressure_max_pa
     settled = roll(model, 0.02, load)[0, -1]
     np.testing.assert_allclose(settled[3:], static_coordinates(model, load[0, :1])[0, 3:], atol=1e-7)
+
+
+def test_viscosity_is_taken_where_a_step_resists_what_strains_change(tripod: Body) -> None:
+    """That is the derivative by the arrival of half the change squared in the viscosity half way, here a Hessian."""
+    law, rng = law_of(tripod[0]), np.random.default_rng(0)
+    start, change = (tripod[1].coordinate[k] for k in (0, 1))
+
+    def resisted(by: np.ndarray) -> float:
+        return 0.5 * float(by @ law.hessian(start + 0.5 * by) @ by)
+
+    for size in (0.2, 0.1):
+        by = size * change * rng.uniform(0.5, 1.5)
+        steps = 1e-4 * np.diag(np.abs(by))
+        exact = np.array([resisted(by + e) - resisted(by - e) for e in steps]) / (2.0 * np.diag(steps))
+        missed = [np.abs((law.hessian(start + share * by) @ by - exact) * by).max() for share in (0.5, VISCOUS)]
+        assert missed[1] < size * missed[0]
 
 
 def test_masses_are_never_indefinite(tripod: Body) -> None:

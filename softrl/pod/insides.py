@@ -1,0 +1,147 @@
+"""The insides of many trajectories in step, as ``pod.inside``: the last axis of every array is the lane."""
+
+from typing import Any
+
+import numba as nb
+import numpy as np
+
+from softrl.pod.inside import AXES, LEAST
+from softrl.pod.lanes import add, fill_rows, squares_of, take
+from softrl.pod.potential import FAST
+
+
+@nb.njit(cache=True)
+def fill_masses(root: np.ndarray, tables: Any, values: np.ndarray, insides: Any) -> None:
+    """Fill masses at monomials ``values`` (k, lanes); ``root`` (r r, lanes) are those of the coordinates' masses."""
+    fill_rows(tables.give_root, values, insides.rows)
+    _join(root, insides.rows, insides.couple, insides.own)
+
+
+@nb.njit(cache=True)
+def fill_gives(tables: Any, values: np.ndarray, insides: Any) -> None:
+    """Fill the stiffnesses at monomials ``values``."""
+    fill_rows(tables.give, values, insides.gives)
+    _fill_own(insides.gives, insides.give)
+
+
+@nb.njit(cache=True)
+def fill_drags(root: np.ndarray, tables: Any, values: np.ndarray, insides: Any) -> None:
+    """Fill viscosities at monomials ``values``; ``root`` are those of the coordinates' viscosities."""
+    fill_rows(tables.drag_root, values, insides.rows)
+    _join(root, insides.rows, insides.drag, insides.tough)
+
+
+@nb.njit(cache=True)
+def _join(root: np.ndarray, rows: np.ndarray, across: np.ndarray, own: np.ndarray) -> None:
+    r = len(across)
+    for i in range(r):
+        for k in range(AXES):
+            across[i, k] = 0.0
+            for a in range(r):
+                add(across[i, k], root[a * r + i], rows[a * AXES + k])
+    _fill_own(rows, own)
+
+
+@nb.njit(cache=True)
+def _fill_own(rows: np.ndarray, matrix: np.ndarray) -> None:
+    for j in range(AXES):
+        for k in range(j, AXES):
+            matrix[j, k] = 0.0
+            for a in range(len(rows) // AXES):
+                add(matrix[j, k], rows[AXES * a + j], rows[AXES * a + k])
+            matrix[k, j] = matrix[j, k]
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def _blend(left: np.ndarray, a: float, right: np.ndarray, b: float, out: np.ndarray) -> None:
+    """Fill ``out`` (lanes,) with a left + b right."""
+    for lane in range(len(out)):
+        out[lane] = a * left[lane] + b * right[lane]
+
+
+@nb.njit(cache=True)
+def begin_insides(
+    inner: np.ndarray, ahead: np.ndarray, start: np.ndarray, dt: float, tables: Any, insides: Any, scratch: np.ndarray,
+    inertia: np.ndarray, right: np.ndarray,
+) -> None:
+    """Take the insides out of a step as ``pod.inside.begin_inside``; ``scratch`` (r, lanes)."""
+    couple, drag, inverse, push, pull, flown = (
+        insides.couple, insides.drag, insides.inverse, insides.push, insides.pull, insides.flown
+    )  # fmt: skip
+    r, free, rub, late = len(start), tables.scales[0] / dt**2, tables.scales[1] / dt, tables.scales[2] / dt
+    share = insides.rows[0]
+    for k in range(AXES):
+        _blend(inner[0, k], free + rub, inner[1, k], free * dt, flown[k])
+    for i in range(r):
+        _blend(ahead[i], free, start[i], rub, scratch[i])
+    for j in range(AXES):
+        push[j] = 0.0
+        for k in range(AXES):
+            _blend(insides.own[j, k], free + rub, insides.tough[j, k], late, inverse[j, k])
+            _blend(inverse[j, k], 1.0, insides.give[j, k], 1.0, inverse[j, k])
+            add(push[j], insides.own[j, k], flown[k])
+            _add_scaled(push[j], late, insides.tough[j, k], inner[0, k])
+        for i in range(r):
+            _blend(couple[i, j], free + rub, drag[i, j], late, pull[i, j])
+            add(push[j], couple[i, j], scratch[i])
+            _add_scaled(push[j], late, drag[i, j], start[i])
+    _invert(inverse)
+    for i in range(r):
+        for k in range(AXES):
+            share[:] = 0.0
+            for j in range(AXES):
+                add(share, pull[i, j], inverse[j, k])
+            add(right[i], couple[i, k], flown[k])
+            _add_scaled(right[i], late, drag[i, k], inner[0, k])
+            take(right[i], share, push[k])
+            for j in range(r):
+                take(inertia[i, j], share, pull[j, k])
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def _add_scaled(total: np.ndarray, scale: float, left: np.ndarray, right: np.ndarray) -> None:
+    """Add ``scale * left * right`` to ``total``, (lanes,) each."""
+    for lane in range(len(total)):
+        total[lane] += scale * left[lane] * right[lane]
+
+
+@nb.njit(cache=True)
+def end_insides(inner: np.ndarray, y: np.ndarray, dt: float, insides: Any, part: np.ndarray, bent: np.ndarray) -> None:
+    """Bring ``inner`` (2, 3, lanes) up to date with the arrivals at ``y``; fill twice the energies it stores, ``bent``."""
+    left, given = insides.push, insides.rows
+    for k in range(AXES):
+        for i in range(len(y)):
+            take(left[k], insides.pull[i, k], y[i])
+    for j in range(AXES):
+        given[j] = 0.0
+        for k in range(AXES):
+            add(given[j], insides.inverse[j, k], left[k])
+        _blend(given[j], 1.0 / dt, inner[0, j], -1.0 / dt, inner[1, j])
+        inner[0, j] = given[j]
+    squares_of(insides.give, inner[0], part, bent)
+
+
+@nb.njit(cache=True)
+def shared_energies(velocity: np.ndarray, inner: np.ndarray, insides: Any, part: np.ndarray, total: np.ndarray) -> None:
+    """Fill ``total`` (lanes,) with twice the kinetic energies of the insides and of what they share; ``part`` is scratch."""
+    squares_of(insides.own, inner[1], part, total)
+    for i in range(len(velocity)):
+        part[:] = 0.0
+        for k in range(AXES):
+            _add_scaled(part, 2.0, insides.couple[i, k], inner[1, k])
+        add(total, part, velocity[i])
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _invert(m: np.ndarray) -> None:
+    """Invert symmetric matrices (3, 3, lanes) in place, as ``pod.inside`` does."""
+    for lane in range(m.shape[2]):
+        a, b, c = m[0, 0, lane], m[0, 1, lane], m[0, 2, lane]
+        d, e, f = m[1, 1, lane], m[1, 2, lane], m[2, 2, lane]
+        x, y, z = d * f - e * e, c * e - b * f, b * e - c * d
+        volume = a * x + b * y + c * z
+        size = 1.0 / volume if volume > LEAST * (a + d + f) ** 3 else 0.0
+        m[0, 0, lane], m[0, 1, lane], m[0, 2, lane] = size * x, size * y, size * z
+        m[1, 1, lane], m[1, 2, lane] = size * (a * f - c * c), size * (b * c - a * e)
+        m[2, 2, lane] = size * (a * d - b * b)
+        m[1, 0, lane], m[2, 0, lane], m[2, 1, lane] = m[0, 1, lane], m[0, 2, lane], m[1, 2, lane]
