@@ -14,10 +14,10 @@ from softrl.core.errors import DriverError
 from softrl.effects.lag import Lag
 from softrl.pcc.simulator import PccSimulator
 from softrl.robots.robot import Robot
+from softrl.sim2real.drivers.ports import SerialDriver, UdpDriver
 from softrl.sim2real.drivers.regulator import WiredRig
 from softrl.sim2real.drivers.rig import Noise
 from softrl.sim2real.drivers.stub import StubDriver
-from softrl.sim2real.drivers.wire import SerialDriver, UdpDriver
 
 PERIOD_S = 0.01
 CONF = Path(__file__).parents[2] / "conf"

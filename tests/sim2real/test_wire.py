@@ -12,11 +12,12 @@ from softrl.core.errors import ConfigError, DriverError
 from softrl.core.simulator import Simulator
 from softrl.effects.chain import chain_of
 from softrl.robots.robot import Robot
+from softrl.sim2real.drivers.ports import SerialDriver, UdpDriver
 from softrl.sim2real.drivers.protocol import PRESSURE_PA, Decoder, Frame, Kind, State, counts
 from softrl.sim2real.drivers.regulator import Regulator, WiredRig
 from softrl.sim2real.drivers.rig import Hardware, Noise
 from softrl.sim2real.drivers.transport import SerialTransport, Transport, UdpTransport
-from softrl.sim2real.drivers.wire import SerialDriver, UdpDriver, WireDriver
+from softrl.sim2real.drivers.wire import WireDriver
 
 LEVEL = np.array([20e3, 10e3, -5e3])
 Spoil = Callable[[list[bytes]], list[bytes]]
