@@ -27,9 +27,16 @@ class EffectChain:
         """The effects by site; within a site by name, so that a list's order cannot change a result."""
         return tuple(sorted(self.effects, key=lambda e: (SITES.index(e.site), e.name())))
 
+    @cached_property
+    def _at(self) -> dict[tuple[str, ...], tuple[Effect, ...]]:
+        """What ``at`` found before."""
+        return {}
+
     def at(self, *sites: str) -> tuple[Effect, ...]:
         """Return the effects that act at any of ``sites``."""
-        return tuple(e for e in self.ordered if e.site in sites)
+        if sites not in self._at:
+            self._at[sites] = tuple(e for e in self.ordered if e.site in sites)
+        return self._at[sites]
 
     @property
     def gauges(self) -> tuple[Effect, ...]:
@@ -58,13 +65,12 @@ class SignalFilter:
     def __init__(self, chain: EffectChain, *sites: str) -> None:
         effects = [e for e in chain.at(*sites) if e.channel == "pose"]
         effects += chain.gauges if "gauge" in sites else ()
-        self._empty = not effects
-        self._calls = pack([hook_of(e, chain.robot, chain.before_s) for e in effects])
+        self._calls = pack([hook_of(e, chain.robot, chain.before_s) for e in effects]) if effects else None
 
     def advance(self, values: np.ndarray, dt_s: float) -> np.ndarray:
         """Return the filtered rows (steps, n)."""
         filtered = np.array(values, dtype=float, order="C")
-        if not self._empty:
+        if self._calls is not None:
             run_signals(self._calls, filtered, dt_s)
         return filtered
 

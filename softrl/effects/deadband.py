@@ -1,5 +1,6 @@
 """A regulator that rests while its error is small."""
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -9,25 +10,37 @@ import numpy as np
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
 from softrl.robots.robot import Robot
 
+AT_ONCE = 1e-3  # s: faster filling takes no time
+
 
 @nb.njit(SIGNAL_KERNEL, cache=True)
 def deadband_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
-    """Move the supplied pressure only as far as keeps it within the band about the command."""
-    band, chamber = parameters[0], int(parameters[1])
-    for i in range(len(value)):
+    """Open valves beyond the band, fill towards the command, close them again; the state is supply and open, per chamber."""
+    band, closes, chamber, count = parameters[0], parameters[1] * parameters[0], int(parameters[3]), len(value)
+    filled = 1.0 - math.exp(-dt / parameters[2]) if parameters[2] > AT_ONCE else 1.0
+    for i in range(count):
         if chamber < 0 or chamber == i:
-            state[i] = min(max(state[i], value[i] - band), value[i] + band)
+            gap = value[i] - state[i]
+            if abs(gap) > band:
+                state[count + i] = 1.0
+            if state[count + i] > 0.0:
+                left = (1.0 - filled) * abs(gap)
+                if left <= closes:
+                    left, state[count + i] = min(closes, abs(gap)), 0.0
+                state[i] = value[i] - math.copysign(left, gap)
             value[i] = state[i]
 
 
 @dataclass(frozen=True)
 class Deadband(Effect):
-    """Play between command and supply: ``|p - p_cmd| <= band``, a share of the robot's largest pressure.
+    """Valves that stay shut while ``|p - p_cmd| <= band``, a share of the robot's largest pressure.
 
     Notes
     -----
-    Play operator (no equation number checked). A regulator's valves stay shut while the error is within the
-    band, and close again once it is back at the band's edge. Independent of rate and step.
+    A regulator that switches with a differential gap: its valves open where the error leaves the band and close where it is
+    back at ``closes_at`` of it; in between the pressure approaches the command with the time constant ``fill_s`` (textbook
+    relay before a first-order line, no equation number checked). With ``closes_at`` 1 and no time to fill the supply follows
+    at the band's edge, which is play.
     """
 
     site: ClassVar[str] = "valve"
@@ -35,8 +48,29 @@ class Deadband(Effect):
     kernel: ClassVar = deadband_kernel
 
     band: float = parameter("1", 0.0, 0.3, 0.0, typical=0.05)
+    closes_at: float = parameter("1", 0.0, 1.0, 1.0, typical=1.0, scale=0.5, default=1.0)
+    fill_s: float = parameter("s", AT_ONCE, 1.0, AT_ONCE, typical=AT_ONCE, log=True, default=AT_ONCE)
     chamber: int = -1
 
+    @classmethod
+    def suits(cls, robot: Robot) -> bool:
+        """Return whether pressures are commanded: a pump's duty cycle has no error to regulate."""
+        return robot.command == "pressure"
+
+    @classmethod
+    def shapes(cls) -> list[dict[str, float]]:
+        """Return bands that close at different places: a staircase has its steps elsewhere for every one."""
+        return [
+            {"band": band, "closes_at": at, "fill_s": fill}
+            for band in (0.02, 0.04, 0.08, 0.15)
+            for at in (0.0, 0.5)
+            for fill in (AT_ONCE, 0.02)
+        ]
+
+    def reset(self, robot: Robot) -> np.ndarray:
+        """Return the supplied pressures and which valves are open."""
+        return np.zeros(2 * robot.chambers)
+
     def pack(self, robot: Robot) -> np.ndarray:
-        """Return (band Pa, chamber)."""
-        return super().pack(robot) * [robot.pressure_max_pa, 1.0]
+        """Return (band Pa, share of it at which valves close, time to fill s, chamber)."""
+        return super().pack(robot) * [robot.pressure_max_pa, 1.0, 1.0, 1.0]

@@ -11,7 +11,7 @@ Two kinds of kernel, both numba functions without the interpreter in the loop:
 """
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
@@ -19,6 +19,7 @@ import numba as nb
 import numpy as np
 
 from softrl.core.errors import ConfigError
+from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
 SITES = ("valve", "chamber", "body", "load", "sensor")
@@ -55,6 +56,7 @@ def parameter(
     *,
     typical: float,
     log: bool = False,
+    scale: float | None = None,
     default: Any = dataclasses.MISSING,
 ) -> Any:
     """Declare a fitted parameter of an effect.
@@ -66,15 +68,18 @@ def parameter(
     neutral : the value at which the effect vanishes
     typical : a value at which the effect is plain to see; the prior's scale
     log : search on a logarithmic scale (only where low > 0)
+    scale : a change that is plain to see, where it is not what leads from ``neutral`` to ``typical``
     default : the value where none is given; must be given if this is missing
     """
     metadata = {"unit": unit, "low": low, "high": high, "neutral": neutral, "typical": typical, "log": log}
+    metadata["scale"] = scale or abs(typical - neutral) or 0.1 * (high - low)
     return dataclasses.field(default=default, metadata=metadata)
 
 
 def _gate(unit: str, low: float, high: float, typical: float) -> dict[str, Any]:
     """Return what is known of a number of the gate; it is neutral at ``low``."""
-    return {"unit": unit, "low": low, "high": high, "neutral": low, "typical": typical, "log": False, "gate": True}
+    known = {"unit": unit, "low": low, "high": high, "neutral": low, "typical": typical, "log": False, "gate": True}
+    return known | {"scale": typical - low}
 
 
 @dataclass(frozen=True)
@@ -149,6 +154,11 @@ class Effect:
         """Return values beside the typical ones from which a fit may begin, where those lead to one shape out of many."""
         return []
 
+    @classmethod
+    def seen_in(cls, runs: Sequence[Recording]) -> list[dict[str, float]]:
+        """Return values that can be read off recordings, where a fit has no slope that leads there."""
+        return []
+
     def pack(self, robot: Robot) -> np.ndarray:
         """Return the parameter vector that the kernel reads; by default the fitted fields, then ``chamber``."""
         if not -1 <= getattr(self, "chamber", -1) < robot.chambers:
@@ -162,6 +172,10 @@ class Effect:
     def reset(self, robot: Robot) -> np.ndarray:
         """Return the state vector at rest; one or more slots, as the kernel needs."""
         return np.zeros(max(robot.chambers, 1))
+
+    def taken_at(self, time: np.ndarray) -> np.ndarray:
+        """Return when a sensor took what it reports at ``time`` (steps,) s since the first sample."""
+        return time
 
     def undo(self, robot: Robot, reported: np.ndarray) -> np.ndarray:
         """Return the pressures (steps, chambers) Pa behind what a gauge with this error ``reported``."""

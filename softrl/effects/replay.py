@@ -9,15 +9,17 @@ import numba as nb
 import numpy as np
 
 from softrl.core.errors import RecordingError
+from softrl.core.identity import Same
 from softrl.core.simulator import Motion
-from softrl.effects.chain import Plant, simulate_batch
+from softrl.effects.chain import EffectChain, Plant, simulate_batch
 from softrl.effects.effect import Effect
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
 MAX_STEPS = 5_000_000
 PAUSE_PERIODS = 5.0  # a pause of more than this many median periods is no ordinary time between samples
-KEPT = 32  # recordings whose pressures on the grid are kept
+CHANNELS = ("pressure_meas", "position", "quaternion", "bend_angle")
+KEPT = 128  # recordings whose pressures on the grid are kept
 
 
 def replay(
@@ -27,6 +29,7 @@ def replay(
     drive: str = "command",
     settle_s: float = 0.0,
     before: Sequence[float] | None = None,
+    channels: Sequence[str] = CHANNELS,
 ) -> Recording:
     """Return what the plant's sensors report under a recording's commands, at the recording's times.
 
@@ -41,6 +44,7 @@ def replay(
     settle_s : time before the first sample during which the plant is held under the first row (of the
         measured pressure if there is one), for a recording that does not begin at rest
     before : (chambers,) Pa that act on the body during that time instead, where its past was another
+    channels : which are wanted; the others are None, and cost nothing
 
     Returns
     -------
@@ -53,7 +57,7 @@ def replay(
     -----
     Between grid points positions are interpolated linearly, quaternions likewise and normalised; pressures are held.
     """
-    return replay_batch([plant], recording, dt_s, drive, settle_s, before=before)[0]
+    return replay_batch([plant], recording, dt_s, drive, settle_s, before=before, channels=channels)[0]
 
 
 def replay_batch(
@@ -64,12 +68,14 @@ def replay_batch(
     settle_s: float = 0.0,
     workers: int = 1,
     before: Sequence[float] | None = None,
+    channels: Sequence[str] = CHANNELS,
 ) -> list[Recording]:
     """Return what ``replay`` returns for each of ``plants``, whose robot is the same; see ``simulate_batch``."""
-    time, pressure, force = _kept_on_grid(_Same(recording), dt_s, drive, settle_s)
+    time, pressure, force = _kept_on_grid(Same(recording), dt_s, drive, settle_s)
     past = None if before is None else np.tile(np.asarray(before, dtype=float), (round(settle_s / dt_s), 1))
-    if settle_s > 0.0:
-        plants = [replace(plant, chain=replace(plant.chain, before_s=settle_s)) for plant in plants]
+    taken = [_taken_at(plant.chain, recording.time) for plant in plants]
+    plants = [replace(plant, chain=replace(plant.chain, effects=_without_readers(plant.chain), before_s=settle_s))
+              for plant in plants]  # fmt: skip
     if drive == "command":
         motions = simulate_batch(plants, time, pressure, force, workers, past)
     else:
@@ -78,28 +84,37 @@ def replay_batch(
         for gauges, group in groupby(range(len(plants)), lambda k: plants[k].chain.gauges):
             seen = _seen_by(gauges, plants[0].chain.robot, pressure)
             motions += simulate_batch([behind[k] for k in group], time, seen, force, workers, past)
-    return [_reported(recording, plants[0].chain.robot, time, motion) for motion in motions]
+    robot = plants[0].chain.robot
+    pairs = zip(motions, taken, strict=True)
+    return [_reported(recording, robot, time, motion, when, channels) for motion, when in pairs]
 
 
-class _Same:
-    """A recording as a key: equal to itself alone."""
+def _reads(effect: Effect) -> bool:
+    """Return whether an effect is nothing but the times at which a sensor is read."""
+    return type(effect).taken_at is not Effect.taken_at and not effect.gated
 
-    def __init__(self, recording: Recording) -> None:
-        self.recording = recording
 
-    def __hash__(self) -> int:
-        return id(self.recording)
+def _without_readers(chain: EffectChain) -> tuple[Effect, ...]:
+    return tuple(effect for effect in chain.effects if not _reads(effect))
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Same) and other.recording is self.recording
+
+def _taken_at(chain: EffectChain, stamps: np.ndarray) -> np.ndarray:
+    """Return when (samples,) s the poses were taken that are reported at ``stamps``.
+
+    Exact whatever the step: a staircase on the grid would be early or late by up to a step at every jump.
+    """
+    since = stamps - stamps[0]
+    for effect in reversed(chain.at("sensor")):
+        since = effect.taken_at(since) if _reads(effect) else since
+    return np.asarray(since + stamps[0])
 
 
 @lru_cache(maxsize=KEPT)
 def _kept_on_grid(
-    same: _Same, dt_s: float, drive: str, settle_s: float
+    same: Same[Recording], dt_s: float, drive: str, settle_s: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Return what drives a recording on the grid, kept: fits replay the same few recordings thousands of times."""
-    return _drive_on_grid(same.recording, dt_s, drive, settle_s)
+    return _drive_on_grid(same.thing, dt_s, drive, settle_s)
 
 
 def _drive_on_grid(
@@ -147,17 +162,29 @@ def _mean_held(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray, dt_s: flo
     return np.asarray(np.ascontiguousarray(np.diff(gathered, axis=0) / dt_s))
 
 
-def _reported(recording: Recording, robot: Robot, time: np.ndarray, motion: Motion) -> Recording:
-    """Return ``recording`` with ``motion``, known on the grid ``time``, in place of what was measured."""
-    quaternion = _sampled(recording.time, time, motion.quaternion)
-    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
-    reports_angle = robot.output == "bend_angle" or recording.bend_angle is not None
+def _reported(
+    recording: Recording,
+    robot: Robot,
+    time: np.ndarray,
+    motion: Motion,
+    taken_at: np.ndarray,
+    channels: Sequence[str],
+) -> Recording:
+    """Return ``recording`` with ``motion``, known on the grid ``time``, in place of what was measured.
+
+    Poses are those of ``taken_at`` (samples,) s.
+    """
+    reports_angle = "bend_angle" in channels and (robot.output == "bend_angle" or recording.bend_angle is not None)
+    quaternion = None
+    if reports_angle or "quaternion" in channels:
+        quaternion = _sampled(taken_at, time, motion.quaternion)
+        quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
     return replace(
         recording,
-        pressure_meas=_held(recording.time, time, motion.pressure),
-        position=_sampled(recording.time, time, motion.position),
-        quaternion=quaternion,
-        bend_angle=bend_angle(robot, quaternion) if reports_angle else None,
+        pressure_meas=_held(recording.time, time, motion.pressure) if "pressure_meas" in channels else None,
+        position=_sampled(taken_at, time, motion.position) if "position" in channels else None,
+        quaternion=quaternion if "quaternion" in channels else None,
+        bend_angle=bend_angle(robot, quaternion) if reports_angle and quaternion is not None else None,
         markers={},
         temperature=None,
     )

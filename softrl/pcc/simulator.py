@@ -232,7 +232,7 @@ class PccSimulator:
         Rest is the equilibrium under gravity and the load effects; strains that body effects see count from
         there.
         """
-        hooks = pack(body), pack(load)
+        hooks = pack(body) if body else _NONE, pack(load) if load else _NONE
         model = self._model_about(self._equilibrium(hooks)) if load else self._model
         y, velocity = model[8].copy(), np.zeros_like(model[8])
         held = np.ascontiguousarray(pressure, dtype=float)

@@ -30,6 +30,8 @@ class RunCheck:
     noise : channel -> standard deviation of its white part, SI units
     noise_from : "holds" or "differences"
     held : channel -> share of samples that repeat the sample before exactly, while the command moves
+    misplaced : whether the tip at rest is far from one length along the robot's axis from the origin
+    turns_jump : whether the orientation jumps
     warnings : one sentence each
     """
 
@@ -43,6 +45,8 @@ class RunCheck:
     noise: dict[str, float]
     noise_from: str
     held: dict[str, float]
+    misplaced: bool
+    turns_jump: bool
     warnings: tuple[str, ...]
 
 
@@ -89,13 +93,14 @@ def check_run(recording: Recording, robot: Robot) -> RunCheck:
     windows = list(_hold_windows(recording))
     noise = {channel: _noise(values, windows) for channel, values in _sensed(recording)}
     held = {channel: _held_share(recording, values) for channel, values in _sensed(recording)}
+    jumped, misplaced = tuple(_jump_warnings(recording)), tuple(_frame_warnings(recording, robot))
     warnings = (
         *_sampling_warnings(gaps, period),
         *_excitation_warnings(excited, robot),
         *_held_warnings(held),
         *_clipping_warnings(recording),
-        *_jump_warnings(recording),
-        *_frame_warnings(recording, robot),
+        *jumped,
+        *misplaced,
     )
     return RunCheck(
         recording.name,
@@ -108,6 +113,8 @@ def check_run(recording: Recording, robot: Robot) -> RunCheck:
         noise,
         "holds" if windows else "differences",
         held,
+        bool(misplaced),
+        bool(jumped),
         warnings,
     )
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from softrl.core.simulator import Motion
 from softrl.effects.area_growth import AreaGrowth
 from softrl.effects.asymmetry import Asymmetry
-from softrl.effects.chain import Plant, chain_of
+from softrl.effects.chain import EffectChain, Plant, SignalFilter, chain_of
 from softrl.effects.contact import Contact
 from softrl.effects.crosstalk import Crosstalk
 from softrl.effects.dead_time import DeadTime
@@ -41,7 +41,7 @@ from softrl.effects.flow_limit import FlowLimit
 from softrl.effects.frame import Frame
 from softrl.effects.friction import Friction
 from softrl.effects.gain import Gain
-from softrl.effects.hold import Hold
+from softrl.effects.hold import Hold, reading_period
 from softrl.effects.hysteresis import Hysteresis
 from softrl.effects.knee import Knee
 from softrl.effects.lag import Lag
@@ -136,6 +136,18 @@ def test_deadband_is_a_play_whose_width_is_free_of_rate() -> None:
             np.interp(-1e4, -wave[steps:], supplied[steps:]),
         )
         np.testing.assert_allclose(down - up, 2 * band * FULL, rtol=1e-6)
+
+
+@pytest.mark.parametrize("closes_at", [0.0, 0.4])
+def test_deadband_whose_valves_close_within_it_climbs_by_steps(closes_at: float) -> None:
+    band, steps = 0.05, 5000
+    ramp = np.tile(np.linspace(0.0, FULL, steps)[:, None], 3)
+    supplied = signal(Deadband(band=band, closes_at=closes_at), ramp)[:, 0]
+    climbed = np.diff(supplied)
+    climbed = climbed[climbed > 0.0]
+    np.testing.assert_allclose(climbed, (1.0 - closes_at) * band * FULL, atol=2.0 * FULL / steps)
+    assert len(climbed) == pytest.approx((1.0 - band) / ((1.0 - closes_at) * band), abs=1.0)
+    assert np.abs(supplied - ramp[:, 0]).max() <= band * FULL
 
 
 def test_rate_limit_ramps_at_its_rates() -> None:
@@ -503,7 +515,38 @@ def test_delay_shifts_the_pose_and_hold_repeats_it() -> None:
     np.testing.assert_allclose(signal(Delay(delay_s=0.05), pose)[5:], pose[:-5], atol=1e-12)
     np.testing.assert_allclose(signal(Delay(delay_s=0.05), pose)[:5], pose[[0]] * np.ones((5, 1)), atol=1e-12)
     held = signal(Hold(period_s=0.05), pose)
-    np.testing.assert_array_equal(held, np.repeat(pose[::5], 5, axis=0))
+    np.testing.assert_allclose(held, np.repeat(pose[::5], 5, axis=0), atol=1e-12)
+    between = signal(Hold(period_s=0.025), pose)
+    np.testing.assert_allclose(between[3], 0.5 * (pose[2] + pose[3]), atol=1e-6)
+
+
+def test_readings_are_counted_from_the_first_sample_also_after_a_time_before_it() -> None:
+    pose = poses()
+    effect = Hold(period_s=0.07)
+    late = SignalFilter(EffectChain(ROBOT, (effect,), before_s=0.04), "sensor").advance(pose, DT)
+    np.testing.assert_allclose(late[4:], signal(effect, pose[4:]), atol=1e-12)
+
+
+@pytest.mark.parametrize("period_s", [0.07, 0.25, 0.613])
+def test_a_reading_period_is_read_off_jumps_between_rests_and_off_nothing_else(period_s: float) -> None:
+    rng, held, free = np.random.default_rng(5), [], []
+    for run in range(3):
+        time = np.sort(0.02 * np.arange(1500) + np.where(rng.uniform(size=1500) < 0.02, 0.006, 0.0))
+        for into, seen in ((held, period_s * np.floor(time / period_s)), (free, time)):
+            moved = np.sin(2.0 * np.pi * np.outer(seen, (0.05, 0.13, 0.21)) + run)
+            into.append((time, moved + 0.01 * rng.standard_normal(moved.shape)))
+    found = reading_period(held)
+    assert found is not None and abs(found - period_s) * 30.0 / period_s < 0.02, "the last reading is off by a sample"
+    assert reading_period(free) is None
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_bursts_with_pauses_between_are_no_readings_of_a_slow_sensor(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pause = np.where(np.arange(600) % 5 == 0, 1.05, 0.03)
+    time = np.cumsum(pause + 0.001 * rng.uniform(size=600))
+    moved = np.round(np.sin(0.4 * time), 2)  # in steps of the sensor, most samples repeat the one before
+    assert reading_period([(time, moved[:, None])]) is None
 
 
 def test_marker_keeps_its_distance_and_turns_with_the_tip() -> None:

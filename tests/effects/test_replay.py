@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from softrl.effects.chain import Plant, chain_of
+from softrl.effects.hold import Hold
 from softrl.effects.replay import replay
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
@@ -42,3 +43,22 @@ def test_pressures_arrive_when_they_were_commanded(dt_s: float, uneven_s: float)
     late_s = -float(np.sum(apart * slope) / np.sum(slope**2))
     assert abs(late_s) < (1e-9 if uneven_s == 0.0 else 0.6 * dt_s), late_s  # a step's own uncertainty
     assert np.abs(apart).max() < 1e-4 or uneven_s > 0.0
+
+
+@pytest.mark.parametrize("period_s", [0.013, 0.07, 0.4])
+def test_a_slow_sensor_reports_the_pose_of_its_last_reading_whatever_the_step(period_s: float) -> None:
+    time = np.cumsum(0.02 + 2e-3 * np.random.default_rng(3).uniform(-1.0, 1.0, 1000))
+    since = time - time[0]
+    command = 1e4 * np.sin(np.outer(time, [1.1, 0.7, 0.4]))
+    run = Recording("run", "day", time, command)
+    bare, held = (Plant(Wire(ROBOT), chain_of(ROBOT, effects)) for effects in ((), (Hold(period_s=period_s),)))
+    free = replay(bare, run, 0.005).position
+    assert free is not None
+    read = np.stack([np.interp(period_s * np.floor(since / period_s + 1e-6), since, column) for column in free.T], axis=1)
+    for dt_s in (0.005, 0.01):
+        np.testing.assert_allclose(replay(held, run, dt_s).position, read, atol=0.03 * np.abs(free).max())
+    grid = 0.001 * np.arange(3000)
+    pressure = 1e4 * np.sin(np.outer(grid, [1.1, 0.7, 0.4]))
+    stepwise = held.simulate(grid, pressure).position  # the kernel, that a rig runs by
+    at = period_s * np.floor(grid / period_s + 1e-6)
+    np.testing.assert_allclose(stepwise, 1e4 * np.sin(np.outer(at, [1.1, 0.7, 0.4])), atol=20.0)
