@@ -13,7 +13,8 @@ from softrl.diagnosis.examine import Finding
 from softrl.diagnosis.hidden import behind, in_words, read_map
 from softrl.diagnosis.hypothesis import Hypothesis
 from softrl.diagnosis.problem import Problem
-from softrl.diagnosis.trial import Search, fit_trials
+from softrl.diagnosis.trial import Search, fit_trials, parallel
+from softrl.pcc.simulator import PccSimulator
 
 
 def competitors(search: Search, training: Problem, findings: list[Finding]) -> dict[str, Model]:
@@ -38,14 +39,13 @@ def competitors(search: Search, training: Problem, findings: list[Finding]) -> d
     } | ({"one_lag": lag} if lag else {})
 
 
-def judged_on(whole: Problem, data: Data, models: dict[str, Model]) -> dict[str, dict[str, Traces]]:
+def judged_on(whole: Problem, data: Data, models: dict[str, Model], workers: int) -> dict[str, dict[str, Traces]]:
     """Return what every competitor predicts, with physics and without: split -> name -> traces."""
     splits = {split: whole.on(runs) for split, runs in data.splits.items()}
     plain = without_physics(whole.on(data.training), splits, models["corrected"].placed)
-    return {
-        split: {name: traces(problem, model) for name, model in models.items()} | plain[split]
-        for split, problem in splits.items()
-    }
+    jobs = [(problem, model) for problem in splits.values() for model in models.values()]
+    made = iter(parallel(traces, jobs, 1 if isinstance(whole.simulator, PccSimulator) else workers))
+    return {split: {name: next(made) for name in models} | plain[split] for split in splits}
 
 
 def add_calibrated(

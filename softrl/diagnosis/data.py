@@ -65,7 +65,7 @@ class Data:
     @property
     def misplaced(self) -> bool:
         """Whether any run shows the tip at rest far from where the base frame has it."""
-        return any("under no pressure the tip is at" in warning for warning in self.check.warnings)
+        return any(run.misplaced for run in self.check.runs)
 
     def shortened(self, fit_s: float) -> "Data":
         """Return the data with fits limited to ``fit_s`` of recordings."""
@@ -225,7 +225,7 @@ def jitter(values: np.ndarray) -> float:
 
 
 def _orientation_trusted(usable: Sequence[Recording], found: DataCheck, robot: Robot) -> bool:
-    jumped = any("orientation jumps" in warning for warning in found.warnings)
+    jumped = any(run.turns_jump for run in found.runs)
     return robot.output == "tip_pose" and not jumped and all(r.quaternion is not None for r in usable)
 
 

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,10 +13,11 @@ from softrl.diagnosis.intervals import Interval, by_effect, intervals
 from softrl.diagnosis.judge import Gap, Judge, Thresholds
 from softrl.diagnosis.leftover import Offer, explained_by, heldout_residual, offer_of, reasons_of
 from softrl.diagnosis.problem import Problem, Residual
-from softrl.diagnosis.trial import Search, Trial, drop, fit_trials, join, raced
+from softrl.diagnosis.trial import Search, Trial, columns_of, drop, fit_trials, join, raced
 from softrl.recordings.recording import Recording
 
 log = logging.getLogger(__name__)
+SWITCHES = 2  # effects that a rival may take the place of once the held-out runs have spoken
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,7 @@ class Finding:
     residual_before, residual_after : held-out
     judge : on the held-out runs
     joint : scaled parameters of all parts' effects and the simulator's, where they were refitted from command to motion
+    switched : effects that took the place of one which the training runs preferred, a sentence each
     """
 
     part: Part
@@ -101,19 +103,44 @@ class Finding:
     residual_after: Residual
     judge: Judge
     joint: np.ndarray | None = None
+    switched: tuple[str, ...] = ()
 
 
 def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Finding:
-    """Return what is missing in one part, searched on training runs and judged once on held-out runs."""
+    """Return what is missing in one part, searched on training runs and judged on held-out runs.
+
+    A rival that predicts the held-out runs better for sure, and all runs that its fits did not see, takes the place of the
+    effect that the training runs alone preferred.
+    """
     inside = part.judge(part.problem.runs, thresholds, seed)
     path = forward(part.problem, inside, part.tuned, part.choices, search, lambda line: log.info("%s", line))
     judge = part.judge(part.heldout, thresholds, seed)
     base, final = (_on_heldout(judge, trial) for trial in (path.retuned, path.best))
+    finding = _judged(part, judge, path, base, final, search)
+    for _ in range(SWITCHES):
+        better = _better(finding)
+        if better is None:
+            break
+        told = (
+            f"{better.choice.label()} takes the place of {better.instead_of.label()}, which the training runs preferred: it "
+            "predicts the held-out runs better, whose error is then the best of several."
+        )
+        log.info("%s", told)
+        mine = finding.final.fit.point[columns_of(finding.final, better.instead_of)]
+        others = [pair for pair in path.tried[better.instead_of] if pair[0] != better.choice]
+        path.tried[better.choice] = [(better.instead_of, mine), *others]
+        found = _judged(part, judge, path, base, better.trial, search)
+        finding = replace(found, switched=(*finding.switched, told))
+    return finding
+
+
+def _judged(part: Part, judge: Judge, path: Path, base: Trial, final: Trial, search: Search) -> Finding:
+    """Return what the held-out runs say of ``final``, the hypothesis that a search has found, beside ``base`` without effects."""
     final, named, without = _confirm(part, judge, base, final, search)
     offer = offer_of(part.problem, judge, final)
     explained, left = explained_by(judge, base, final, offer)
     reasons = reasons_of(judge, final, offer, explained, left)
-    in_vain = explained < thresholds.explained_share
+    in_vain = explained < judge.thresholds.explained_share
     closest = final.hypothesis.label() if reasons and named and in_vain else ""
     if reasons and in_vain:
         final, named, without = base, [], {}
@@ -127,6 +154,13 @@ def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Fi
     return Finding(
         part, path, base, final, named, rivals, explained, left, unknown, closest, reasons, offer, before, after, judge
     )
+
+
+def _better(finding: Finding) -> Rival | None:
+    """Return the best of the rivals that are better for sure held out, and better on all runs left out of fits together."""
+    whole = float(finding.final.everywhere.mean())
+    found = [r for r in finding.rivals if r.gap.high < 0.0 and float(r.trial.everywhere.mean()) < whole]
+    return min(found, key=lambda rival: rival.gap.value, default=None)
 
 
 def _on_heldout(judge: Judge, trial: Trial) -> Trial:

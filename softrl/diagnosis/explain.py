@@ -193,6 +193,7 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
     """Return the finding in plain words, the verdict first."""
     lines = [_verdict_sentence(diagnosis), _error_sentence(diagnosis)]
     lines += [_effect_sentence(effect) for effect in diagnosis.effects]
+    lines += [line for finding in findings for line in finding.switched]
     for rival in diagnosis.rivals[:4]:
         verb = "cannot be told from" if rival["equivalent"] else "is worse than"
         if rival["score_gap"] < 0.0 and not rival["equivalent"]:

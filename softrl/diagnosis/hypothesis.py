@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -140,23 +140,24 @@ class Space:
         return dict(zip(self.hypothesis.tuned, self.values(point)[len(self.axes) - count :], strict=True))
 
 
-def free_fields(choice: Choice) -> list[Any]:
+@cache
+def free_fields(choice: Choice) -> tuple[Any, ...]:
     """Return the fields of one effect's parameters that are free, the gate's last."""
     effect, gate = effect_class(choice.name), choice.gate
     found = [f for f in effect.parameter_fields() if f.name not in choice.pinned]
-    return found + [f for f in effect.gate_fields() if gate and f.name == gate.field]
+    return (*found, *(f for f in effect.gate_fields() if gate and f.name == gate.field))
 
 
-def effect_axes(choice: Choice) -> list[Axis]:
+@cache
+def effect_axes(choice: Choice) -> tuple[Axis, ...]:
     """Return the axes of one effect's free parameters."""
     found = []
     for field in free_fields(choice):
         m = field.metadata
         log = bool(m["log"]) and m["low"] > 0.0
-        scale = abs(m["typical"] - m["neutral"]) or 0.1 * (m["high"] - m["low"])
         zero = m["typical"] if log else m["neutral"]
-        found.append(Axis(choice.label(), field.name, m["unit"], m["low"], m["high"], zero, scale, log))
-    return found
+        found.append(Axis(choice.label(), field.name, m["unit"], m["low"], m["high"], zero, m["scale"], log))
+    return tuple(found)
 
 
 def build_effect(choice: Choice, values: Sequence[float]) -> Effect:
@@ -215,8 +216,11 @@ def in_one_session(names: Sequence[str], training: Sequence[str], heldout: Seque
     return [Choice(name, session=s) for name in names if name in BY_SESSION for s in shown if s != sessions[-1]]
 
 
-def starts(choice: Choice) -> list[np.ndarray]:
-    """Return scaled points (p,) of an effect that is plain to see: typical values, and spread-out shapes of it."""
+def starts(choice: Choice, seen: Sequence[dict[str, float]] = ()) -> list[np.ndarray]:
+    """Return scaled points (p,) of an effect that is plain to see: typical values, and spread-out shapes of it.
+
+    ``seen`` are values that were read off the recordings, see ``Effect.seen_in``.
+    """
     fields_ = free_fields(choice)
     axes = effect_axes(choice)
     if effect_class(choice.name).together:
@@ -234,7 +238,7 @@ def starts(choice: Choice) -> list[np.ndarray]:
             moved = typical.copy()
             moved[k] += shift
             found.append(moved)
-    for shape in effect_class(choice.name).shapes():
+    for shape in (*effect_class(choice.name).shapes(), *seen):
         named = zip(axes, typical, strict=True)
         found.append(np.array([axis.scaled(shape[axis.name]) if axis.name in shape else u for axis, u in named]))
     low, high = zip(*(sorted((a.scaled(a.low), a.scaled(a.high))) for a in axes), strict=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from softrl.diagnosis.flexible import pressures
 from softrl.diagnosis.hypothesis import GATES, Choice, Hypothesis, effect_axes, gated, may_be_pinned, starts
-from softrl.diagnosis.judge import Judge
+from softrl.diagnosis.judge import SHOWN, Judge
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.rank import Lead, rank
 from softrl.diagnosis.trial import Search, Trial, columns_of, drop, fit_trials, join, raced
@@ -20,6 +20,7 @@ LEAD_SHARE = 0.3  # of the best rough fit's gain, which another needs to be fitt
 LEAD_GAIN = 0.03  # share of the squared error: a rough fit that saves less will not save what counts when fitted in full
 PLAIN = 2.5  # times what counts: what is left, before effects are asked where alone they act, if none was found before
 SOME = 1.8  # the same where one was found: what it leaves may be that it acts there alone
+BESIDE = 0.5  # of what must show: what saves less of the squared error beside an effect does not stand in its place
 REFORMED = 2  # fits of a round, the best, in which older effects are tried in their other forms
 SILENT = 1e-6  # of the largest column: a parameter with less influence on the residual has none
 
@@ -34,12 +35,14 @@ class Path:
     retuned : the one without effects
     screened : the leads of every round
     tried : for each named effect the alternatives fitted in its place, best first, with their points
+    fitted : fits of hypotheses with less than others, by where they began
     """
 
     best: Trial
     retuned: Trial
     screened: list[list[Lead]] = field(default_factory=list)
     tried: dict[Choice, list[tuple[Choice, np.ndarray]]] = field(default_factory=dict)
+    fitted: dict[tuple[Hypothesis, bytes], Trial | None] = field(default_factory=dict)
 
 
 def forward(
@@ -88,7 +91,7 @@ def _grow(
             break
         added = slim(fitting, judge, added, search, path)
         path.best = _swap(fitting, judge, added, choices, search, path)
-        path.best = _prune(fitting, judge, path.best, search)
+        path.best = _prune(fitting, judge, path.best, search, path)
         path.best = slim(fitting, judge, path.best, search, path)
 
 
@@ -104,17 +107,28 @@ def _narrow(
     """Return whether an effect that acts above a pressure or from a time on only pays: one of ``path``, or a new one."""
     before = path.best
     plain = (SOME if before.hypothesis.effects else PLAIN) * judge.material
+    if judge.excess(before.mean_square) < plain:
+        return False
     forms = _gated([choice for choice in choices if not choice.session], fitting)
+    beside = rank(fitting, before, _not_taken(forms, before), search)
+    promising = {lead.choice for lead in beside if lead.gain >= BESIDE * _least_share(judge, before)}
     for old in before.hypothesis.effects:
         if judge.excess(path.best.mean_square) >= plain:
-            _replace(fitting, judge, old, forms, search, path)
+            in_place = [form for form in forms if form.name == old.name or form in promising]
+            _replace(fitting, judge, old, in_place, search, path)
     if len(before.hypothesis.effects) < search.max_effects and judge.excess(path.best.mean_square) >= plain:
-        added = _addition(fitting, judge, path.best, forms, search, path)
+        added = _addition(fitting, judge, path.best, forms, search, path, beside if path.best is before else None)
         if added is not None and _pays(judge, path.best, added):
-            path.best = _prune(fitting, judge, slim(fitting, judge, added, search, path), search)
+            path.best = _prune(fitting, judge, slim(fitting, judge, added, search, path), search, path)
     if path.best is not before:
         report(f"{path.best.hypothesis.label()}: {judge.rms(path.best.squares):.4g} on runs left out")
     return path.best is not before
+
+
+def _least_share(judge: Judge, trial: Trial) -> float:
+    """Return the share of the squared error of ``trial`` that has to go for anything to show, see ``Judge.shows``."""
+    noise = judge.thresholds.noise_share**2
+    return max((SHOWN * judge.material) ** 2 / trial.mean_square, noise / (1.0 + noise))
 
 
 def _replace(
@@ -122,7 +136,9 @@ def _replace(
 ) -> None:
     """Put the best of ``choices`` in the place of ``old``, one of the effects of the best hypothesis, if it shows."""
     trial = path.best
-    less = fit_trials(fitting, None, [(trial.hypothesis.without(old), [drop(trial, old)])], search)
+    if not choices:
+        return
+    less = _fitted(fitting, [(trial.hypothesis.without(old), drop(trial, old))], search, path)
     instead = _addition(fitting, judge, less[0], choices, search, path) if less else None
     if instead is not None and judge.shows(trial.squares, instead.squares):
         path.best = slim(fitting, judge, instead, search, path)
@@ -135,18 +151,47 @@ def _gated(choices: Sequence[Choice], problem: Problem) -> list[Choice]:
     return [form for choice in dict.fromkeys(choices) for form in gated(choice, duration, highest)]
 
 
+def _not_taken(choices: Sequence[Choice], trial: Trial) -> list[Choice]:
+    """Return the ``choices`` whose effect ``trial`` does not have yet."""
+    taken = {effect.name for effect in trial.hypothesis.effects}
+    return [choice for choice in choices if choice.name not in taken]
+
+
+def _fitted(
+    fitting: Problem, tasks: Sequence[tuple[Hypothesis, np.ndarray]], search: Search, path: Path
+) -> list[Trial]:
+    """Return what ``fit_trials`` returns for one start each; none is fitted twice from the same start."""
+    keys = [(hypothesis, point.tobytes()) for hypothesis, point in tasks]
+    fresh = {key: task for key, task in zip(keys, tasks, strict=True) if key not in path.fitted}
+    found = fit_trials(fitting, None, [(hypothesis, [point]) for hypothesis, point in fresh.values()], search)
+    by_hypothesis = {trial.hypothesis: trial for trial in found}
+    path.fitted |= {key: by_hypothesis.get(key[0]) for key in fresh}
+    return [trial for key in keys if (trial := path.fitted[key]) is not None]
+
+
 def _addition(
-    fitting: Problem, judge: Judge, current: Trial, choices: Sequence[Choice], search: Search, path: Path
+    fitting: Problem,
+    judge: Judge,
+    current: Trial,
+    choices: Sequence[Choice],
+    search: Search,
+    path: Path,
+    leads: list[Lead] | None = None,
 ) -> Trial | None:
-    """Return ``current`` with the best further effect, if one runs; what was tried is noted in ``path``."""
+    """Return ``current`` with the best further effect, if one runs; what was tried is noted in ``path``.
+
+    ``leads`` are what ``rank`` says of the choices, where it was asked before.
+    """
     taken = {effect.name for effect in current.hypothesis.effects}
-    leads = rank(fitting, current, [c for c in choices if c.name not in taken], search)
+    leads = rank(fitting, current, _not_taken(choices, current), search) if leads is None else leads
     if not taken or len(path.screened) < len(taken) + 1:
         path.screened.append(leads)
     trials = fit_leads(fitting, current, leads, search)
     if not trials:
         return None
-    best = judge.simplest(trials + _otherwise(fitting, trials, search, path))
+    every = trials + _otherwise(fitting, trials, search, path)
+    paying = [trial for trial in every if _pays(judge, current, trial)]  # the simplest of all may be too simple to pay
+    best = judge.simplest(paying or every)
     for old, new in zip(current.hypothesis.effects, best.hypothesis.effects[:-1], strict=True):
         if old != new:
             path.tried[new] = path.tried.get(old, [])
@@ -164,7 +209,7 @@ def _swap(fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice
     A map without physics has to pay against them, see ``Judge.simplest``; any other effect stays unless one is better.
     """
     for old in trial.hypothesis.effects[:-1]:
-        less = fit_trials(fitting, None, [(trial.hypothesis.without(old), [drop(trial, old)])], search)
+        less = _fitted(fitting, [(trial.hypothesis.without(old), drop(trial, old))], search, path)
         if not less:
             continue
         instead = _addition(fitting, judge, less[0], choices, search, path)
@@ -193,7 +238,8 @@ def _otherwise(fitting: Problem, trials: Sequence[Trial], search: Search, path: 
         for old in trial.hypothesis.effects[:-1]
         for form, point in _same_name(path, trial, old)
     ]
-    return raced(fitting, None, tasks, search) if tasks else []
+    best = min(trial.mean_square for trial in trials)
+    return raced(fitting, None, tasks, search, best) if tasks else []
 
 
 def _same_name(path: Path, trial: Trial, old: Choice) -> list[tuple[Choice, np.ndarray]]:
@@ -247,11 +293,10 @@ def starting_points(current: Trial, lead: Lead, count: int) -> list[np.ndarray]:
     return points
 
 
-def _prune(fitting: Problem, judge: Judge, trial: Trial, search: Search) -> Trial:
+def _prune(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Path) -> Trial:
     """Return ``trial`` without the effects, other than the last, that no longer pay."""
     for choice in trial.hypothesis.effects[:-1]:
-        tasks = [(trial.hypothesis.without(choice), [drop(trial, choice)])]
-        fewer = fit_trials(fitting, None, tasks, search)
+        fewer = _fitted(fitting, [(trial.hypothesis.without(choice), drop(trial, choice))], search, path)
         if fewer and not judge.pays(fewer[0].squares, trial.squares):
             log.info("%s no longer pays and is dropped", choice.label())
             trial = fewer[0]
@@ -266,7 +311,7 @@ def slim(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Pat
         for choice in trial.hypothesis.effects:
             forms = [_pinned(trial, choice, name) for name in may_be_pinned(choice)]
             forms = [form for form in forms if effect_axes(form[0].effects[form[2]])]
-            fitted = fit_trials(fitting, None, [(hypothesis, [point]) for hypothesis, point, _ in forms], search)
+            fitted = _fitted(fitting, [(hypothesis, point) for hypothesis, point, _ in forms], search, path)
             as_good = [t for t in fitted if not judge.tells(t.squares, trial.squares)]
             if as_good:
                 slimmer = min(as_good, key=lambda t: t.mean_square)
@@ -295,6 +340,6 @@ def _without_silent(fitting: Problem, trial: Trial, search: Search, path: Path) 
             if size[column] <= SILENT * size.max() and len(columns) > 1:
                 hypothesis, point, place = _pinned(trial, choice, axis.name)
                 path.tried[hypothesis.effects[place]] = path.tried.pop(choice, [])
-                fitted = fit_trials(fitting, None, [(hypothesis, [point])], search)
+                fitted = _fitted(fitting, [(hypothesis, point)], search, path)
                 return _without_silent(fitting, fitted[0], search, path) if fitted else trial
     return trial

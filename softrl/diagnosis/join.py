@@ -1,5 +1,6 @@
 """Parts of the pipeline put together again: what was found behind the measured pressure, refitted from the command."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -12,14 +13,18 @@ from softrl.diagnosis.intervals import by_effect, intervals
 from softrl.diagnosis.judge import Thresholds
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.search import least_squares
-from softrl.diagnosis.trial import Search, Trial
+from softrl.diagnosis.trial import Search, Trial, shared_out
+
+log = logging.getLogger(__name__)
+SPOILT = 1.5  # times the error behind the measured pressure: more is no matter of how that is sampled
 
 
 def joined(training: Problem, findings: Sequence[Finding], search: Search, thresholds: Thresholds) -> list[Finding]:
     """Return the findings with the last part's parameters refitted from command to motion, the valve's effects held.
 
     A measured pressure is sampled, noisy and late; as the body's drive it biases what is found behind it. Nothing
-    changes where there is one part only, or where the refit does not run.
+    changes where there is one part only, where the refit does not run, or where it would bend the body's physics to make up
+    for what the valve's does not get right, though as found they serve from the command, too.
     """
     if len(findings) < 2 or not findings[0].final.hypothesis.effects:
         return list(findings)
@@ -35,8 +40,16 @@ def joined(training: Problem, findings: Sequence[Finding], search: Search, thres
         return training.residual(hypothesis, np.concatenate([held, free])).flat
 
     try:
-        fit = least_squares(residual, motion.final.fit.point, low[count:], high[count:], search.iterations)
+        several = shared_out(training, hypothesis, search.workers, held)
+        fit = least_squares(
+            residual, motion.final.fit.point, low[count:], high[count:], search.iterations, several=several
+        )
         placed = training.residual(hypothesis, np.concatenate([held, fit.point])).registrations
+        apart = training.residual(hypothesis, np.concatenate([held, motion.final.fit.point])).squares
+        plain = training.residual(Hypothesis((), tuned), motion.base.fit.point).squares
+        if apart.mean() < plain.mean() and _spoilt(motion, fit.point):
+            log.info("behind the valve as it is understood the body's parameters would go astray: they are kept")
+            return list(findings)
     except SolverError:
         return list(findings)
     point = np.concatenate([held, fit.point])
@@ -47,3 +60,11 @@ def joined(training: Problem, findings: Sequence[Finding], search: Search, thres
     mine = by_effect(hypothesis, intervals(training, trial, thresholds))
     named = [Named(effect.choice, mine[effect.choice], effect.gap) for effect in motion.named]
     return [*before, replace(motion, named=named, joint=point)]
+
+
+def _spoilt(motion: Finding, point: np.ndarray) -> bool:
+    """Return whether at ``point`` (p,) the body errs plainly more under the pressures that were measured than as found."""
+    found, problem = motion.final, motion.part.problem
+    before = motion.judge.rms(problem.residual(found.hypothesis, found.fit.point).squares)
+    after = motion.judge.rms(problem.residual(found.hypothesis, point).squares)
+    return after > max(SPOILT * before, before + motion.judge.material)

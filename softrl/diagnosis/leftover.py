@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrl.diagnosis.changing import WINDOW_S, follows_at_times
 from softrl.diagnosis.flexible import correction, pressures
 from softrl.diagnosis.judge import Gap, Judge
 from softrl.diagnosis.locate import corrected, locate
@@ -53,15 +54,17 @@ def offer_of(problem: Problem, judge: Judge, trial: Trial) -> Offer:
 def explained_by(judge: Judge, base: Trial, final: Trial, offer: Offer) -> tuple[float, float]:
     """Return (share of the squared error that can be explained which effects explain, error above the floor left).
 
-    What can be explained is what the effects remove, and what a map without physics could remove beyond them. Effects
-    that remove less than ``UNDRIVEN_SHARE`` of the whole have to answer for the whole.
+    What can be explained is what the effects remove, and beyond them what a map without physics could remove or what
+    follows the pressures in different ways. Effects that remove less than ``UNDRIVEN_SHARE`` of the whole have to answer
+    for the whole.
     """
     whole, left = float(judge.excess(base.mean_square)), float(judge.excess(final.mean_square))
     removed = whole**2 - left**2
     if removed <= UNDRIVEN_SHARE * whole**2:
         return (removed / whole**2 if whole > 0.0 else 0.0), left
-    rest = float(judge.excess(offer.squares.mean())) if offer.pays else left
-    return removed / (whole**2 - min(rest, left) ** 2), left
+    mapped = left**2 - float(judge.excess(offer.squares.mean())) ** 2 if offer.pays else 0.0
+    changing = _changing(judge, heldout_residual(judge, final)) if left > judge.material else 0.0
+    return removed / (removed + max(mapped, min(changing, left**2))), left
 
 
 def reasons_of(judge: Judge, final: Trial, offer: Offer, explained: float, left: float) -> list[str]:
@@ -77,16 +80,30 @@ def reasons_of(judge: Judge, final: Trial, offer: Offer, explained: float, left:
         plain = follows and left > REST_FACTOR * judge.material
         return ["what the effects named leave follows the pressures and their past"] if plain else []
     heldout, reasons = heldout_residual(judge, final), []
-    drives = [pressures(judge.problem, k) for k in range(len(judge.problem.runs))]
+    drives = _drives(judge)
     if follows:
         reasons.append("what is left follows the pressures and their past")
     elif left > FOLLOWING_FACTOR * judge.material and (region := _followed(judge, heldout)):
         reasons.append(f"what is left follows the pressures and their past ({region})")
+    elif _changing(judge, heldout) > (FOLLOWING_FACTOR * judge.material) ** 2:
+        reasons.append("what is left follows the pressures, but not always in the same way")
     elif left > judge.floor and spectral_line(heldout.runs, drives) < LINE_LEVEL:
         reasons.append("what is left swings at one frequency")
     elif left > FOLLOWING_FACTOR * judge.material and _uneven(judge, final, heldout, drives):
         reasons.append("what is left is no noise: it jumps, or grows where the pressures move")
     return reasons
+
+
+def _drives(judge: Judge) -> list[np.ndarray]:
+    return [pressures(judge.problem, k) for k in range(len(judge.problem.runs))]
+
+
+def _changing(judge: Judge, residual: Residual) -> float:
+    """Return the mean square of what follows the pressures within windows, zero if noise may do so."""
+    window = max(round(WINDOW_S / judge.problem.numerics.bin_s), 1)
+    rng = np.random.default_rng(judge.seed)
+    found = follows_at_times(residual.runs, _drives(judge), window, NOISE_DRAWS, rng)
+    return found.share * float(residual.squares.mean()) if found.p_value < NOISE_LEVEL else 0.0
 
 
 def _followed(judge: Judge, residual: Residual) -> str:

@@ -9,6 +9,7 @@ from scipy import stats
 from softrl.diagnosis.least_squares import UNSEEN
 
 MAX_ORDER = 8  # of an autoregression
+BAND = 0.2  # share of a frequency over which the spectrum of noise drawn anew is averaged
 
 
 def autoregression(runs: Sequence[np.ndarray]) -> np.ndarray:
@@ -38,6 +39,24 @@ def whitened(series: np.ndarray, memory: np.ndarray) -> np.ndarray:
     for k, share in enumerate(memory, start=1):
         left -= share * series[len(memory) - k : len(series) - k]
     return left
+
+
+def redrawn(series: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return noise (steps, n) of the size and colour of ``series``, as smooth in frequency as within ``BAND`` either way.
+
+    A line in the spectrum would stay one whatever its phase: where the commands swing at its frequency, or at a whole
+    part of it, it follows them still.
+    """
+    lines = np.fft.rfft(series - series.mean(axis=0), axis=0)
+    place = np.arange(1, len(lines))
+    first, end = np.maximum(place / (1.0 + BAND), 1.0).astype(int), np.ceil(place * (1.0 + BAND)).astype(int) + 1
+    end = np.minimum(end, len(lines))
+    total = np.cumsum(np.abs(lines) ** 2, axis=0)
+    power = (total[end - 1] - total[first - 1]) / (end - first)[:, None]
+    drawn = rng.standard_normal((2, *power.shape))
+    lines[0], lines[1:] = 0.0, np.sqrt(0.5 * power) * (drawn[0] + 1j * drawn[1])
+    made = np.fft.irfft(lines, len(series), axis=0)
+    return np.asarray(made * series.std(axis=0) / np.maximum(made.std(axis=0), 1e-300))
 
 
 class Uneven(NamedTuple):

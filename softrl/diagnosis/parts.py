@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from softrl.diagnosis.blocks import correlation_time
 from softrl.diagnosis.data import Data
 from softrl.diagnosis.examine import Finding, Part
 from softrl.diagnosis.hypothesis import candidates, in_one_session
@@ -13,6 +14,7 @@ from softrl.diagnosis.problem import ORIENTATION_LEVER, Problem
 from softrl.effects.effect import SITES
 from softrl.recordings.recording import Recording
 
+SURE = 3.0  # standard errors that a sensor's bias must exceed
 VALVE_STEPS = 4  # of a valve to one of the body: it costs little, and pressures are measured well
 
 
@@ -69,8 +71,18 @@ def _without_bias(runs: Sequence[Recording], valve: Finding, whole: Problem) -> 
         return tuple(runs)
     problem = replace(valve.part.problem, runs=tuple(runs))
     supplied = problem.replayed(valve.final.hypothesis, valve.final.fit.point)
-    shifted = []
-    for run, made in zip(runs, supplied, strict=True):
-        bias = (run.pressure_meas - made.pressure_meas).mean(axis=0)
-        shifted.append(replace(run, pressure_meas=run.pressure_meas - bias))
-    return tuple(shifted)
+    return tuple(
+        replace(run, pressure_meas=run.pressure_meas - _bias(run.pressure_meas - made.pressure_meas))
+        for run, made in zip(runs, supplied, strict=True)
+    )
+
+
+def _bias(differences: np.ndarray) -> np.ndarray:
+    """Return the constant part (chambers,) Pa of ``differences`` (samples, chambers), as far as it is one for sure.
+
+    What a valve's law does not quite get right has a mean of its own, which is no bias of the sensor.
+    """
+    mean, chambers = differences.mean(axis=0), differences.shape[1]
+    alike = np.array([correlation_time(differences[:, k]) for k in range(chambers)])
+    doubt = differences.var(axis=0) * alike / len(differences)
+    return np.asarray(mean * np.maximum(1.0 - SURE**2 * doubt / np.maximum(mean**2, 1e-300), 0.0))

@@ -2,22 +2,26 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from softrl.core.errors import SolverError
+from softrl.core.identity import Same
 from softrl.core.simulator import Hook, Motion, Simulator
 from softrl.diagnosis.hypothesis import Hypothesis, Space
 from softrl.effects.chain import Plant, chain_of
-from softrl.effects.replay import replay
+from softrl.effects.library import effect_class, names
+from softrl.effects.replay import CHANNELS, replay
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
 AT_REST_SHARE = 0.02  # a run whose first pressures stay below this share of the limit begins at rest
 MIN_FOLDS = 3  # parts of the data that are left out in turn, at least
 FOLDS, FOLD_S = 8, 20.0  # with fewer runs than that: so many parts, where each is as long
+KEPT = 16  # bodies with other parameters: the columns of a Jacobian by effects' parameters share one
+REPLAYS = 4  # the last ones, kept: what a fit ends with is asked for again by all that judges it
 ORIENTATION_LEVER = 0.5  # lengths of the robot: turns orientation errors into displacements
 
 
@@ -153,6 +157,12 @@ class Problem:
         return np.repeat(np.arange(len(self.runs)), [int(b[-1]) + 1 for b in self.bins])
 
     @cached_property
+    def seen(self) -> dict[str, list[dict[str, float]]]:
+        """Values of effects' parameters that can be read off the runs, by the effect's name."""
+        found = {name: effect_class(name).seen_in(self.runs) for name in names()}
+        return {name: values for name, values in found.items() if values}
+
+    @cached_property
     def folds(self) -> np.ndarray:
         """Fold (bins,) of every bin: one a run, or with fewer than ``MIN_FOLDS`` runs equal parts of each run.
 
@@ -167,43 +177,74 @@ class Problem:
             found.append(number * parts + np.arange(count) * parts // count)
         return np.concatenate(found)
 
+    @cached_property
+    def _samples(self) -> list[np.ndarray]:
+        """Number of samples (bins, 1) in every bin, one array a run."""
+        return [np.bincount(which)[:, None] for which in self.bins]
+
     def binned(self, number: int, values: np.ndarray) -> np.ndarray:
         """Return bin means (bins, n) of ``values`` (steps, n) of run ``number``."""
         which = self.bins[number]
         sums = np.stack([np.bincount(which, column) for column in values.T], axis=1)
-        return np.asarray(sums / np.bincount(which)[:, None])
+        return np.asarray(sums / self._samples[number])
 
-    def replayed(self, hypothesis: Hypothesis, point: np.ndarray) -> list[Recording]:
-        """Return what the hypothesis predicts for every run.
+    @cached_property
+    def _known(self) -> dict[tuple[Hypothesis, bytes, tuple[str, ...]], list[Recording]]:
+        """The last replays, oldest first."""
+        return {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what another process needs."""
+        return {name: value for name, value in self.__dict__.items() if name != "_known"}
+
+    @property
+    def _compared(self) -> tuple[str, ...]:
+        """The channels that are compared."""
+        if self.target == "pressure":
+            return ("pressure_meas",)
+        if self.robot.output == "bend_angle":
+            return ("bend_angle",)
+        return ("position", "quaternion") if self.orientation else ("position",)
+
+    def replayed(self, hypothesis: Hypothesis, point: np.ndarray, channels: tuple[str, ...] = CHANNELS) -> list[Recording]:
+        """Return what the hypothesis predicts for every run, the ``channels`` that are wanted.
 
         Raises
         ------
         SolverError
             If the body diverges.
         """
-        space = self.space(hypothesis)
-        body = StillBody() if self.target == "pressure" else self.simulator
-        tuned = space.tuned(point)
-        body = body.with_parameters(**tuned) if tuned else body
-        sessions = {run.session for run in self.runs}
-        plants = {s: Plant(body, chain_of(self.robot, space.effects(point, s))) for s in sessions}
-        return [self._replay(plants[run.session], run) for run in self.runs]
+        key = hypothesis, point.tobytes(), channels
+        if key not in self._known:
+            self._known[key] = self._replayed(hypothesis, point, channels)
+            if len(self._known) > REPLAYS:
+                del self._known[next(iter(self._known))]
+        return list(self._known[key])
 
-    def _replay(self, plant: Plant, run: Recording) -> Recording:
+    def _replayed(self, hypothesis: Hypothesis, point: np.ndarray, channels: tuple[str, ...]) -> list[Recording]:
+        space = self.space(hypothesis)
+        body = StillBody() if self.target == "pressure" else _tuned(Same(self.simulator), *space.tuned(point).items())
+        apart = {choice.session for choice in hypothesis.effects}  # all other sessions share what acts everywhere
+        sessions = [run.session if run.session in apart else "" for run in self.runs]
+        plants = {s: Plant(body, chain_of(self.robot, space.effects(point, s))) for s in dict.fromkeys(sessions)}
+        return [self._replay(plants[session], run, channels) for session, run in zip(sessions, self.runs, strict=True)]
+
+    def _replay(self, plant: Plant, run: Recording, channels: tuple[str, ...]) -> Recording:
         first = run.pressure_cmd[0] if run.pressure_meas is None else run.pressure_meas[0]
         rest = AT_REST_SHARE * self.robot.pressure_max_pa
         settle = 0.0 if np.abs(first).max() <= rest else self.numerics.settle_s
-        made = replay(plant, run, self.numerics.dt_s, self.drive, settle, self.before.get(run.name))
-        seen = made.pressure_meas if self.target == "pressure" else made.position
-        if seen is None or not np.isfinite(seen).all():
-            raise SolverError(f"run {run.name}: the simulation did not stay finite; try a smaller dt_s")
+        before = self.before.get(run.name)
+        made = replay(plant, run, self.numerics.dt_s, self.drive, settle, before, channels)
+        for name in self._compared:
+            if not np.isfinite(_present(getattr(made, name))).all():
+                raise SolverError(f"run {run.name}: the simulation did not stay finite; try a smaller dt_s")
         return made
 
     def residual(
         self, hypothesis: Hypothesis, point: np.ndarray, registrations: dict[str, Registration] | None = None
     ) -> Residual:
         """Return measured less predicted; ``registrations`` found elsewhere are kept, else they are fitted here."""
-        return self.compare(self.replayed(hypothesis, point), registrations)
+        return self.compare(self.replayed(hypothesis, point, self._compared), registrations)
 
     def compare(self, simulated: Sequence[Recording], registrations: dict[str, Registration] | None = None) -> Residual:
         """Return measured less ``simulated``."""
@@ -245,6 +286,12 @@ class Problem:
                     np.concatenate([_present(self.runs[k].position) for k in mine]),
                 )
         return placed
+
+
+@lru_cache(maxsize=KEPT)
+def _tuned(same: Same[Simulator], *values: tuple[str, float]) -> Simulator:
+    """Return the simulator with other parameters, kept: what it works out of them is worked out once."""
+    return same.thing.with_parameters(**dict(values)) if values else same.thing
 
 
 def place(points: np.ndarray, seen: np.ndarray) -> Registration:

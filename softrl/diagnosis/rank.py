@@ -17,12 +17,15 @@ log = logging.getLogger(__name__)
 MIN_AMPLITUDE = 0.25  # a search begins at least at this share of an effect's typical size
 ROUGH_STARTS = 2  # of every effect that are followed
 LOOK_SHARE = 0.2  # of the best effect's gain, along straight lines, which another needs to be fitted at all
+CLOSER = 0.25  # of that: what seems to explain less at the sizes that are tried first is not looked at more closely
 PROMISING = 0.3  # of the best gain: what an effect above a pressure saves in all chambers, to be tried in one alone
 PLAIN_LOOK = 0.2  # gain along straight lines of the best effect below which they tell little behind a bent curve
 IN_VAIN = 0.1  # of the squared error at nominal parameters: where more stays although they went far, the curve is bent
 SECOND_LOOK = 0.5  # of an effect's best begin's gain, which another begin of it needs to be followed
 ROUGH_DIFFERENCE = 0.02  # scaled step of differences
 FAR = 0.5  # a parameter retuned by more than this factor, in logarithms, is no longer near nominal
+Direction = Callable[[np.ndarray], np.ndarray | None]
+Known = dict[bytes, np.ndarray | None]
 
 
 class Lead(NamedTuple):
@@ -43,10 +46,10 @@ def rank(fitting: Problem, current: Trial, choices: Sequence[Choice], search: Se
     are fitted nonlinearly, first for all chambers, then in each chamber alone from the shapes found so. What acts above a
     pressure only is tried in one chamber where it promises something in all; from a time on any chamber may fail alone.
     """
-    fitting = fitting.rough
+    seen, fitting = fitting.seen, fitting.rough
     bases = _bases(fitting, current, search.rough_steps)
     for_all = [choice for choice in choices if choice.chamber < 0]
-    leads, reach = _leads(fitting, bases, [(c, starts(c)) for c in for_all], 0.0, search)
+    leads, reach = _leads(fitting, bases, [(c, starts(c, seen.get(c.name, ()))) for c in for_all], 0.0, search)
     shapes = {_form(lead.choice): lead.point[: len(effect_axes(lead.choice))] for lead in leads}
     least = PROMISING * max((lead.gain for lead in leads), default=0.0)
     promising = {_form(lead.choice) for lead in leads if lead.gain >= max(least, 0.0)}
@@ -66,9 +69,9 @@ def _leads(
     fitting: Problem, bases: list["_Base"], tasks: list[tuple[Choice, list[np.ndarray]]], reach: float, search: Search
 ) -> tuple[list[Lead], float]:
     """Return the leads of ``tasks`` (choice, starting points), and the best look; ``reach`` is the best of others."""
-    looks = parallel(_look, [(fitting, bases, choice, points) for choice, points in tasks], search.workers)
+    looks = _looks(fitting, bases, tasks, reach, search)
     reach = max([reach, *(look[0].share for look in looks if look)])
-    bent = reach < PLAIN_LOOK and any(b.trial.fit.cost > IN_VAIN * bases[-1].trial.fit.cost for b in bases[:-1])
+    bent = _bent(bases, reach)
     followed = [bool(look) and (bent or look[0].share >= LOOK_SHARE * reach) for look in looks]
     jobs = [
         (fitting, bases, choice, _begun(look, bent), search.rough_steps)
@@ -81,6 +84,26 @@ def _leads(
         for (choice, points), look, kept in zip(tasks, looks, followed, strict=True)
     ]
     return leads, reach
+
+
+def _looks(
+    fitting: Problem, bases: list["_Base"], tasks: list[tuple[Choice, list[np.ndarray]]], reach: float, search: Search
+) -> list[list["_Begin"]]:
+    """Return the begins of every task, found at the sizes that are tried first, and where that promises anything closely."""
+    jobs = [(fitting, bases, choice, points, False, [{} for _ in bases]) for choice, points in tasks]
+    looks = parallel(_look, jobs, search.workers)
+    reach = max([reach, *(found[0].share for found, _ in looks if found)])
+    least = -np.inf if _bent(bases, reach) else CLOSER * LOOK_SHARE * reach
+    near = [k for k, (found, _) in enumerate(looks) if found and found[0].share >= least]
+    again = parallel(_look, [(*jobs[k][:4], True, looks[k][1]) for k in near], search.workers)
+    closely = dict(zip(near, again, strict=True))
+    return [closely.get(k, look)[0] for k, look in enumerate(looks)]
+
+
+def _bent(bases: list["_Base"], reach: float) -> bool:
+    """Return whether straight lines, along which ``reach`` is the most that any effect seems to save, tell little."""
+    in_vain = any(base.trial.fit.cost > IN_VAIN * bases[-1].trial.fit.cost for base in bases[:-1])
+    return reach < PLAIN_LOOK and in_vain
 
 
 class _Base(NamedTuple):
@@ -154,15 +177,20 @@ class _Begin(NamedTuple):
     share: float
 
 
-def _look(fitting: Problem, bases: list[_Base], choice: Choice, points: list[np.ndarray]) -> list[_Begin]:
-    """Return the best begins of one effect from every base, the best of all first."""
+def _look(
+    fitting: Problem, bases: list[_Base], choice: Choice, points: list[np.ndarray], closely: bool, known: list[Known]
+) -> tuple[list[_Begin], list[Known]]:
+    """Return the best begins of one effect from every base, the best of all first, and what was simulated for them.
+
+    ``known`` is that of a look before, by base.
+    """
     cost = float(np.sum(bases[0].left ** 2))
     found = [
         _Begin(k, begin, 1.0 - rest / max(cost, 1e-300))
         for k, base in enumerate(bases)
-        for rest, begin in _begins(fitting, base, choice, points)[:ROUGH_STARTS]
+        for rest, begin in _begins(fitting, base, choice, points, closely, known[k])[:ROUGH_STARTS]
     ]
-    return sorted(found, key=lambda begin: -begin.share)
+    return sorted(found, key=lambda begin: -begin.share), known
 
 
 def _begun(look: list[_Begin], bent: bool) -> list[_Begin]:
@@ -200,7 +228,8 @@ def _rough_fit(fitting: Problem, bases: list[_Base], choice: Choice, look: list[
         try:
             # what the others do from nominal changes with the effect: their derivatives anew, too
             fresh = np.arange(len(low)) if base > 0 else own
-            fit = refine(residual, join(trial, begin), known, fresh, low, high, steps)
+            best = min((fit.cost for fit in found), default=np.inf)
+            fit = refine(residual, join(trial, begin), known, fresh, low, high, steps, best=best)
         except SolverError:
             continue
         found.append(fit)
@@ -213,17 +242,20 @@ def _rough_fit(fitting: Problem, bases: list[_Base], choice: Choice, look: list[
     return Lead(choice, np.r_[fit.point[own], np.delete(fit.point, own)], 1.0 - left / max(before, 1e-300))
 
 
-def _begins(fitting: Problem, base: _Base, choice: Choice, points: list[np.ndarray]) -> list[tuple[float, np.ndarray]]:
+def _begins(
+    fitting: Problem, base: _Base, choice: Choice, points: list[np.ndarray], closely: bool, known: Known
+) -> list[tuple[float, np.ndarray]]:
     """Return (cost that would be left, starting point) of one effect, best first, as far as straight lines tell.
 
     The effect is simulated at a few sizes beside ``current``; the differences, less what the free parameters can do,
-    are fitted to the residual within the effect's bounds.
+    are fitted to the residual within the effect's bounds. If ``closely``, it is simulated at the best sizes as well.
     """
     current, basis, residual = base.trial, base.basis, base.left
     hypothesis, zero = current.hypothesis.with_effect(choice), neutral(choice)
     cost = float(residual @ residual)
     log_axis = np.array([axis.log for axis in effect_axes(choice)])
 
+    @_once(known)
     def direction(point: np.ndarray) -> np.ndarray | None:
         try:
             moved = fitting.residual(hypothesis, join(current, point)).flat - current.fit.residual
@@ -241,6 +273,9 @@ def _begins(fitting: Problem, base: _Base, choice: Choice, points: list[np.ndarr
         if along is not None:
             share = float(np.clip(-(along @ residual) / (along @ along), 0.0, 2.0))
             begin = np.where(log_axis, point, zero + max(share, MIN_AMPLITUDE) * (point - zero))
+            if not closely:
+                found.append((left(share * along), begin))
+                continue
             shorter = direction(begin)
             if shorter is None or left(along) < left(shorter):  # a wall out of reach does nothing
                 begin, shorter = point, along
@@ -250,8 +285,23 @@ def _begins(fitting: Problem, base: _Base, choice: Choice, points: list[np.ndarr
     return sorted(found, key=lambda pair: pair[0])
 
 
+def _once(known: Known) -> Callable[[Direction], Direction]:
+    """Return what makes a function of a point ask only for what is not yet ``known``, which it adds to."""
+
+    def wrapped(function: Direction) -> Direction:
+        def kept(point: np.ndarray) -> np.ndarray | None:
+            key = point.tobytes()
+            if key not in known:
+                known[key] = function(point)
+            return known[key]
+
+        return kept
+
+    return wrapped
+
+
 def _jointly(
-    direction: Callable[[np.ndarray], np.ndarray | None],
+    direction: Direction,
     typical: np.ndarray,
     zero: np.ndarray,
     log_axis: np.ndarray,

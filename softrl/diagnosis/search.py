@@ -8,36 +8,63 @@ import numpy as np
 from softrl.core.errors import SolverError
 
 REUSE = 0.2  # a step that lowers the cost by more than this share updates the Jacobian instead of computing it anew
+NEAR = 0.05  # scaled distance within which a Jacobian that is updated is as good as one by differences
+SLOW = 0.1  # relative decrease of the cost, by a good Jacobian, after which no large one follows
+SAME = 1.05  # times the cost of a fit that ended nearby: a search that comes there would end there too
+FAR_BEHIND = 2.0  # times the cost of the best rough fit: another is not improved further
 MOVES = 4  # steps of a fit that is moved on without some of its rows
 SETTLED = 0.01  # relative decrease of the cost that ends it
 Residual = Callable[[np.ndarray], np.ndarray]
+Several = Callable[[list[np.ndarray]], list[np.ndarray | None]]
 
 
 class Fit(NamedTuple):
-    """Outcome of a search: point (p,), residual (rows,), Jacobian (rows, p), half squared sum, evaluations used."""
+    """Outcome of a search: point (p,), residual (rows,), Jacobian (rows, p), half squared sum, evaluations used.
+
+    ``settled`` says that it did not end for want of iterations.
+    """
 
     point: np.ndarray
     residual: np.ndarray
     jacobian: np.ndarray
     cost: float
     evaluations: int
+    settled: bool = True
 
 
 def jacobian_at(
-    residual: Residual, point: np.ndarray, value: np.ndarray, low: np.ndarray, high: np.ndarray, step: float
+    residual: Residual,
+    point: np.ndarray,
+    value: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    step: float,
+    several: Several | None = None,
 ) -> np.ndarray:
-    """Return forward differences (rows, p) with ``step``, backward at an upper bound; a failed column is zero."""
+    """Return forward differences (rows, p) with ``step``, backward at an upper bound; a failed column is zero.
+
+    ``several`` evaluates many points together, None for those that fail; without it ``residual`` takes one at a time.
+    """
     columns = np.zeros((len(value), len(point)))
+    moved = {}
     for k in range(len(point)):
         signed = step if point[k] + step <= high[k] else -step
-        moved = point.copy()
-        moved[k] = np.clip(point[k] + signed, low[k], high[k])
-        if moved[k] != point[k]:
-            try:
-                columns[:, k] = (residual(moved) - value) / (moved[k] - point[k])
-            except SolverError:
-                continue
+        other = point.copy()
+        other[k] = np.clip(point[k] + signed, low[k], high[k])
+        if other[k] != point[k]:
+            moved[k] = other
+    found = several(list(moved.values())) if several else [_or_none(residual, other) for other in moved.values()]
+    for (k, other), there in zip(moved.items(), found, strict=True):
+        if there is not None:
+            columns[:, k] = (there - value) / (other[k] - point[k])
     return columns
+
+
+def _or_none(residual: Residual, point: np.ndarray) -> np.ndarray | None:
+    try:
+        return residual(point)
+    except SolverError:
+        return None
 
 
 def least_squares(
@@ -48,6 +75,9 @@ def least_squares(
     iterations: int,
     step: float = 0.02,
     tolerance: float = 1e-4,
+    beaten: float = np.inf,
+    before: Fit | None = None,
+    several: Several | None = None,
 ) -> Fit:
     """Return a minimiser of the squared ``residual`` within bounds, by projected Levenberg-Marquardt.
 
@@ -58,31 +88,44 @@ def least_squares(
     iterations : Jacobians at most
     step : of the finite differences, scaled units
     tolerance : relative decrease of the cost that ends the search
+    beaten : cost above which the search ends as soon as it goes on slowly
+    before : a fit from another start; the search ends where it comes to the same place
+    several : as for ``jacobian_at``
     """
     point = np.clip(start, low, high)
     value = residual(point)
     cost, used, damping = 0.5 * float(value @ value), 1, 1e-3
-    jacobian, exact = jacobian_at(residual, point, value, low, high, step), True
+    if before is not None and _comes_to(before, point, cost):
+        return before
+    settled = False
+    jacobian, exact, at = jacobian_at(residual, point, value, low, high, step, several), True, point
     used += len(point)
     for _ in range(iterations):
         found = _try_steps(residual, point, value, jacobian, cost, low, high, damping)
         used += found.tries
-        if found.point is None and exact:
+        settled = found.point is None and exact
+        if settled:
             break
         decrease = (cost - found.cost) / max(cost, 1e-300)
         if found.point is not None:
             jacobian = _updated(jacobian, found.point - point, found.value - value)
             point, value, cost, damping = found.point, found.value, found.cost, found.damping
-        if exact and decrease < tolerance:
+        settled = (exact and (decrease < tolerance or (cost > beaten and decrease < SLOW))) or _comes_to(before, point, cost)
+        if settled:
             break
         exact = decrease < REUSE
-        if exact:
-            jacobian = jacobian_at(residual, point, value, low, high, step)
+        if exact and (found.point is None or np.abs(point - at).max() > NEAR):
+            jacobian, at = jacobian_at(residual, point, value, low, high, step, several), point
             used += len(point)
-    if not exact or used < 2 + len(point):
-        jacobian = jacobian_at(residual, point, value, low, high, step)
+    if np.abs(point - at).max(initial=0.0) > NEAR:
+        jacobian = jacobian_at(residual, point, value, low, high, step, several)
         used += len(point)
-    return Fit(point, value, jacobian, cost, used)
+    return Fit(point, value, jacobian, cost, used, settled)
+
+
+def _comes_to(before: Fit | None, point: np.ndarray, cost: float) -> bool:
+    """Return whether a search at ``point`` (p,) has come to where another ended."""
+    return before is not None and cost <= SAME * before.cost and bool(np.abs(point - before.point).max() <= NEAR)
 
 
 def refine(
@@ -94,10 +137,12 @@ def refine(
     high: np.ndarray,
     steps: int,
     step: float = 0.05,
+    best: float = np.inf,
 ) -> Fit:
     """Return a rough minimiser in few evaluations: columns ``own`` by differences at the start, the rest ``known``.
 
-    After every step the Jacobian (rows, p) is updated instead of computed anew.
+    After every step the Jacobian (rows, p) is updated instead of computed anew. Columns ``own`` are found once more where
+    the first steps lead, unless much more is left there than ``best``, the cost of a fit that this one competes with.
     """
     point = np.clip(start, low, high)
     value = residual(point)
@@ -116,7 +161,8 @@ def refine(
             point, value, cost, damping = found.point, found.value, found.cost, found.damping
             if decrease < 0.01:
                 break
-        if not again or np.abs(point - np.clip(start, low, high)).max(initial=0.0) < 0.05:
+        near = np.abs(point - np.clip(start, low, high)).max(initial=0.0) < 0.05
+        if not again or near or cost > FAR_BEHIND * best:
             break
     return Fit(point, value, jacobian, cost, used)
 

@@ -3,14 +3,16 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.ndimage import median_filter, percentile_filter
 
 from softrl.diagnosis.gaps import rows
+from softrl.effects.hold import reading_period
 from softrl.recordings.recording import Recording
 
 LONGEST = 7  # samples: what lasts longer may be real
 TIMES = 10.0  # a spike stands out from the running median by this many times what four samples out of five do
 LEAST_SHARE = 0.02  # of the range
+NEARBY, CALM_PERCENT = 1.5, 85.0  # times what so many of the samples around it do: a fast swing has many peaks
 JUMP_SHARE = 0.5  # of its height a spike is entered and left by within one sample, beyond the motion before and after
 
 
@@ -21,7 +23,9 @@ def without_spikes(runs: Sequence[Recording]) -> tuple[tuple[Recording, ...], li
         wrong = np.zeros(len(run.time), dtype=bool)
         for values in (run.position, run.bend_angle):
             if values is not None:
-                wrong |= spikes(values.reshape(len(values), -1))
+                seen = values.reshape(len(values), -1)
+                first, reading = _readings(run.time, seen)
+                wrong |= spikes(seen[first])[reading]
         if wrong.any():
             lines.append(
                 f"{run.name}: {np.count_nonzero(wrong)} samples, first at t = {run.time[wrong][0]:.2f} s, jump away and "
@@ -29,6 +33,18 @@ def without_spikes(runs: Sequence[Recording]) -> tuple[tuple[Recording, ...], li
             )
         kept.append(rows(run, ~wrong) if wrong.any() else run)
     return tuple(kept), lines
+
+
+def _readings(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first sample (readings,) of every reading of a slow sensor, and the reading (steps,) of every sample.
+
+    A sensor that repeats its last value moves by jumps, at the turn of a motion away and back. Where none repeats, every
+    sample is a reading.
+    """
+    period = reading_period([(time, values)])
+    count = np.arange(len(time)) if period is None else np.floor((time - time[0]) / period + 1e-6)
+    _, first, reading = np.unique(count, return_index=True, return_inverse=True)
+    return first, reading
 
 
 def spikes(values: np.ndarray) -> np.ndarray:
@@ -39,9 +55,12 @@ def spikes(values: np.ndarray) -> np.ndarray:
     off = values - median_filter(values, size=(2 * LONGEST + 1, 1), mode="nearest")
     height = np.linalg.norm(off, axis=1)
     level = max(TIMES * float(np.quantile(height, 0.8)), LEAST_SHARE * float(np.linalg.norm(np.ptp(values, axis=0))))
+    nearby = percentile_filter(height, CALM_PERCENT, size=8 * LONGEST + 1, mode="nearest")
     edges = np.flatnonzero(np.diff(np.r_[False, height > level, False].astype(int)))
     for first, end in edges.reshape(-1, 2):
         if first == 0 or end == len(values) or end - first > LONGEST:
+            continue
+        if height[first:end].max() < NEARBY * nearby[(first + end) // 2]:
             continue
         jump = JUMP_SHARE * float(height[first:end].max())
         entered, left = _aside(values, first, -1), _aside(values, end - 1, 1)

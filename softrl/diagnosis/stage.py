@@ -112,7 +112,7 @@ def run(
     findings = _examine(config, whole, data, found)
     findings = joined(whole.on(data.training), findings, config.search, config.thresholds)
     models = competitors(config.search, whole.on(data.training), findings)
-    judged = judged_on(whole, data, models)
+    judged = judged_on(whole, data, models, config.search.workers)
     if calibration is not None:
         add_calibrated(whole, data, calibration, models["retuned"], judged, config.search)
     located = [f for part in findings for f in _locate(part)]

@@ -12,11 +12,13 @@ from softrl.core.errors import ConfigError, SolverError
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes
 from softrl.diagnosis.least_squares import left_out
 from softrl.diagnosis.problem import Problem, Registration
-from softrl.diagnosis.search import Fit, least_squares, moved_on
+from softrl.diagnosis.search import Fit, Several, least_squares, moved_on
+from softrl.pcc.simulator import PccSimulator
 
 log = logging.getLogger(__name__)
 FIRST_ITERATIONS = 8  # of every start, with longer steps
 BEATEN = 9.0  # times the best squared error, after ``FIRST_ITERATIONS``: such a fit is not followed further
+PLAINLY = 2.0  # the same for a fit that has settled, beside the best of those that began with it
 FAR_SHARE = 0.1  # of the squared error: a run that adds more to it once it is left out, along a straight line, is refitted
 
 
@@ -84,30 +86,51 @@ def fit_trials(
     unseen: Problem | None,
     tasks: Sequence[tuple[Hypothesis, list[np.ndarray]]],
     search: Search,
+    best: float = np.inf,
 ) -> list[Trial]:
     """Return the fitted hypotheses, in order; one that diverges from every start is left out.
 
-    Squared errors are those on ``unseen`` runs, or without any on the fitted runs, each left out in turn.
+    Squared errors are those on ``unseen`` runs, or without any on the fitted runs, each left out in turn. Fits that go on
+    slowly where much more is left than ``best``, the mean squared error of a trial that they compete with, end there.
     """
-    jobs = [(fitting, unseen, hypothesis, points, search.iterations) for hypothesis, points in tasks]
+    beaten = 0.5 * BEATEN * best * len(fitting.run_of_bin)
+    alone = search.workers if len(tasks) == 1 else 1  # a lone fit shares out the columns of its Jacobians
+    jobs = [(fitting, unseen, hypothesis, points, search.iterations, beaten, alone) for hypothesis, points in tasks]
     return [trial for trial in parallel(_fit_trial, jobs, search.workers) if trial is not None]
 
 
 def _fit_trial(
-    fitting: Problem, unseen: Problem | None, hypothesis: Hypothesis, points: list[np.ndarray], iterations: int
+    fitting: Problem,
+    unseen: Problem | None,
+    hypothesis: Hypothesis,
+    points: list[np.ndarray],
+    iterations: int,
+    beaten: float = np.inf,
+    workers: int = 1,
 ) -> Trial | None:
     low, high = fitting.space(hypothesis).bounds
-    found = []
+    fit: Fit | None = None
     for start in points or [np.zeros(len(low))]:
+        limit = beaten if fit is None else min(beaten, BEATEN * fit.cost)
         try:
-            found.append(least_squares(lambda u: fitting.residual(hypothesis, u).flat, start, low, high, iterations))
+            found = least_squares(
+                lambda u: fitting.residual(hypothesis, u).flat,
+                start,
+                low,
+                high,
+                iterations,
+                beaten=limit,
+                before=fit,
+                several=shared_out(fitting, hypothesis, workers),
+            )
         except SolverError as error:
             log.debug("%s does not run from its start: %s", hypothesis.label(), error)
-    if not found:
+            continue
+        fit = found if fit is None or found.cost < fit.cost else fit
+    if fit is None:
         return None
-    fit = min(found, key=lambda one: one.cost)
     try:
-        placed = fitting.residual(hypothesis, fit.point).registrations
+        placed = fitting.residual(hypothesis, fit.point).registrations if fitting.register else {}
         squares = inside = squares_left_out(fitting, hypothesis, fit, low, high)
         if unseen is not None:
             squares = unseen.residual(hypothesis, fit.point, placed).squares
@@ -115,6 +138,25 @@ def _fit_trial(
         log.info("%s diverges on runs left out and is dropped: %s", hypothesis.label(), error)
         return None
     return Trial(hypothesis, fit, placed, squares, inside)
+
+
+def shared_out(
+    fitting: Problem, hypothesis: Hypothesis, workers: int, held: Sequence[float] | np.ndarray = ()
+) -> Several | None:
+    """Return what evaluates residuals in ``workers`` processes, where a simulation takes longer than to tell one of it.
+
+    ``held`` are the first parameters, which stay.
+    """
+    if workers == 1 or isinstance(fitting.simulator, PccSimulator) or fitting.target == "pressure":
+        return None
+    return lambda points: parallel(_residual, [(fitting, hypothesis, np.r_[held, point]) for point in points], workers)
+
+
+def _residual(fitting: Problem, hypothesis: Hypothesis, point: np.ndarray) -> np.ndarray | None:
+    try:
+        return fitting.residual(hypothesis, point).flat
+    except SolverError:
+        return None
 
 
 def squares_left_out(
@@ -148,10 +190,16 @@ def raced(
     ``best`` is the mean squared error, on runs left out, of a trial that they have to compete with.
     """
     first = replace(search, iterations=FIRST_ITERATIONS)
-    heat = {trial.hypothesis: trial for trial in fit_trials(fitting.rough, unseen, tasks, first)}
-    best = min([best, *(float(trial.inside.mean()) for trial in heat.values())])
-    going = [(h, [t.fit.point]) for h, t in heat.items() if t.inside.mean() <= BEATEN * best]
-    finished = {trial.hypothesis: trial for trial in fit_trials(fitting, unseen, going, search)}
+    heat = {trial.hypothesis: trial for trial in fit_trials(fitting.rough, unseen, tasks, first, best)}
+    ahead = min((float(trial.inside.mean()) for trial in heat.values()), default=np.inf)
+    best = min(best, ahead)
+
+    def may_win(trial: Trial) -> bool:
+        left = float(trial.inside.mean())
+        return left <= BEATEN * best and not (trial.fit.settled and left > PLAINLY * ahead)
+
+    going = [(h, [t.fit.point]) for h, t in heat.items() if may_win(t)]
+    finished = {trial.hypothesis: trial for trial in fit_trials(fitting, unseen, going, search, best)}
     return list((heat | finished).values())
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.errors import SolverError
 from softrl.core.tracking import NullTracker
+from softrl.diagnosis.noise import redrawn
 from softrl.diagnosis.stage import Config as DiagnosisConfig
 from softrl.diagnosis.stage import run as diagnose
 from softrl.effects.chain import Plant, chain_of
@@ -24,7 +25,6 @@ from softrl.recordings.recording import Recording, RecordingSet
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
-BAND = 0.2  # share of a frequency over which the spectrum of a control is averaged
 Answer = dict[str, Any]
 
 
@@ -136,24 +136,6 @@ def without_relation(
         mixed = predicted + redrawn(left, rng)
         taken.append(replace(run, position=mixed, quaternion=None, pressure_meas=None))
     return RecordingSet(robot_name=robot.name, recordings=tuple(taken))
-
-
-def redrawn(series: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return noise (steps, n) of the size and colour of ``series``, as smooth in frequency as within ``BAND`` either way.
-
-    A line in the spectrum would stay one whatever its phase: where the commands swing at its frequency, or at a whole
-    part of it, it follows them still.
-    """
-    lines = np.fft.rfft(series - series.mean(axis=0), axis=0)
-    place = np.arange(1, len(lines))
-    first, end = np.maximum(place / (1.0 + BAND), 1.0).astype(int), np.ceil(place * (1.0 + BAND)).astype(int) + 1
-    end = np.minimum(end, len(lines))
-    total = np.cumsum(np.abs(lines) ** 2, axis=0)
-    power = (total[end - 1] - total[first - 1]) / (end - first)[:, None]
-    drawn = rng.standard_normal((2, *power.shape))
-    lines[0], lines[1:] = 0.0, np.sqrt(0.5 * power) * (drawn[0] + 1j * drawn[1])
-    made = np.fft.irfft(lines, len(series), axis=0)
-    return np.asarray(made * series.std(axis=0) / np.maximum(made.std(axis=0), 1e-300))
 
 
 def seen(run: Recording) -> np.ndarray:

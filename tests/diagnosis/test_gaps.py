@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softrl.diagnosis.gaps import MIN_PART_S, mend, rows
-from softrl.diagnosis.spikes import LONGEST, spikes
+from softrl.diagnosis.spikes import LONGEST, spikes, without_spikes
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.replay import replay
 from softrl.pcc.simulator import PccSimulator
@@ -80,6 +80,17 @@ def test_a_body_that_turns_round_fast_is_no_spike() -> None:
     swing = 25.0 * np.exp(-(((time - 5.0) / 0.12) ** 2))[:, None] * [0.4, 1.0, 0.0]
     corner = np.maximum(20.0 - 125.0 * np.abs(time - 7.0), 0.0)[:, None] * [0.0, 0.7, 0.7]
     assert not spikes(swing + corner + 0.1 * np.random.default_rng(3).standard_normal((500, 3))).any()
+
+
+def test_steps_of_a_slow_sensor_at_the_turn_of_a_motion_are_no_spikes() -> None:
+    time = 0.02 * np.arange(1500)
+    read = 0.11 * np.floor(time / 0.11)
+    burst = 25.0 * np.exp(-(((read - 15.0) / 0.6) ** 2)) * np.sin(2.0 * np.pi * 2.2 * read)
+    moved = np.outer(burst + 5.0 * np.sin(0.8 * read), [1.0, 0.4, 0.0])
+    moved += 0.1 * np.random.default_rng(3).standard_normal((1500, 3))
+    run = Recording("run", "day", time, np.zeros((1500, 3)), position=moved)
+    (kept,), lines = without_spikes([run])
+    assert kept is run and not lines
 
 
 def test_a_change_that_stays_is_no_spike() -> None:

@@ -61,3 +61,37 @@ def test_a_fit_moved_on_without_some_rows_is_the_fit_to_the_others() -> None:
     fit = least_squares(residual, np.array([3.0, 0.0]), low, high, 30)
     alone = least_squares(lambda u: residual(u)[rows], np.array([3.0, 0.0]), low, high, 30)
     np.testing.assert_allclose(moved_on(residual, fit, rows, low, high), residual(alone.point), atol=1e-3)
+
+
+def test_a_search_that_comes_to_where_another_ended_stops_there() -> None:
+    low, high = -FAR, FAR
+
+    def counted(u: np.ndarray) -> np.ndarray:
+        calls.append(u)
+        return np.array([u[0] ** 2 - 4.0, u[1] - u[0], 0.1 * u[1]])
+
+    calls: list[np.ndarray] = []
+    first = least_squares(counted, np.array([1.0, 1.0]), low, high, 30)
+    calls.clear()
+    alone = least_squares(counted, np.array([5.0, 0.0]), low, high, 30)
+    needed = len(calls)
+    calls.clear()
+    again = least_squares(counted, np.array([5.0, 0.0]), low, high, 30, before=first)
+    np.testing.assert_allclose(again.point, alone.point, atol=0.05)
+    assert len(calls) < needed
+    calls.clear()
+    assert least_squares(counted, first.point, low, high, 30, before=first) is first
+    assert len(calls) == 1
+    other = least_squares(counted, np.array([-5.0, 0.0]), low, high, 30, before=first)
+    assert other.point[0] < 0.0, "another minimum is found"
+
+
+def test_a_search_far_behind_ends_where_it_goes_on_slowly() -> None:
+    def bent(u: np.ndarray) -> np.ndarray:
+        return np.array([np.exp(-u[0]), 10.0])
+
+    long = least_squares(bent, np.zeros(1), np.zeros(1), np.array([40.0]), 30, tolerance=0.0)
+    short = least_squares(bent, np.zeros(1), np.zeros(1), np.array([40.0]), 30, tolerance=0.0, beaten=5.0)
+    assert short.settled and short.evaluations < long.evaluations
+    free = least_squares(bent, np.zeros(1), np.zeros(1), np.array([40.0]), 30, tolerance=0.0, beaten=1e3)
+    assert free.evaluations == long.evaluations

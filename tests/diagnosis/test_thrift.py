@@ -1,0 +1,149 @@
+"""What is kept or shared between simulations changes nothing, to the last bit."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softrl.core.identity import Same
+from softrl.diagnosis import problem as problems
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, starts
+from softrl.diagnosis.problem import Numerics, Problem
+from softrl.diagnosis.rank import _once
+from softrl.diagnosis.search import Fit, least_squares
+from softrl.diagnosis.separate import PIECES, REST_S, STEP_S, _rival, gap, separating_program, separation
+from softrl.diagnosis.trial import Trial, shared_out
+from softrl.effects.chain import Plant, chain_of
+from softrl.effects.lag import Lag
+from softrl.effects.replay import CHANNELS, replay
+from softrl.excite.block import blocks
+from softrl.excite.separation import Sensing
+from softrl.pcc.simulator import PccSimulator
+from softrl.robots.robot import Robot
+from tests.diagnosis.conftest import made
+
+NUMERICS = Numerics(0.02, 0.04, 0.1, 0.0, 4.0)
+
+
+def problem_of(robot: Robot, body: PccSimulator) -> Problem:
+    runs = made(body, (Lag(fill_s=0.1, vent_s=0.1),), sessions=3).recordings
+    return Problem(robot, body, runs, NUMERICS, "motion", "command", False, False)
+
+
+def test_shared_effects_and_kept_bodies_replay_as_those_made_for_every_run(tripod: Robot, body: PccSimulator) -> None:
+    problem = problem_of(tripod, body)
+    tuned = tuple(body.parameters)
+    alone = Choice("payload", session=problem.runs[1].session)
+    hypothesis = Hypothesis((Choice("lag"), alone), tuned)
+    point = np.concatenate([starts(Choice("lag"))[0], starts(alone)[0], np.full(len(tuned), 0.1)])
+    space = problem.space(hypothesis)
+    for _ in range(2):  # the second time the body is a kept one
+        shared = problem.replayed(hypothesis, point)
+        for run, found in zip(problem.runs, shared, strict=True):
+            fresh = body.with_parameters(**space.tuned(point))
+            plant = Plant(fresh, chain_of(tripod, space.effects(point, run.session)))
+            np.testing.assert_array_equal(found.position, replay(plant, run, NUMERICS.dt_s).position)
+    assert not np.array_equal(space.effects(point, problem.runs[0].session), space.effects(point, problem.runs[1].session))
+
+
+def test_a_kept_body_belongs_to_one_simulator(tripod: Robot, body: PccSimulator) -> None:
+    other = replace(body, damping_s=2.0 * body.damping_s)
+    values = (("mass_scale", 1.3),)
+    one, two = (problems._tuned(Same(simulator), *values) for simulator in (body, other))
+    assert one == body.with_parameters(mass_scale=1.3) and two == other.with_parameters(mass_scale=1.3)
+    assert problems._tuned(Same(body), *values) is one
+    assert problems._tuned(Same(body)) is body
+
+
+def test_bins_hold_means(tripod: Robot, body: PccSimulator) -> None:
+    problem = problem_of(tripod, body)
+    run, values = problem.runs[0], np.asarray(problem.runs[0].position)
+    found = problem.binned(0, values)
+    number = problem.bins[0]
+    for k in (0, 7, int(number[-1])):
+        np.testing.assert_allclose(found[k], values[number == k].mean(axis=0), rtol=1e-12)
+    assert len(found) == len(set(((run.time - run.time[0]) / NUMERICS.bin_s).astype(int)))
+
+
+def test_a_direction_is_simulated_once() -> None:
+    calls: list[np.ndarray] = []
+    known: dict[bytes, np.ndarray | None] = {}
+
+    @_once(known)
+    def direction(point: np.ndarray) -> np.ndarray | None:
+        calls.append(point)
+        return None if point[0] < 0.0 else 2.0 * point
+
+    for point in ([1.0, 2.0], [1.0, 2.0], [-1.0, 0.0], [-1.0, 0.0], [2.0, 1.0]):
+        direction(np.array(point))
+    assert len(calls) == len(known) == 3
+    assert direction(np.array([-1.0, 0.0])) is None
+    np.testing.assert_array_equal(direction(np.array([1.0, 2.0])), [2.0, 4.0])
+
+
+def test_a_replay_asked_for_again_is_the_same_and_other_processes_do_not_carry_it(
+    tripod: Robot, body: PccSimulator
+) -> None:
+    problem, hypothesis = problem_of(tripod, body), Hypothesis((Choice("lag"),), ())
+    points = [starts(Choice("lag"))[0] * share for share in (0.2, 0.4, 0.6, 0.8, 1.0, 1.2)]
+    first = [problem.residual(hypothesis, point).flat for point in points]
+    assert len(problem._known) == problems.REPLAYS
+    again = [problem.residual(hypothesis, point).flat for point in reversed(points)]
+    for one, two in zip(first, reversed(again), strict=True):
+        np.testing.assert_array_equal(one, two)
+    sent = pickle.loads(pickle.dumps(problem))
+    assert "_known" not in sent.__dict__
+    np.testing.assert_array_equal(sent.residual(hypothesis, points[0]).flat, first[0])
+
+
+def test_a_fit_that_shares_out_its_columns_is_the_fit_alone(
+    tripod: Robot, body: PccSimulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("softrl.diagnosis.trial.PccSimulator", type(None))  # which is too fast to share out
+    problem, hypothesis = problem_of(tripod, body), Hypothesis((Choice("lag"),), tuple(body.parameters))
+    held, (low, high) = starts(Choice("lag"))[0], problem.space(hypothesis).bounds
+    count = len(held)
+
+    def residual(free: np.ndarray) -> np.ndarray:
+        return problem.residual(hypothesis, np.r_[held, free]).flat
+
+    given = np.zeros(len(low) - count), low[count:], high[count:], 3
+    one = least_squares(residual, *given)
+    two = least_squares(residual, *given, several=shared_out(problem, hypothesis, 2, held))
+    np.testing.assert_array_equal(two.point, one.point)
+    np.testing.assert_array_equal(two.jacobian, one.jacobian)
+
+
+def test_channels_alone_are_those_of_a_whole_replay(tripod: Robot, body: PccSimulator) -> None:
+    run = replace(made(body, sessions=1).recordings[0], bend_angle=np.zeros(1))
+    plant = Plant(body, chain_of(tripod, (Lag(fill_s=0.1, vent_s=0.2),)))
+    whole = replay(plant, run, 0.02)
+    for wanted in (("position",), ("pressure_meas",), ("bend_angle",), ("position", "quaternion")):
+        part = replay(plant, run, 0.02, channels=wanted)
+        for name in CHANNELS:
+            if name in wanted:
+                np.testing.assert_array_equal(getattr(part, name), getattr(whole, name))
+            else:
+                assert getattr(part, name) is None
+
+
+def test_the_pieces_that_tell_two_hypotheses_apart_are_the_best_of_all(
+    tripod: Robot, body: PccSimulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("softrl.diagnosis.separate.blocks", lambda *given: blocks(*given)[::4])
+    problem = problem_of(tripod, body)
+    trials = []
+    for name in ("lag", "tube_line"):
+        hypothesis, point = Hypothesis((Choice(name),), ("damping_s",)), np.r_[starts(Choice(name))[0], 0.0]
+        fit = Fit(point, np.zeros(1), np.zeros((1, len(point))), 0.0, 1)
+        trials.append(Trial(hypothesis, fit, {}, np.zeros(1), np.zeros(1)))
+    found = separating_program(problem, *trials, noise_m=1e-4)
+    one, other = (_rival(problem, trial) for trial in trials)
+    sensing = Sensing(STEP_S, NUMERICS.bin_s, 1e-4, None)
+    pieces = blocks(tripod, STEP_S, REST_S, 0)[::4]
+    apart = np.array([separation(one, other, piece.pressure, sensing) for piece in pieces])
+    assert all(gap(one, other, p.pressure, sensing) >= a for p, a in zip(pieces, apart, strict=True))
+    best = np.argsort(-(apart**2) / [len(piece.pressure) for piece in pieces])[:PIECES]
+    assert found is not None and found["program"] == "; then ".join(pieces[k].label for k in best)
+    np.testing.assert_allclose(found["separation"], np.linalg.norm(apart[best]))
