@@ -43,7 +43,7 @@ def conclude(
     robot, angle = whole.robot, whole.robot.output == "bend_angle"
     noise = data.noise / (robot.length_m if angle else 1.0)
     plain = {split: errors(found, noise) for split, found in judged.items()}
-    verdict, responses = verdict_of(findings), step_responses(data.training)
+    verdict, responses = verdict_of(findings, plain["heldout"]), step_responses(data.training)
     space = whole.space(models["corrected"].hypothesis)
     made = Diagnosis(
         robot_name=robot.name,

@@ -14,7 +14,7 @@ from softrl.effects.library import effect_class
 from softrl.robots.robot import Robot
 
 AT_BOUND = 0.97  # a retuned parameter this close to the end of its range (in logarithms) is not plausible
-AS_GOOD = 1.05  # times the retuned error: retuning brought nothing
+AS_GOOD = 1.05  # times the retuned error: nothing was gained
 WORDS = {
     "valve": "between command and chamber pressure",
     "chamber": "in the chamber",
@@ -36,14 +36,21 @@ EXPERIMENTS = {
 }
 
 
-def verdict_of(findings: Sequence[Finding]) -> str:
-    """Return the verdict of all parts together."""
+def verdict_of(findings: Sequence[Finding], heldout: dict[str, float]) -> str:
+    """Return the verdict of all parts together, and of the competitors' ``heldout`` errors from command to motion."""
     named = [effect for finding in findings for effect in finding.named]
     if findings[-1].unknown or (not named and any(finding.unknown for finding in findings)):
         return "unknown"
     if not named:
         return "nothing missing"
+    if misleads(heldout):
+        return "unknown"
     return "indistinguishable" if any(_class(finding) for finding in findings) else "named"
+
+
+def misleads(heldout: dict[str, float]) -> bool:
+    """Return whether the corrected simulator errs plainly more than the retuned one, whatever its parts do on their own."""
+    return heldout["corrected"] > AS_GOOD * max(heldout["retuned"], heldout["noise_floor"])
 
 
 def _class(finding: Finding) -> list[str]:
@@ -192,6 +199,12 @@ def _planned(findings: Sequence[Finding], noise_m: float) -> dict[str, Any] | No
 def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
     """Return the finding in plain words, the verdict first."""
     lines = [_verdict_sentence(diagnosis), _error_sentence(diagnosis)]
+    if diagnosis.effects and misleads(diagnosis.errors_mm["heldout"]):
+        behind = " What is named holds under the measured pressure; what the command does to it is not understood."
+        lines.append(
+            "Do not rely on the corrected simulator: from the command it predicts held-out runs worse than the retuned one."
+            + (behind if len(findings) > 1 else "")
+        )
     lines += [_effect_sentence(effect) for effect in diagnosis.effects]
     lines += [line for finding in findings for line in finding.switched]
     for rival in diagnosis.rivals[:4]:
