@@ -2,7 +2,7 @@
 
 import logging
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -84,6 +84,14 @@ class Config:
         return names() if "all" in self.candidates else list(self.candidates)
 
 
+class Evidence(NamedTuple):
+    """What the figures of a diagnosis are drawn from: the held-out runs, findings, and what competitors predict there."""
+
+    heldout: Problem
+    findings: list[Finding]
+    traces: dict[str, Traces]
+
+
 def run(
     config: Config,
     robot: Robot,
@@ -98,17 +106,26 @@ def run(
     A ``calibration`` is a competitor: the retuned simulator behind the calibrated map of pressures. What the map has
     absorbed is told, and whether physics predicts held-out runs at least as well.
     """
+    diagnosis, evidence = diagnose(config, robot, recordings, simulator, calibration)
+    _report(diagnosis, evidence, tracker)
+    return diagnosis
+
+
+def diagnose(
+    config: Config, robot: Robot, recordings: RecordingSet, simulator: Simulator, calibration: Calibration | None = None
+) -> tuple[Diagnosis, Evidence | None]:
+    """Return the diagnosis as ``run`` does, and what its figures are drawn from: nothing where the data cannot tell."""
     require_robot(recordings, robot)
     found = prepare(recordings, robot, config.heldout_share, config.seed)
     if isinstance(found, Refusal):
-        return _refused(found, robot, simulator, tracker)
+        return cannot_tell(found, robot.name, type(simulator).__name__), None
     numerics = _steps(config, robot, simulator, found)
     seconds = config.search.fit_lumped_s if isinstance(simulator, PccSimulator) else config.search.fit_s
     data = found.shortened(seconds * numerics.dt_s / config.numerics.dt_s)
     whole = _whole(config, robot, simulator, data, numerics)
     apart = _contradiction(whole, found)
     if apart:
-        return _refused(Refusal(data.check, apart), robot, simulator, tracker)
+        return cannot_tell(Refusal(data.check, apart), robot.name, type(simulator).__name__), None
     findings = _examine(config, whole, data, found)
     findings = joined(whole.on(data.training), findings, config.search, config.thresholds)
     models = competitors(config.search, whole.on(data.training), findings)
@@ -119,8 +136,7 @@ def run(
     diagnosis = conclude(data, whole, findings, models, judged, corrected(located))
     if calibration is not None:
         diagnosis = with_map(diagnosis, calibration)
-    _report(diagnosis, data, whole, findings, judged, tracker)
-    return diagnosis
+    return diagnosis, Evidence(whole.on(data.heldout), findings, judged["heldout"])
 
 
 def _steps(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Numerics:
@@ -176,14 +192,11 @@ def _locate(finding: Finding) -> list[Any]:
     return locate(problem, residual, finding.part.floor, finding.part.title)
 
 
-def _report(
-    diagnosis: Diagnosis,
-    data: Data,
-    whole: Problem,
-    findings: list[Finding],
-    judged: dict[str, dict[str, Traces]],
-    tracker: Tracker,
-) -> None:
+def _report(diagnosis: Diagnosis, evidence: Evidence | None, tracker: Tracker) -> None:
+    if evidence is None:
+        log.warning("%s", diagnosis.sentences[0])
+        tracker.text("report.html", page(diagnosis, {}))
+        return
     for split, values in diagnosis.errors_mm.items():
         for name, error in values.items():
             tracker.metric(f"{split}/{name}_error_mm", error)
@@ -195,15 +208,7 @@ def _report(
     tracker.metric("effects_named_count", len(diagnosis.effects))
     for sentence in diagnosis.sentences:
         log.info("%s", sentence)
-    figures = draw_all(diagnosis, whole.on(data.heldout), findings, judged["heldout"])
+    figures = draw_all(diagnosis, *evidence)
     tracker.text("report.html", page(diagnosis, figures))
     for name, figure in figures.items():
         tracker.figure(name, figure)
-
-
-def _refused(refusal: Refusal, robot: Robot, simulator: Simulator, tracker: Tracker) -> Diagnosis:
-    """Return the diagnosis of data that cannot tell anything, with its page."""
-    diagnosis = cannot_tell(refusal, robot.name, type(simulator).__name__)
-    log.warning("%s", diagnosis.sentences[0])
-    tracker.text("report.html", page(diagnosis, {}))
-    return diagnosis

@@ -11,10 +11,9 @@ import numpy as np
 
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.errors import SolverError
-from softrl.core.tracking import NullTracker
 from softrl.diagnosis.noise import redrawn
 from softrl.diagnosis.stage import Config as DiagnosisConfig
-from softrl.diagnosis.stage import run as diagnose
+from softrl.diagnosis.stage import diagnose
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.library import effect_class
 from softrl.effects.replay import replay
@@ -41,7 +40,7 @@ def diagnosed(
     before = logger.level
     logger.setLevel(logging.ERROR)
     try:
-        found = plain(diagnose(config, robot, source(), nominal, tracker=NullTracker()))
+        found = plain(diagnose(config, robot, source(), nominal)[0])
     except Exception as error:  # whatever it is, the case counts as a miss and its message is kept
         found = {"verdict": "crashed", "error": f"{type(error).__name__}: {error}"}
     finally:
