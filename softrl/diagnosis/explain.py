@@ -1,7 +1,7 @@
 """Findings in plain words and plain values: verdict, effects, rivals, what is left, what to record next."""
 
 from collections.abc import Sequence
-from math import degrees
+from math import degrees, log
 from typing import Any
 
 from softrl.artifacts.diagnosis import Diagnosis
@@ -221,8 +221,36 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
             f"Retuning alone drives {', '.join(odd)} to the end of the plausible range: "
             "evidence that physics is missing."
         )
-    lines += [_left_sentence(finding) for finding in findings if finding.left > finding.judge.material]
+    still = _at_the_end(diagnosis)
+    if diagnosis.effects and still:
+        lines.append(
+            f"With what is named {', '.join(still)} still ends at the edge of the plausible range: the simulator's body differs "
+            "from the robot's in more than that, so take the parameters above as a description, not as measurements."
+        )
+    left = [finding for finding in findings if finding.left > finding.judge.material]
+    lines += [_left_sentence(finding) + _from_command(diagnosis, finding) for finding in left]
     return lines
+
+
+def _at_the_end(diagnosis: Diagnosis) -> list[str]:
+    """Return the simulator's parameters that the correction too drives to an end of their range."""
+    ranges = {name: (entry["nominal"], entry["factor_allowed"]) for name, entry in diagnosis.retuned.items()}
+    values = diagnosis.simulator_parameters
+    return [
+        name
+        for name, (nominal, factor) in ranges.items()
+        if nominal > 0.0 and abs(log(values[name] / nominal)) >= AT_BOUND * log(factor)
+    ]
+
+
+def _from_command(diagnosis: Diagnosis, finding: Finding) -> str:
+    """Return what is left from command to motion where parameters refitted so leave less than under the measured pressure."""
+    unit = "deg" if diagnosis.errors_deg else "mm"
+    held = (diagnosis.errors_deg or diagnosis.errors_mm)["heldout"]
+    left = max(held["corrected"] ** 2 - held["noise_floor"] ** 2, 0.0) ** 0.5
+    if finding.joint is None or left >= shown_in(finding)[0] * finding.left:
+        return ""
+    return f" From the command it is {left:.2g} {unit}: the measured pressure is itself sampled, late and noisy."
 
 
 def _error_sentence(diagnosis: Diagnosis) -> str:

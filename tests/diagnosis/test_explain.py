@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from softrl.diagnosis.explain import verdict_of
+from softrl.diagnosis.explain import _at_the_end, verdict_of
 
 
 @pytest.mark.parametrize(
@@ -17,3 +17,12 @@ def test_names_whose_correction_predicts_worse_than_retuning_are_no_verdict(
 ) -> None:
     finding: Any = SimpleNamespace(named=["lag"] if named else [], unknown=False, rivals=[])
     assert verdict_of([finding], {"noise_floor": 0.1, "retuned": 3.0, "corrected": corrected}) == verdict
+
+
+def test_parameters_that_the_correction_too_drives_to_an_end_are_told() -> None:
+    entry = {"nominal": 2.0, "factor_allowed": 4.0}
+    made: Any = SimpleNamespace(
+        retuned={"mass_scale": entry, "damping_s": entry, "stiffness_scale": entry},
+        simulator_parameters={"mass_scale": 0.5, "damping_s": 2.1, "stiffness_scale": 8.0},
+    )
+    assert _at_the_end(made) == ["mass_scale", "stiffness_scale"]
