@@ -138,22 +138,22 @@ def _judged(part: Part, judge: Judge, path: Path, base: Trial, final: Trial, sea
     """Return what the held-out runs say of ``final``, the hypothesis that a search has found, beside ``base`` without effects."""
     final, named, without = _confirm(part, judge, base, final, search)
     offer = offer_of(part.problem, judge, final)
-    explained, left = explained_by(judge, base, final, offer)
-    reasons = reasons_of(judge, final, offer, explained, left)
-    in_vain = explained < judge.thresholds.explained_share
+    explained = explained_by(judge, base, final, offer)
+    reasons = reasons_of(judge, final, offer, explained)
+    in_vain = explained.share < judge.thresholds.explained_share
     closest = final.hypothesis.label() if reasons and named and in_vain else ""
     if reasons and in_vain:
         final, named, without = base, [], {}
         offer = offer_of(part.problem, judge, final)
-        explained, left = explained_by(judge, base, final, offer)
+        explained = explained_by(judge, base, final, offer)
     rivals = []
     for choice, trial in without.items():
         rivals += _rivals(part, judge, path, final, trial, choice, search)
     before, after = (heldout_residual(judge, trial) for trial in (base, final))
-    unknown = bool(reasons)
     return Finding(
-        part, path, base, final, named, rivals, explained, left, unknown, closest, reasons, offer, before, after, judge
-    )
+        part, path, base, final, named, rivals, explained.share, explained.left, bool(reasons), closest, reasons, offer,
+        before, after, judge,
+    )  # fmt: skip
 
 
 def _better(finding: Finding) -> Rival | None:
@@ -201,11 +201,10 @@ def _rivals(
     part: Part, judge: Judge, path: Path, final: Trial, without: Trial, choice: Choice, search: Search
 ) -> list[Rival]:
     """Return the best alternatives to ``choice``, the other effects staying, judged on held-out runs."""
-    taken = {effect.name for effect in final.hypothesis.effects}
     tasks = [
         (without.hypothesis.with_effect(other), [join(without, point)])
         for other, point in path.tried.get(choice, [])
-        if other.name not in taken
+        if other.name not in final.hypothesis.names
     ]
     trials = raced(part.problem, judge.problem, tasks[: search.rivals], search, float(final.inside.mean()))
     found, both = [], judge.on((*part.problem.runs, *part.heldout))

@@ -86,6 +86,15 @@ class Hypothesis:
         """Return the names joined."""
         return " + ".join(choice.label() for choice in self.effects) or "retuned"
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects, each of which acts once."""
+        return tuple(choice.name for choice in self.effects)
+
+    def named(self, name: str) -> Choice | None:
+        """Return the effect of that name in the form in which it acts, None if it does not."""
+        return next((choice for choice in self.effects if choice.name == name), None)
+
     def with_effect(self, choice: Choice) -> "Hypothesis":
         """Return the hypothesis with one effect more."""
         return Hypothesis((*self.effects, choice), self.tuned)

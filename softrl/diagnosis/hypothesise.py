@@ -112,8 +112,9 @@ def _narrow(
     forms = _gated([choice for choice in choices if not choice.session], fitting)
     beside = rank(fitting, before, _not_taken(forms, before), search)
     promising = {lead.choice for lead in beside if lead.gain >= BESIDE * _least_share(judge, before)}
-    for old in before.hypothesis.effects:
-        if judge.excess(path.best.mean_square) >= plain:
+    for name in before.hypothesis.names:
+        old = path.best.hypothesis.named(name)  # what was put in another's place may have changed its form
+        if old is not None and judge.excess(path.best.mean_square) >= plain:
             in_place = [form for form in forms if form.name == old.name or form in promising]
             _replace(fitting, judge, old, in_place, search, path)
     if len(before.hypothesis.effects) < search.max_effects and judge.excess(path.best.mean_square) >= plain:
@@ -153,8 +154,7 @@ def _gated(choices: Sequence[Choice], problem: Problem) -> list[Choice]:
 
 def _not_taken(choices: Sequence[Choice], trial: Trial) -> list[Choice]:
     """Return the ``choices`` whose effect ``trial`` does not have yet."""
-    taken = {effect.name for effect in trial.hypothesis.effects}
-    return [choice for choice in choices if choice.name not in taken]
+    return [choice for choice in choices if choice.name not in trial.hypothesis.names]
 
 
 def _fitted(
@@ -182,7 +182,7 @@ def _addition(
 
     ``leads`` are what ``rank`` says of the choices, where it was asked before.
     """
-    taken = {effect.name for effect in current.hypothesis.effects}
+    taken = current.hypothesis.names
     leads = rank(fitting, current, _not_taken(choices, current), search) if leads is None else leads
     if not taken or len(path.screened) < len(taken) + 1:
         path.screened.append(leads)
@@ -208,9 +208,10 @@ def _swap(fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice
 
     A map without physics has to pay against them, see ``Judge.simplest``; any other effect stays unless one is better.
     """
-    for old in trial.hypothesis.effects[:-1]:
-        less = _fitted(fitting, [(trial.hypothesis.without(old), drop(trial, old))], search, path)
-        if not less:
+    for name in trial.hypothesis.names[:-1]:
+        old = trial.hypothesis.named(name)  # what took another's place may have changed its form
+        less = _fitted(fitting, [(trial.hypothesis.without(old), drop(trial, old))], search, path) if old else []
+        if old is None or not less:
             continue
         instead = _addition(fitting, judge, less[0], choices, search, path)
         if instead is None:

@@ -23,6 +23,7 @@ LINE_LEVEL = 1e-8  # chance of a line in the spectrum of noise
 UNDRIVEN_SHARE = 0.5  # of the squared error: effects that remove less explain nothing
 UNKNOWN_TIMES = 1.2  # what is missing must stand out more than what is named: nobody can check it
 REST_FACTOR = 2.5  # times what counts: what is left beside effects that explain most of it, and is no detail of them
+NEARLY_ALL = 0.9  # of the squared error: effects that explain less leave a third of the error
 FOLLOWING_FACTOR = 3.0  # times what counts: structure below this may be a detail of the body
 UNEVEN_FACTOR = 2.0  # times what counts: what jumps or moves with the pressures beside noise, and is no detail of the body
 FOLLOWING_LEVEL = 1e-3
@@ -51,8 +52,16 @@ def offer_of(problem: Problem, judge: Judge, trial: Trial) -> Offer:
     return Offer(judge.gap(trial.squares, squares), judge.pays(trial.squares, squares), squares)
 
 
-def explained_by(judge: Judge, base: Trial, final: Trial, offer: Offer) -> tuple[float, float]:
-    """Return (share of the squared error that can be explained which effects explain, error above the floor left).
+class Explained(NamedTuple):
+    """Share of the squared error that can be explained, and of all of it, which effects explain; error above the floor left."""
+
+    share: float
+    of_all: float
+    left: float
+
+
+def explained_by(judge: Judge, base: Trial, final: Trial, offer: Offer) -> Explained:
+    """Return how much of the squared error of ``base`` the effects of ``final`` explain.
 
     What can be explained is what the effects remove, and beyond them what a map without physics could remove or what
     follows the pressures in different ways. Effects that remove less than ``UNDRIVEN_SHARE`` of the whole have to answer
@@ -60,27 +69,33 @@ def explained_by(judge: Judge, base: Trial, final: Trial, offer: Offer) -> tuple
     """
     whole, left = float(judge.excess(base.mean_square)), float(judge.excess(final.mean_square))
     removed = whole**2 - left**2
-    if removed <= UNDRIVEN_SHARE * whole**2:
-        return (removed / whole**2 if whole > 0.0 else 0.0), left
+    of_all = removed / whole**2 if whole > 0.0 else 0.0
+    if of_all <= UNDRIVEN_SHARE:
+        return Explained(of_all, of_all, left)
     mapped = left**2 - float(judge.excess(offer.squares.mean())) ** 2 if offer.pays else 0.0
     changing = _changing(judge, heldout_residual(judge, final)) if left > judge.material else 0.0
-    return removed / (removed + max(mapped, min(changing, left**2))), left
+    return Explained(removed / (removed + max(mapped, min(changing, left**2))), of_all, left)
 
 
-def reasons_of(judge: Judge, final: Trial, offer: Offer, explained: float, left: float) -> list[str]:
+def reasons_of(judge: Judge, final: Trial, offer: Offer, explained: Explained) -> list[str]:
     """Return why the effects do not explain what is measured, one clause each; empty if they do.
 
     Noise with a memory is no reason: what is left has to follow the pressures, to be a line in the spectrum, or to be
-    unlike noise of its own spectrum. Where effects explain most of it, what is left must follow the pressures plainly.
+    unlike noise of its own spectrum. Where effects explain most of it, what is left must follow the pressures plainly, or,
+    where that is less than nearly all, be no noise.
     """
+    left = explained.left
     if left <= judge.material:
         return []
     follows = offer.pays and judge.stands_out(final.squares, offer.squares, UNKNOWN_TIMES)
-    if explained >= judge.thresholds.explained_share:
-        plain = follows and left > REST_FACTOR * judge.material
-        return ["what the effects named leave follows the pressures and their past"] if plain else []
-    heldout, reasons = heldout_residual(judge, final), []
-    drives = _drives(judge)
+    drives, heldout, reasons = _drives(judge), heldout_residual(judge, final), []
+    if explained.share >= judge.thresholds.explained_share:
+        if left <= REST_FACTOR * judge.material:
+            return []
+        if follows:
+            return ["what the effects named leave follows the pressures and their past"]
+        uneven = explained.of_all < NEARLY_ALL and _uneven(judge, final, heldout, drives, 1.0)
+        return ["what the effects named leave is no noise: it jumps, or grows where the pressures move"] if uneven else []
     if follows:
         reasons.append("what is left follows the pressures and their past")
     elif left > FOLLOWING_FACTOR * judge.material and (region := _followed(judge, heldout)):
@@ -89,7 +104,7 @@ def reasons_of(judge: Judge, final: Trial, offer: Offer, explained: float, left:
         reasons.append("what is left follows the pressures, but not always in the same way")
     elif left > judge.floor and spectral_line(heldout.runs, drives) < LINE_LEVEL:
         reasons.append("what is left swings at one frequency")
-    elif left > FOLLOWING_FACTOR * judge.material and _uneven(judge, final, heldout, drives):
+    elif left > FOLLOWING_FACTOR * judge.material and _uneven(judge, final, heldout, drives, UNEVEN_FACTOR):
         reasons.append("what is left is no noise: it jumps, or grows where the pressures move")
     return reasons
 
@@ -119,18 +134,18 @@ def _followed(judge: Judge, residual: Residual) -> str:
     return f"{named[0]['region']}{chamber}"
 
 
-def _uneven(judge: Judge, trial: Trial, residual: Residual, drives: list[np.ndarray]) -> bool:
+def _uneven(judge: Judge, trial: Trial, residual: Residual, drives: list[np.ndarray], times: float) -> bool:
     """Return whether ``residual`` is neither white nor noise of any other colour, whatever the parameters are.
 
     Any body differs a little from the robot's, sharply where pressures move, and what is loud beside it may be noise:
-    what is uneven has to be large itself.
+    what is uneven has to be large itself, ``times`` what counts.
     """
     p_values = [whiteness(column, WHITENESS_LAGS)[1] for run in residual.runs for column in run.T]
     if min(p_values) * len(p_values) > NOISE_LEVEL:
         return False
     rng = np.random.default_rng(judge.seed)
     found = unlike_noise(residual.runs, drives, NOISE_DRAWS, rng, _slopes(judge, trial, residual))
-    large = np.sqrt(found.share) * judge.rms(residual.squares) > UNEVEN_FACTOR * judge.material
+    large = np.sqrt(found.share) * judge.rms(residual.squares) > times * judge.material
     return bool(large and found.p_value < NOISE_LEVEL)
 
 

@@ -96,3 +96,10 @@ def test_behind_a_calibration_map_physics_is_named_first(body: PccSimulator) -> 
     assert [effect["name"] for effect in found.effects] == ["lag", "command_map"], found.sentences
     assert found.effects[0]["chamber"] == 1
     assert found.effects[0]["parameters"]["fill_s"]["value"] == pytest.approx(0.3, rel=0.1)
+
+
+def test_an_effect_is_found_by_its_name_in_whatever_form_it_acts() -> None:
+    knee = Choice("knee", 1, ("above",))
+    hypothesis = Hypothesis((Choice("lag"), knee), ())
+    assert hypothesis.named("knee") == knee
+    assert hypothesis.named("friction") is None
