@@ -118,6 +118,7 @@ class Problem:
     orientation : compare orientations too, not positions only
     before : by run the pressures (chambers,) Pa under which the body stood before the first sample, where they are known
         better than by the first pressures themselves, see ``prelude``
+    defect : by run what is added to the residual (bins, channels), see ``rough_about``
     """
 
     robot: Robot
@@ -129,15 +130,24 @@ class Problem:
     register: bool
     orientation: bool
     before: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    defect: tuple[np.ndarray, ...] = ()
 
     def on(self, runs: Sequence[Recording]) -> "Problem":
         """Return the same problem on other runs."""
-        return replace(self, runs=tuple(runs))
+        return replace(self, runs=tuple(runs), defect=())
 
     @property
     def rough(self) -> "Problem":
         """The same problem with the step of rough fits."""
         return replace(self, numerics=replace(self.numerics, dt_s=self.numerics.rough_dt_s))
+
+    def rough_about(self, hypothesis: Hypothesis, point: np.ndarray) -> "Problem":
+        """Return the problem with the step of rough fits whose residual is the true one at ``point``.
+
+        What long steps do to a simulation then hides no small effect: they err in differences only (defect correction).
+        """
+        true, rough = (problem.residual(hypothesis, point).runs for problem in (self, self.rough))
+        return replace(self.rough, defect=tuple(a - b for a, b in zip(true, rough, strict=True)))
 
     def space(self, hypothesis: Hypothesis) -> Space:
         """Return the free parameters of a hypothesis."""
@@ -248,12 +258,15 @@ class Problem:
 
     def compare(self, simulated: Sequence[Recording], registrations: dict[str, Registration] | None = None) -> Residual:
         """Return measured less ``simulated``."""
+        placed: dict[str, Registration] = {}
         if self.target == "pressure":
-            return Residual([self._pressure(k, simulated[k]) for k in range(len(self.runs))], {})
-        if self.robot.output == "bend_angle":
-            return Residual([self._angle(k, simulated[k]) for k in range(len(self.runs))], {})
-        placed = self._placements(simulated, registrations) if self.register else {}
-        return Residual([self._motion(k, simulated[k], placed) for k in range(len(self.runs))], placed)
+            found = [self._pressure(k, simulated[k]) for k in range(len(self.runs))]
+        elif self.robot.output == "bend_angle":
+            found = [self._angle(k, simulated[k]) for k in range(len(self.runs))]
+        else:
+            placed = self._placements(simulated, registrations) if self.register else {}
+            found = [self._motion(k, simulated[k], placed) for k in range(len(self.runs))]
+        return Residual([a + b for a, b in zip(found, self.defect, strict=True)] if self.defect else found, placed)
 
     def _pressure(self, k: int, simulated: Recording) -> np.ndarray:
         difference = self.binned(k, _present(self.runs[k].pressure_meas) - _present(simulated.pressure_meas))

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.linalg import norm
 from scipy.optimize import lsq_linear
 
 from softrl.core.errors import SolverError
@@ -16,6 +17,7 @@ from softrl.diagnosis.trial import Search, Trial, join, parallel, squares_left_o
 log = logging.getLogger(__name__)
 MIN_AMPLITUDE = 0.25  # a search begins at least at this share of an effect's typical size
 ROUGH_STARTS = 2  # of every effect that are followed
+WILD, GENTLE = 40.0, 0.1  # a size that moves this many times what is left tells no slope: this share of it is tried instead
 LOOK_SHARE = 0.2  # of the best effect's gain, along straight lines, which another needs to be fitted at all
 CLOSER = 0.25  # of that: what seems to explain less at the sizes that are tried first is not looked at more closely
 PROMISING = 0.3  # of the best gain: what an effect above a pressure saves in all chambers, to be tried in one alone
@@ -24,8 +26,9 @@ IN_VAIN = 0.1  # of the squared error at nominal parameters: where more stays al
 SECOND_LOOK = 0.5  # of an effect's best begin's gain, which another begin of it needs to be followed
 ROUGH_DIFFERENCE = 0.02  # scaled step of differences
 FAR = 0.5  # a parameter retuned by more than this factor, in logarithms, is no longer near nominal
+MISTAKEN, RETUNED = 0.15, 0.1  # share of a motion that parameters retuned by so much, in logarithms, cannot bring about
 Direction = Callable[[np.ndarray], np.ndarray | None]
-Known = dict[bytes, np.ndarray | None]
+Known = dict[bytes, "_Moved | None"]
 
 
 class Lead(NamedTuple):
@@ -46,8 +49,8 @@ def rank(fitting: Problem, current: Trial, choices: Sequence[Choice], search: Se
     are fitted nonlinearly, first for all chambers, then in each chamber alone from the shapes found so. What acts above a
     pressure only is tried in one chamber where it promises something in all; from a time on any chamber may fail alone.
     """
-    seen, fitting = fitting.seen, fitting.rough
-    bases = _bases(fitting, current, search.rough_steps)
+    seen, fitting = fitting.seen, fitting.rough_about(current.hypothesis, current.fit.point)
+    bases = _bases(fitting, current)
     for_all = [choice for choice in choices if choice.chamber < 0]
     leads, reach = _leads(fitting, bases, [(c, starts(c, seen.get(c.name, ()))) for c in for_all], 0.0, search)
     shapes = {_form(lead.choice): lead.point[: len(effect_axes(lead.choice))] for lead in leads}
@@ -69,10 +72,13 @@ def _leads(
     fitting: Problem, bases: list["_Base"], tasks: list[tuple[Choice, list[np.ndarray]]], reach: float, search: Search
 ) -> tuple[list[Lead], float]:
     """Return the leads of ``tasks`` (choice, starting points), and the best look; ``reach`` is the best of others."""
-    looks = _looks(fitting, bases, tasks, reach, search)
+    looks, hidden = _looks(fitting, bases, tasks, reach, search)
     reach = max([reach, *(look[0].share for look in looks if look)])
     bent = _bent(bases, reach)
-    followed = [bool(look) and (bent or look[0].share >= LOOK_SHARE * reach) for look in looks]
+    followed = [
+        bool(look) and (bent or behind or look[0].share >= LOOK_SHARE * reach)
+        for look, behind in zip(looks, hidden, strict=True)
+    ]
     jobs = [
         (fitting, bases, choice, _begun(look, bent), search.rough_steps)
         for (choice, _), look, kept in zip(tasks, looks, followed, strict=True)
@@ -88,8 +94,11 @@ def _leads(
 
 def _looks(
     fitting: Problem, bases: list["_Base"], tasks: list[tuple[Choice, list[np.ndarray]]], reach: float, search: Search
-) -> list[list["_Begin"]]:
-    """Return the begins of every task, found at the sizes that are tried first, and where that promises anything closely."""
+) -> tuple[list[list["_Begin"]], list[bool]]:
+    """Return the begins of every task, and whether retuning may have taken its place.
+
+    Begins are found at the sizes that are tried first, and where that promises anything closely.
+    """
     jobs = [(fitting, bases, choice, points, False, [{} for _ in bases]) for choice, points in tasks]
     looks = parallel(_look, jobs, search.workers)
     reach = max([reach, *(found[0].share for found, _ in looks if found)])
@@ -97,7 +106,14 @@ def _looks(
     near = [k for k, (found, _) in enumerate(looks) if found and found[0].share >= least]
     again = parallel(_look, [(*jobs[k][:4], True, looks[k][1]) for k in near], search.workers)
     closely = dict(zip(near, again, strict=True))
-    return [closely.get(k, look)[0] for k, look in enumerate(looks)]
+    return [closely.get(k, look)[0] for k, look in enumerate(looks)], [_mistaken(bases[0], known[0]) for _, known in looks]
+
+
+def _mistaken(base: "_Base", known: Known) -> bool:
+    """Return whether the simulator's parameters, retuned, do nearly all that an effect would: no straight line tells then."""
+    free = len(base.trial.hypothesis.tuned)
+    retuned = free > 0 and np.abs(base.trial.fit.point[-free:]).max() > RETUNED
+    return bool(retuned and any(moved is not None and moved.share < MISTAKEN for moved in known.values()))
 
 
 def _bent(bases: list["_Base"], reach: float) -> bool:
@@ -118,16 +134,16 @@ class _Base(NamedTuple):
         return np.asarray(self.trial.fit.residual - self.basis @ (self.basis.T @ self.trial.fit.residual))
 
 
-def _bases(fitting: Problem, current: Trial, steps: int) -> list[_Base]:
+def _bases(fitting: Problem, current: Trial) -> list[_Base]:
     """Return ``current``, and if the simulator's parameters went far, the same with them back at nominal.
 
     Parameters that were retuned in an effect's place lead to wherever they hide it best, often to a bound, from where
     a few steps do not come back.
     """
-    trials = [_settled(fitting, current, steps)]
+    trials = [current]
     free = len(current.hypothesis.tuned)
-    if free and np.abs(trials[0].fit.point[-free:]).max() > FAR:
-        point = trials[0].fit.point.copy()
+    if free and np.abs(current.fit.point[-free:]).max() > FAR:
+        point = current.fit.point.copy()
         point[-free:] = 0.0
         low, high = fitting.space(current.hypothesis).bounds
         try:
@@ -136,7 +152,7 @@ def _bases(fitting: Problem, current: Trial, steps: int) -> list[_Base]:
                 lambda u: fitting.residual(current.hypothesis, u).flat, point, value, low, high, ROUGH_DIFFERENCE
             )
             fit = Fit(point, value, jacobian, 0.5 * float(value @ value), 0)
-            trials.append(trials[0]._replace(fit=fit))
+            trials.append(current._replace(fit=fit))
         except SolverError:
             log.debug("%s does not run with nominal parameters", current.hypothesis.label())
     return [
@@ -145,28 +161,19 @@ def _bases(fitting: Problem, current: Trial, steps: int) -> list[_Base]:
     ]
 
 
-def _settled(fitting: Problem, trial: Trial, steps: int) -> Trial:
-    """Return ``trial`` refitted roughly on a problem of other steps."""
-    low, high = fitting.space(trial.hypothesis).bounds
-    none = np.zeros(0, dtype=int)
-    fit = refine(
-        lambda u: fitting.residual(trial.hypothesis, u).flat,
-        trial.fit.point,
-        trial.fit.jacobian,
-        none,
-        low,
-        high,
-        steps,
-    )
-    return trial._replace(fit=fit, squares=squares_left_out(fitting, trial.hypothesis, fit, low, high))
-
-
 def _plain(choice: Choice, shape: np.ndarray | None) -> np.ndarray:
     """Return the fitted ``shape`` of an effect, or its typical one where the fit left it nearly neutral."""
     typical, zero = starts(choice)[0], neutral(choice)
     if shape is None or np.abs(shape - zero).max() < MIN_AMPLITUDE * np.abs(typical - zero).max():
         return typical
     return shape
+
+
+class _Moved(NamedTuple):
+    """What an effect changes (rows,) beyond what free parameters can do, and which share of all that it changes that is."""
+
+    beyond: np.ndarray
+    share: float
 
 
 class _Begin(NamedTuple):
@@ -255,23 +262,30 @@ def _begins(
     cost = float(residual @ residual)
     log_axis = np.array([axis.log for axis in effect_axes(choice)])
 
-    @_once(known)
-    def direction(point: np.ndarray) -> np.ndarray | None:
+    def simulated(point: np.ndarray) -> _Moved | None:
         try:
             moved = fitting.residual(hypothesis, join(current, point)).flat - current.fit.residual
         except SolverError:
             return None
-        moved = moved - basis @ (basis.T @ moved)
-        return moved if moved @ moved > 1e-12 * cost else None
+        beyond = moved - basis @ (basis.T @ moved)
+        return _Moved(beyond, float(norm(beyond) / norm(moved))) if beyond @ beyond > 1e-12 * cost else None
+
+    def direction(point: np.ndarray) -> np.ndarray | None:
+        key = point.tobytes()
+        if key not in known:
+            known[key] = simulated(point)
+        moved = known[key]
+        return None if moved is None else moved.beyond
 
     def left(moved: np.ndarray) -> float:
         return float(np.sum((residual + moved) ** 2))
 
     found: list[tuple[float, np.ndarray]] = []
-    for point in points:
-        along = direction(point)
+    for typical in points:
+        point, along = _gently(direction, typical, np.where(log_axis, typical, zero), cost)
         if along is not None:
-            share = float(np.clip(-(along @ residual) / (along @ along), 0.0, 2.0))
+            most = 2.0 if point is typical else 2.0 / GENTLE
+            share = float(np.clip(-(along @ residual) / (along @ along), 0.0, most))
             begin = np.where(log_axis, point, zero + max(share, MIN_AMPLITUDE) * (point - zero))
             if not closely:
                 found.append((left(share * along), begin))
@@ -285,19 +299,19 @@ def _begins(
     return sorted(found, key=lambda pair: pair[0])
 
 
-def _once(known: Known) -> Callable[[Direction], Direction]:
-    """Return what makes a function of a point ask only for what is not yet ``known``, which it adds to."""
+def _gently(
+    direction: Direction, point: np.ndarray, zero: np.ndarray, cost: float
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return a point on the way from ``zero`` to ``point`` and its direction: near ``zero`` where ``point`` is far too much.
 
-    def wrapped(function: Direction) -> Direction:
-        def kept(point: np.ndarray) -> np.ndarray | None:
-            key = point.tobytes()
-            if key not in known:
-                known[key] = function(point)
-            return known[key]
-
-        return kept
-
-    return wrapped
+    A mass that makes the body fall over says nothing about a tenth of it.
+    """
+    along = direction(point)
+    if along is None or along @ along <= WILD**2 * cost:
+        return point, along
+    nearer = zero + GENTLE * (point - zero)
+    found = direction(nearer)
+    return (nearer, found) if found is not None else (point, along)
 
 
 def _jointly(
@@ -316,7 +330,7 @@ def _jointly(
     for k in range(len(zero)):
         point = zero.copy()
         point[k] = typical[k] if typical[k] != zero[k] else zero[k] + 1.0
-        along = direction(point)
+        point, along = _gently(direction, point, zero, float(residual @ residual))
         if along is not None:
             columns.append(along)
             places.append((k, point[k] - zero[k]))
