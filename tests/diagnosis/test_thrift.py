@@ -10,8 +10,8 @@ from softrl.core.identity import Same
 from softrl.diagnosis import problem as problems
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, starts
 from softrl.diagnosis.problem import Numerics, Problem
-from softrl.diagnosis.rank import _once
-from softrl.diagnosis.search import Fit, least_squares
+from softrl.diagnosis.rank import _Base, _begins, _mistaken
+from softrl.diagnosis.search import Fit, jacobian_at, least_squares
 from softrl.diagnosis.separate import PIECES, REST_S, STEP_S, _rival, gap, separating_program, separation
 from softrl.diagnosis.trial import Trial, shared_out
 from softrl.effects.chain import Plant, chain_of
@@ -66,20 +66,32 @@ def test_bins_hold_means(tripod: Robot, body: PccSimulator) -> None:
     assert len(found) == len(set(((run.time - run.time[0]) / NUMERICS.bin_s).astype(int)))
 
 
-def test_a_direction_is_simulated_once() -> None:
-    calls: list[np.ndarray] = []
-    known: dict[bytes, np.ndarray | None] = {}
+def test_long_steps_are_corrected_where_they_are_told_to(tripod: Robot, body: PccSimulator) -> None:
+    problem = problem_of(tripod, body)
+    hypothesis, point = Hypothesis((Choice("lag"),), ()), starts(Choice("lag"))[0]
+    rough, about = problem.rough, problem.rough_about(hypothesis, point)
+    np.testing.assert_allclose(about.residual(hypothesis, point).flat, problem.residual(hypothesis, point).flat, atol=1e-12)
+    assert about.numerics.dt_s == NUMERICS.rough_dt_s
+    near = 1.05 * point
+    true = problem.residual(hypothesis, near).flat
+    errors = [np.linalg.norm(other.residual(hypothesis, near).flat - true) for other in (rough, about)]
+    assert errors[1] < 0.2 * errors[0], "near by, long steps hardly err any more"
 
-    @_once(known)
-    def direction(point: np.ndarray) -> np.ndarray | None:
-        calls.append(point)
-        return None if point[0] < 0.0 else 2.0 * point
 
-    for point in ([1.0, 2.0], [1.0, 2.0], [-1.0, 0.0], [-1.0, 0.0], [2.0, 1.0]):
-        direction(np.array(point))
-    assert len(calls) == len(known) == 3
-    assert direction(np.array([-1.0, 0.0])) is None
-    np.testing.assert_array_equal(direction(np.array([1.0, 2.0])), [2.0, 4.0])
+def test_what_retuning_does_nearly_all_of_is_told(tripod: Robot, body: PccSimulator) -> None:
+    problem = problem_of(tripod, body)
+    tuned = tuple(body.parameters)
+    space = problem.space(Hypothesis((), tuned))
+    for far, mistaken in ((0.3, True), (0.0, False)):
+        point = np.full(len(tuned), far)
+        value = problem.residual(space.hypothesis, point).flat
+        jacobian = jacobian_at(lambda u: problem.residual(space.hypothesis, u).flat, point, value, *space.bounds, 0.02)
+        trial = Trial(space.hypothesis, Fit(point, value, jacobian, 0.5 * float(value @ value), 0), {}, value**2, value**2)
+        base = _Base(trial, np.linalg.qr(jacobian)[0])
+        for name, alike in (("payload", False), ("gain", True)):  # a gain is another stiffness, but for the weight
+            known: dict = {}
+            _begins(problem, base, Choice(name), starts(Choice(name)), False, known)
+            assert _mistaken(base, known) is (mistaken and alike), name
 
 
 def test_a_replay_asked_for_again_is_the_same_and_other_processes_do_not_carry_it(
