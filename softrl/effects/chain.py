@@ -67,6 +67,11 @@ class SignalFilter:
         effects += chain.gauges if "gauge" in sites else ()
         self._calls = pack([hook_of(e, chain.robot, chain.before_s) for e in effects]) if effects else None
 
+    @property
+    def memory(self) -> np.ndarray:
+        """All that it remembers (k,), the array itself: it goes on from what is written there."""
+        return np.zeros(0) if self._calls is None else self._calls.states
+
     def advance(self, values: np.ndarray, dt_s: float) -> np.ndarray:
         """Return the filtered rows (steps, n)."""
         filtered = np.array(values, dtype=float, order="C")

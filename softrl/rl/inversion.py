@@ -126,28 +126,17 @@ class Plan:
         past = np.arange(min(self.response.shape[2], k + 1))
         return np.asarray(np.einsum("ojc,jc->o", self.response[k][:, past], change[k - past]))
 
-    def corrected(self, change: np.ndarray, at: int, shift: np.ndarray, bend_weight: float) -> np.ndarray:
-        """Return the changes (ahead, n) Pa from ``at`` on that take ``shift`` (ahead, 3) m away from the readings.
+    def correction(self, at: int, left: np.ndarray, bend_weight: float) -> np.ndarray:
+        """Return by how much (n,) Pa to change all requests from ``at`` on, to take ``left`` (ahead, 3) m away.
 
         Parameters
         ----------
-        change : (steps, n) Pa of the requests, those before ``at`` sent already
-        shift : what moves the readings besides
-        bend_weight : m per Pa, of changes from one request to the next
+        bend_weight : m per Pa of the change
         """
-        ahead, n = len(shift), change.shape[1]
-        # changes are counted from the last one sent, so that a lasting shift keeps its correction
-        held = change.copy()
-        held[at:] = change[at - 1] if at > 0 else 0.0
-        matrix, right = np.zeros((3 * ahead, ahead * n)), np.empty(3 * ahead)
-        for i in range(ahead):
-            rows = slice(3 * i, 3 * i + 3)
-            right[rows] = -shift[i] - self.effect(held, at + i)
-            for j in range(min(i + 1, self.response.shape[2])):
-                matrix[rows, (i - j) * n : (i - j + 1) * n] = self.response[at + i][:, j]
-        bend = bend_weight * np.kron(np.diff(np.eye(ahead + 1), axis=0)[:, 1:], np.eye(n))
-        found = np.linalg.lstsq(np.vstack([matrix, bend]), np.concatenate([right, np.zeros(ahead * n)]), rcond=None)[0]
-        return np.asarray(held[at : at + ahead] + found.reshape(ahead, n))
+        memory, n = self.response.shape[2:]
+        held = [self.response[at + i][:, : min(i + 1, memory)].sum(axis=1) for i in range(len(left))]
+        stacked = np.vstack([*held, bend_weight * np.eye(n)])
+        return np.asarray(np.linalg.lstsq(stacked, np.concatenate([-left.ravel(), np.zeros(n)]), rcond=None)[0])
 
     def renewed(self, sent: np.ndarray, shift: np.ndarray, bend_weight: float) -> np.ndarray:
         """Return the requests (ahead, n) Pa that come nearest to the next targets, whatever was sent before.
@@ -179,19 +168,23 @@ class Plan:
         return np.asarray(found.reshape(ahead, n))
 
 
-def plan(route: Route, target: np.ndarray, start: np.ndarray, approach: int, settings: Inversion) -> Plan:
+def plan(
+    route: Route, target: np.ndarray, start: np.ndarray, approach: int, settings: Inversion, even: Route | None = None
+) -> Plan:
     """Return the requests that bring the readings to ``target`` (steps, 3) m, the first of them ``approach`` periods early.
 
     Parameters
     ----------
     start : (steps, n) Pa, a first guess: the static inverse
+    even : to linearise in place of ``route``, which answers to small changes otherwise than to large ones
     """
+    even = even or route
     ahead = np.concatenate([np.zeros(approach, dtype=int), np.arange(len(target))])
     wanted, request = target[ahead], start[ahead]
     weight = np.where(np.arange(len(wanted)) < approach, settings.approach_weight, 1.0)
     predicted = route.predict(request)
     for _ in range(settings.rounds):
-        response = linearise(route, request, predicted, settings)
+        response = linearise(even, request, predicted if even is route else even.predict(request), settings)
         for _ in range(settings.refinements):
             trial = request + _correction(route.robot, request, predicted - wanted, response, weight, settings)
             trial_predicted = route.predict(trial)

@@ -13,7 +13,7 @@ from softrl.artifacts.policy import observation_size
 from softrl.core.errors import ConfigError
 from softrl.rl.batch import THETA, TIP, Batch, Step, action_of, command_of, observe, remembered
 from softrl.rl.inversion import Inversion, Plan, Route, plan
-from softrl.rl.running import Run
+from softrl.rl.running import FAST, Run
 from softrl.rl.tasks.task import Goals, Task
 from softrl.rl.workspace import Workspace, told_as_joints
 from softrl.surrogate.maps import PressureToJoints
@@ -78,12 +78,22 @@ class MovingBatch(Batch):
     ----------
     route : from requests to readings of the tip
     plans : of courses (curve, phase, direction, length), shared by all batches on the same goals
+
+    Raises
+    ------
+    ConfigError
+        If the simulator is none that goes over many steps in one call.
     """
 
     def __init__(
         self, task: Task, space: Workspace, goals: Goals, size: int, route: Route, motion: Motion,
         plans: dict[tuple[int, ...], Plan],
     ) -> None:
+        body = route.plant.simulator
+        if not isinstance(body, FAST):
+            raise ConfigError(
+                f"training in motion needs simulator=rom or pcc, which are fast enough; not {type(body).__name__}"
+            )
         self.approach, self.motion = motion.approach_steps, motion
         super().__init__(replace(task, horizon=motion.horizon), space, goals, size)
         self.observation_size = observation_size(motion.horizon, motion.memory_steps)

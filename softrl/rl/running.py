@@ -1,14 +1,16 @@
 """A simulator with its effects in motion, one request after the other: what a policy acts on where the plant has a memory."""
 
+from copy import deepcopy
+
 import numpy as np
 
-from softrl.core.errors import ConfigError
 from softrl.effects.chain import SignalFilter
 from softrl.pcc.simulator import PccSimulator
 from softrl.pod.simulator import RomSimulator
 from softrl.rl.filter import MovingAverage
 from softrl.rl.inversion import Route
 
+FAST = RomSimulator | PccSimulator  # they go over many steps in one call
 SETTLE_S = 5.0  # in which a robot that carries something comes to rest before it is switched on
 
 
@@ -18,20 +20,11 @@ class Run:
     Parameters
     ----------
     tip_force : (3,) N, acts from the first period on; none if None
-
-    Raises
-    ------
-    ConfigError
-        If the simulator is none that goes over many steps in one call.
     """
 
     def __init__(self, route: Route, tip_force: np.ndarray | None = None) -> None:
         self._route, self._chain = route, route.plant.chain
         self._body = route.plant.simulator
-        if not isinstance(self._body, RomSimulator | PccSimulator):
-            raise ConfigError(
-                f"training in motion needs simulator=rom or pcc, which are fast enough; not {type(self._body).__name__}"
-            )
         self._valve, self._chamber, self._sensor = (SignalFilter(self._chain, s) for s in ("valve", "chamber", "sensor"))
         self._sensed = any(effect.channel == "pose" for effect in self._chain.at("sensor"))
         self._average = MovingAverage(route.average_window)
@@ -52,6 +45,17 @@ class Run:
         self.tip = self._held(command)
         return self.tip
 
+    def foresee(self, requests: np.ndarray) -> np.ndarray:
+        """Return the tips (steps, 3) m at the ends of the periods of ``requests`` (steps, n) Pa, and stay where it is."""
+        advanced = [f.memory for f in (self._valve, self._chamber, self._sensor)]
+        advanced += [hook.state for hooks in self._hooks for hook in hooks]
+        kept, plain = [memory.copy() for memory in advanced], (self._state, self._sent, self.tip, deepcopy(self._average))
+        tips = np.stack([self.advance(request) for request in requests])
+        for memory, before in zip(advanced, kept, strict=True):
+            memory[:] = before
+        self._state, self._sent, self.tip, self._average = plain
+        return tips
+
     def _held(self, command: np.ndarray) -> np.ndarray:
         """Return the tip (3,) m after the setpoints (hold, n) Pa."""
         step_s = self._route.step_s
@@ -68,4 +72,9 @@ class Run:
     def _go(self, acting: np.ndarray):  # type: ignore[no-untyped-def]
         """Return the body's state after the pressures (steps, n) Pa."""
         force = None if self._force is None else np.tile(self._force, (len(acting), 1))
-        return self._body.step(self._state, acting, self._route.step_s, force, *self._hooks)  # type: ignore[arg-type]
+        if isinstance(self._body, FAST):
+            return self._body.step(self._state, acting, self._route.step_s, force, *self._hooks)  # type: ignore[arg-type]
+        state = self._state
+        for k, row in enumerate(acting):
+            state = self._body.step(state, row, self._route.step_s, None if force is None else force[k], *self._hooks)
+        return state

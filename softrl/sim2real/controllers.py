@@ -55,6 +55,18 @@ class Models:
         stiffness = self.space.surrogate.contact_stiffness_n_per_m
         return Surface((x, y, z), (a, b, c), float(stiffness), self.task.friction)
 
+    @cached_property
+    def yielding_n_per_m(self) -> float:
+        """Stiffness across the surface of tip and surface in series: force for how far a free tip would be behind it."""
+        assert self.surface is not None
+        softness = self.space.twin.softness(self.space.rest[None], np.array(self.surface.normal))[0]
+        return float(1.0 / (softness + 1.0 / self.surface.stiffness_n_per_m))
+
+    def depth(self, position: np.ndarray) -> np.ndarray:
+        """Return how far (steps,) m tips (steps, 3) m are behind the surface; negative before it."""
+        assert self.surface is not None
+        return np.asarray((np.array(self.surface.point) - position) @ np.array(self.surface.normal))
+
     @property
     def touching(self) -> Plant:
         """The plant with the surface."""
@@ -66,18 +78,40 @@ class Models:
 
 def prepare(models: Models, planning: Planning, pace: Pace, course: Course) -> Plan:
     """Return the plan for a course: the simulator, with its effects and the task's surface, inverted."""
-    surface = models.surface
-
-    def simulated(position: np.ndarray) -> np.ndarray:
-        force = np.zeros(len(position)) if surface is None else surface.normal_force(position)
-        return course.readings(position, force)
-
-    start = ModelController(models.space, models.task, course).pressures
-    route = Route(models.robot, models.touching, pace.period_s, planning.dt_s, pace.average_window, simulated)
-    prepared = plan(route, course.wanted, start, pace.approach_steps, planning)
+    start, route = ModelController(models.space, models.task, course).pressures, route_of(models, planning, pace, course)
+    even = None if models.surface is None else free_route(models, planning, pace, course)
+    prepared = plan(route, course.wanted, start, pace.approach_steps, planning, even)
     left = (prepared.predicted - prepared.target)[pace.approach_steps :]
     log.info("plan: %.3f mm rms from the targets in the simulation", 1e3 * np.sqrt(np.mean(np.sum(left**2, axis=1))))
     return prepared
+
+
+def route_of(models: Models, planning: Planning, pace: Pace, course: Course) -> Route:
+    """Return the way from requests to a course's readings, in the simulator with its effects and the task's surface.
+
+    A tip that does not touch is told what force it lacks for it, below zero, so that a reading says how far it is.
+    """
+
+    def reading(position: np.ndarray) -> np.ndarray:
+        if models.surface is None:
+            return course.readings(position, np.zeros(len(position)))
+        lacking = models.yielding_n_per_m * np.minimum(models.depth(position), 0.0)
+        return course.readings(position, models.surface.normal_force(position) + lacking)
+
+    return Route(models.robot, models.touching, pace.period_s, planning.dt_s, pace.average_window, reading)
+
+
+def free_route(models: Models, planning: Planning, pace: Pace, course: Course) -> Route:
+    """Return the same for a tip that goes through the surface, which would press it back by so much.
+
+    Its readings answer to pressures evenly: what a tip that sticks or hardly touches answers says little about how far a
+    correction will move one that does not.
+    """
+
+    def reading(position: np.ndarray) -> np.ndarray:
+        return course.readings(position, models.yielding_n_per_m * models.depth(position))
+
+    return Route(models.robot, models.plant, pace.period_s, planning.dt_s, pace.average_window, reading)
 
 
 def controllers(models: Models, planning: Planning, pace: Pace, course: Course, prepared: Plan) -> dict[str, Controller]:
@@ -86,12 +120,10 @@ def controllers(models: Models, planning: Planning, pace: Pace, course: Course, 
     ``policy`` and ``planned`` see the tip; ``feedforward`` and ``open_loop`` do not. ``open_loop`` is the surrogate's static
     inverse, ``feedforward`` that of the simulator in motion.
     """
-
-    def measured(position: np.ndarray, tip_force: np.ndarray | None) -> np.ndarray:
-        return course.readings(position, course.pressed(tip_force))
+    route = route_of(models, planning, pace, course)
 
     def planned(settings: Planning) -> Controller:
-        made = PlannedController(prepared, pace.approach_steps, settings, models.robot, measured)
+        made = PlannedController(prepared, pace.approach_steps, settings, route, course)
         return made if models.corrected else Calibrated(made, models.calibration)
 
     return {

@@ -1,18 +1,20 @@
 """Planned commands on a robot: feedback takes away what the simulation does not know."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from softrl.core.driver import Sample
 from softrl.core.errors import ConfigError
-from softrl.rl.inversion import Inversion, Plan
-from softrl.robots.robot import Robot
+from softrl.rl.inversion import Inversion, Plan, Route
+from softrl.rl.running import Run
+from softrl.sim2real.course import Course
 from softrl.sim2real.watch import LineWatch, Watch
 
 log = logging.getLogger(__name__)
+SHARES = (1.0, 0.5, 0.25)  # of a correction, tried in this order
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,11 @@ class Planning(Inversion):
 
 
 class PlannedController:
-    """Sends a plan; a misfit between reading and prediction is taken as lasting and taken away by the commands to come.
+    """Sends a plan; a misfit between reading and simulation is taken as lasting and taken away by the commands to come.
+
+    The simulation goes along with the robot, under the commands that were sent. What it says of the commands to come, moved
+    by the misfit, is led back to the plan by the plan's response; that is sent only as far as the simulation says that it
+    helps, since a surface may hold the tip back or let it go on the way.
 
     While an air line is broken, and until the tip has forgotten it, the misfit learnt before is kept: commands that make up
     for a line that is off would throw the tip far out once it is back on. What the fault leaves behind, in walls that creep
@@ -48,15 +54,14 @@ class PlannedController:
     Parameters
     ----------
     prepared : the plan, whose first ``approach`` steps come before step 0
-    read : reading (3,) m from the tip's position (3,) m and the force on it (3,) N
+    route : from requests to the simulation's readings
+    course : what is followed
     """
 
-    def __init__(
-        self, prepared: Plan, approach: int, settings: Planning, robot: Robot,
-        read: Callable[[np.ndarray, np.ndarray | None], np.ndarray],
-    ) -> None:
-        self._plan, self._approach, self._settings, self._robot, self._read = prepared, approach, settings, robot, read
-        self._change = np.zeros_like(prepared.request)
+    def __init__(self, prepared: Plan, approach: int, settings: Planning, route: Route, course: Course) -> None:
+        self._plan, self._approach, self._settings, self._route, self._course = prepared, approach, settings, route, course
+        self._shadow = Run(route) if settings.feedback > 0.0 else None
+        self._change = np.zeros(prepared.request.shape[1])
         self._lasting = np.zeros(3)
         self._lines = LineWatch(settings.watch)
         self._afresh = 0
@@ -74,24 +79,41 @@ class PlannedController:
     def pressure(self, position: np.ndarray, step: int, tip_force: np.ndarray | None = None) -> np.ndarray:
         """Return (n,) Pa for the target of ``step`` (negative in the approach), the tip being at ``position`` (3,) m."""
         at = step + self._approach
-        if at > 0 and self._settings.feedback > 0.0:
+        planned = self._plan.request[at]
+        if self._shadow is None:
+            return planned
+        if at > 0:
             if self._lines.trusted:
-                self._observe(at - 1, self._read(position, tip_force))
-            self._correct(at)
-        return np.asarray(self._plan.request[at] + self._change[at])
+                self._observe(self._course.readings(position, self._course.pressed(tip_force)), self._shadow)
+            self._change = self._corrected(at, self._shadow)
+        self._shadow.advance(planned + self._change)
+        return np.asarray(planned + self._change)
 
-    def _observe(self, k: int, reading: np.ndarray) -> None:
-        expected = self._plan.predicted[k] + self._plan.effect(self._change, k)
+    def _observe(self, reading: np.ndarray, shadow: Run) -> None:
         share = 1.0 if self._afresh > 0 else self._settings.feedback
         self._afresh = max(self._afresh - 1, 0)
-        self._lasting += share * (reading - expected - self._lasting)
+        expected = self._route.reading(shadow.tip[None])[0] + self._lasting
+        self._lasting += share * (reading - self._course.shown(expected))
 
-    def _correct(self, at: int) -> None:
-        """Choose the changes from ``at`` on; those beyond the horizon keep the last one's value."""
-        change, limits = self._change, (self._robot.pressure_min_pa, self._robot.pressure_max_pa)
-        ahead = min(self._settings.horizon_steps, len(change) - at)
-        wanted = self._plan.corrected(change, at, np.tile(self._lasting, (ahead, 1)), self._settings.bend_weight)
-        planned = self._plan.request[at : at + ahead]
-        # a correction never asks for more than the robot may have, or it would wind up
-        change[at : at + ahead] = np.clip(planned + wanted, *limits) - planned
-        change[at + ahead :] = change[at + ahead - 1]
+    def _corrected(self, at: int, shadow: Run) -> np.ndarray:
+        """Return the change (n,) Pa of the requests from ``at`` on."""
+        ahead = slice(at, at + self._settings.horizon_steps)
+        planned, weight = self._plan.request[ahead], self._settings.bend_weight
+
+        def left(change: np.ndarray) -> np.ndarray:
+            """Return by how much (ahead, 3) m the readings to come miss the plan."""
+            return self._route.reading(shadow.foresee(planned + change)) + self._lasting - self._plan.predicted[ahead]
+
+        missing = left(self._change)
+        turn = self._plan.correction(at, missing, weight)
+        for share in SHARES:
+            change = self._within(self._change + share * turn, planned[0])
+            cost = np.sum(left(change) ** 2) + weight**2 * np.sum((change - self._change) ** 2)
+            if cost < np.sum(missing**2):
+                return change
+        return self._within(self._change, planned[0])
+
+    def _within(self, change: np.ndarray, planned: np.ndarray) -> np.ndarray:
+        """Return ``change`` (n,) Pa as far as the robot's range lets it add to ``planned``, or it would wind up."""
+        robot = self._route.robot
+        return np.asarray(np.clip(planned + change, robot.pressure_min_pa, robot.pressure_max_pa) - planned)

@@ -1,6 +1,7 @@
 """Training in motion: a run goes where its route says, the expert knows the plant, a clone learns from it."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from softrl.rl.tasks.task import Goals, Task
 from softrl.rl.vector_env import TwinVecEnv
 from softrl.rl.workspace import Workspace
 from softrl.robots.robot import Robot
+from softrl.sim2real.surface import Surface
 from tests.rl.test_training import MOTION, PLANNING, agent_of, train
 
 CONF = Path(__file__).parents[2] / "conf"
@@ -66,12 +68,37 @@ def test_step_by_step_it_goes_where_the_whole_sequence_goes(
         np.testing.assert_allclose(stepped, route.predict(request, force), atol=2e-7)
 
 
-def test_a_simulator_that_cannot_hurry_is_refused(robot: Robot, body: PccSimulator) -> None:
-    class Slow:
-        pass
+class OneStepAtATime:
+    """A body that goes over one step in a call, as the surrogate and the full model do."""
 
+    def __init__(self, body: PccSimulator) -> None:
+        self.reset, self.observe, self._step = body.reset, body.observe, body.step
+
+    def step(self, state: Any, pressure: np.ndarray, *rest: Any) -> Any:
+        assert pressure.ndim == 1
+        return self._step(state, pressure, *rest)
+
+
+def test_foresight_comes_true_and_leaves_no_trace(robot: Robot, body: PccSimulator) -> None:
+    wall = Surface((0.0, 0.0, -1.0), (0.0, 0.0, body.observe(body.reset())[0][2] + 1e-3), 2000.0, 0.3)
+    route = route_of(robot, body, *HIDDEN, Delay(delay_s=0.06), wall)
+    request = np.random.default_rng(0).uniform(0.0, 20e3, (6, robot.chambers))
+    run, undisturbed = Run(route), Run(route)
+    for k, row in enumerate(request):
+        foreseen = run.foresee(request[k:])
+        np.testing.assert_array_equal(run.advance(row), foreseen[0])
+        np.testing.assert_array_equal(run.tip, undisturbed.advance(row))
+    slow = Run(route_of(robot, OneStepAtATime(body), *HIDDEN, wall))  # type: ignore[arg-type]
+    quick = Run(route_of(robot, body, *HIDDEN, wall))
+    np.testing.assert_allclose(slow.foresee(request), quick.foresee(request), atol=1e-9)
+
+
+def test_training_with_a_simulator_that_cannot_hurry_is_refused(
+    robot: Robot, body: PccSimulator, space: Workspace, task: Task
+) -> None:
+    goals = task.evaluation_goals("circle", space)
     with pytest.raises(ConfigError, match="simulator=rom or pcc"):
-        Run(route_of(robot, Slow()))  # type: ignore[arg-type]
+        batch_of(task, space, goals, 1, route_of(robot, OneStepAtATime(body)))  # type: ignore[arg-type]
 
 
 def test_polygons_have_their_corners_on_the_curve(space: Workspace, task: Task) -> None:

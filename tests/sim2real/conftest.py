@@ -109,6 +109,11 @@ class BenchDriver:
 @pytest.fixture(scope="session")
 def surrogate(tripod: Robot, body: Simulator) -> Surrogate:
     """Return a small surrogate of the lumped body."""
+    return surrogate_of(tripod, body)
+
+
+def surrogate_of(robot: Robot, body: Simulator) -> Surrogate:
+    """Return a small surrogate of a body."""
     node = _profile("surrogate", "tiny") | {"links": 6, "seed": 0}
     rest = body.reset()
 
@@ -117,7 +122,7 @@ def surrogate(tripod: Robot, body: Simulator) -> Surrogate:
         settled = (body.step(rest, row[:-3], 1e6, row[-3:]) for row in loads)
         return Poses(np.stack([body.observe(state)[0] for state in settled]), None)
 
-    return build_surrogate(build(node, SurrogateConfig, "stage"), tripod, None, poses, tripod.length_m, NullTracker())
+    return build_surrogate(build(node, SurrogateConfig, "stage"), robot, None, poses, robot.length_m, NullTracker())
 
 
 @pytest.fixture(scope="session")

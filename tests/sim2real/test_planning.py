@@ -30,12 +30,8 @@ SETTINGS = Planning(
 HIDDEN = (Lag(fill_s=0.15, vent_s=0.3), Hysteresis(height=0.03, yield_strain=0.02))
 
 
-def here(position: np.ndarray, tip_force: np.ndarray | None = None) -> np.ndarray:
-    return position
-
-
 def route(robot: Robot, body: Simulator, *effects: Effect) -> Route:
-    return Route(robot, Plant(body, chain_of(robot, effects)), PERIOD_S, SETTINGS.dt_s, 2, here)
+    return Route(robot, Plant(body, chain_of(robot, effects)), PERIOD_S, SETTINGS.dt_s, 2, lambda position: position)
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +52,10 @@ def planned(route: Route, target: np.ndarray, guess: np.ndarray) -> Plan:
     return plan(route, target, guess, APPROACH, SETTINGS)
 
 
+def controller_of(prepared: Plan, known: Route, settings: Planning = SETTINGS) -> PlannedController:
+    return PlannedController(prepared, APPROACH, settings, known, Course.free("loop", prepared.target[APPROACH:]))
+
+
 def error_mm(controller: Any, robot: Robot, body: Simulator, noise: Noise, target: np.ndarray, *hidden: Effect) -> float:
     driver = BenchDriver(robot, body, noise, hidden)
     rollout = follow(driver, robot, controller, Course.free("loop", target), Pace(PERIOD_S, 2, APPROACH), "loop", "loop")
@@ -67,12 +67,12 @@ def test_known_physics_is_inverted_without_feedback(
 ) -> None:
     blind = replace(SETTINGS, feedback=0.0)
 
-    def run(prepared: Plan) -> float:
-        controller = PlannedController(prepared, APPROACH, blind, tripod, here)
+    def run(known: Route) -> float:
+        controller = controller_of(planned(known, target, guess), known, blind)
         return error_mm(controller, tripod, body, silence, target, *HIDDEN)
 
-    nominal = run(planned(route(tripod, body), target, guess))
-    corrected = run(planned(route(tripod, body, *HIDDEN), target, guess))
+    nominal = run(route(tripod, body))
+    corrected = run(route(tripod, body, *HIDDEN))
     assert corrected < 0.15 * nominal
     assert corrected < 0.5
 
@@ -80,15 +80,15 @@ def test_known_physics_is_inverted_without_feedback(
 def test_feedback_takes_away_what_nobody_knew(
     tripod: Robot, body: Simulator, silence: Noise, target: np.ndarray, guess: np.ndarray
 ) -> None:
-    prepared = planned(route(tripod, body), target, guess)
+    known = route(tripod, body)
+    prepared = planned(known, target, guess)
     hidden = Offset(offset=0.04, chamber=0)
     blind, seeing = (
         error_mm(
-            PlannedController(prepared, APPROACH, replace(SETTINGS, feedback=share), tripod, here),
-            tripod, body, silence, target, hidden,
+            controller_of(prepared, known, replace(SETTINGS, feedback=share)), tripod, body, silence, target, hidden
         )
         for share in (0.0, 0.5)
-    )  # fmt: skip
+    )
     assert seeing < 0.35 * blind
 
 
@@ -121,10 +121,11 @@ def test_probes_together_tell_what_each_would_tell_alone(tripod: Robot, body: Si
 
 def test_a_plan_beyond_the_range_stays_within_it(tripod: Robot, body: Simulator, guess: np.ndarray) -> None:
     far = body.observe(body.step(body.reset(), np.array([60e3, 0.0, 0.0]), 1e6))[0]
-    prepared = planned(route(tripod, body), np.tile(far, (4, 1)), guess[:4])
+    known = route(tripod, body)
+    prepared = planned(known, np.tile(far, (4, 1)), guess[:4])
     assert prepared.request.max() <= tripod.pressure_max_pa + 1e-3
     assert prepared.request.min() >= tripod.pressure_min_pa - 1e-3
-    controller = PlannedController(prepared, APPROACH, SETTINGS, tripod, here)
+    controller = controller_of(prepared, known)
     for step in range(-APPROACH, 4):
         sent = controller.pressure(np.zeros(3), step)
         assert sent.max() <= tripod.pressure_max_pa + 1e-3, "a misfit that cannot be removed does not wind up"
@@ -138,12 +139,13 @@ def test_impossible_settings_are_refused() -> None:
 
 
 def cut_and_back(
-    robot: Robot, body: Simulator, noise: Noise, prepared: Plan, target: np.ndarray, watch: Watch
+    known: Route, noise: Noise, prepared: Plan, target: np.ndarray, watch: Watch
 ) -> tuple[np.ndarray, int]:
     """Return the errors (steps,) mm while a line is off for 2.5 s, and the step before which it is back."""
     cut, back = STEPS, STEPS + 5
-    driver = BenchDriver(robot, body, noise, HIDDEN)
-    controller = PlannedController(prepared, APPROACH, replace(SETTINGS, watch=watch), robot, here)
+    robot = known.robot
+    driver = BenchDriver(robot, known.plant.simulator, noise, HIDDEN)
+    controller = controller_of(prepared, known, replace(SETTINGS, watch=watch))
     course, events = Course.free("loop", target), {cut: lambda: driver.cut(0), back: lambda: driver.cut(None)}
     rollout = follow(driver, robot, controller, course, Pace(PERIOD_S, 2, APPROACH), "loop", "loop", events)
     return 1e3 * course.position_error(rollout.reached), back
@@ -153,10 +155,11 @@ def test_a_line_that_was_off_is_not_made_up_for(
     tripod: Robot, body: Simulator, silence: Noise, target: np.ndarray, guess: np.ndarray
 ) -> None:
     laps = np.tile(target, (3, 1))
-    prepared = planned(route(tripod, body, *HIDDEN), laps, np.tile(guess, (3, 1)))
+    known = route(tripod, body, *HIDDEN)
+    prepared = planned(known, laps, np.tile(guess, (3, 1)))
     blind = replace(SETTINGS.watch, fault_kpa=1e3)
-    wound_up, back = cut_and_back(tripod, body, silence, prepared, laps, blind)
-    watched, _ = cut_and_back(tripod, body, silence, prepared, laps, SETTINGS.watch)
+    wound_up, back = cut_and_back(known, silence, prepared, laps, blind)
+    watched, _ = cut_and_back(known, silence, prepared, laps, SETTINGS.watch)
     np.testing.assert_array_equal(watched[:STEPS], wound_up[:STEPS], "a whole line is not taken for a broken one")
     assert watched[back:].max() < 0.5 * wound_up[back:].max()
     within_2_s = back + round(2.0 / PERIOD_S) - 1
