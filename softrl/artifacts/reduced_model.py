@@ -22,13 +22,9 @@ class ReducedModel(Artifact):
     energy : (monomials,) J, elastic energy W; none of degree 0 and 1
     mass_root : (r r, monomials) kg^0.5 m, rows of R with M = R' R in y
     stiffness_root : (r r, monomials) rows of R with T' K T = U R' R U' in y, U upper triangular with U U' the Hessian of
-        the energy: what stiffness-proportional damping multiplies, less its share that lags
+        the energy: what stiffness-proportional damping multiplies
     stiffness_root_by_gravity : (3 r r, monomials) s^2/m, change of ``stiffness_root`` by unit gravity along each axis, to
         which the body gives
-    lag_root : (r r, monomials) likewise the share that lags; without columns nothing lags
-    lag_ratio : time constant of the lags over ``rayleigh_stiffness_s``
-    lag_rotation : (3 r, monomials) rad per y s, further turn of the tip by the lagged rate times
-        ``rayleigh_stiffness_s``
     centre_of_mass : (3, monomials) m, displacement of the centre of mass
     rotation : (3, monomials) rad, rotation vector of the tip relative to rest
     give : (9, monomials) kg^0.5 s, rows of R with R' R the change of mass times centre of mass by gravity, volumes and tip
@@ -36,7 +32,7 @@ class ReducedModel(Artifact):
     give_rotation : (9, monomials) rad s^2/m, turn of the tip by gravity, volumes and tip held
     give_root : (3 (r + 3), monomials) kg^0.5 s^2, A (r, 3) and B (3, 3) of the joint mass [R A; 0 B]'[R A; 0 B] of y and
         the shapes by which the body gives to gravity or acceleration
-    drag_root : (3 (r + 3), monomials) (N/m)^0.5 s^2, likewise of the viscosity that does not lag, with R U' for R
+    drag_root : (3 (r + 3), monomials) (N/m)^0.5 s^2, likewise of the viscosity, with R U' for R
     rest_tip : (3,) m;  rest_volume : (n,) m^3;  mass : kg
     gravity_m_s2 : (3,) in the base frame, acting unless another is given
     pressure_min_pa, pressure_max_pa : the robot's limits
@@ -50,11 +46,10 @@ class ReducedModel(Artifact):
     Notes
     -----
     ``dW/dz`` is the load (Pa, N) that holds ``z``; equations of motion ``M z'' + D z' + dW/dz = load`` with
-    ``D z' = rayleigh_mass M z' + rayleigh_stiffness (B z' + G u)`` with B and G of ``stiffness_root`` and ``lag_root``,
-    and ``rayleigh_stiffness lag_ratio u' = z' - u``: a slow motion meets B + G = T' K T, a sudden one B.
+    ``D = rayleigh_mass M + rayleigh_stiffness B``, B of ``stiffness_root``; beside them moves what the inside gives.
     """
 
-    schema: ClassVar[int] = 6
+    schema: ClassVar[int] = 7
     stage: ClassVar[str] = "pod"
 
     frame: np.ndarray
@@ -62,9 +57,6 @@ class ReducedModel(Artifact):
     mass_root: np.ndarray
     stiffness_root: np.ndarray
     stiffness_root_by_gravity: np.ndarray
-    lag_root: np.ndarray
-    lag_ratio: float
-    lag_rotation: np.ndarray
     centre_of_mass: np.ndarray
     rotation: np.ndarray
     give: np.ndarray
@@ -107,8 +99,6 @@ class ReducedModel(Artifact):
             ("mass_root", order**2),
             ("stiffness_root", order**2),
             ("stiffness_root_by_gravity", 3 * order**2),
-            ("lag_root", order**2),
-            ("lag_rotation", 3 * order),
             ("centre_of_mass", 3),
             ("rotation", 3),
             ("give", 9),

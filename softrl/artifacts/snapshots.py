@@ -25,9 +25,6 @@ class Snapshots(Artifact):
     tangent_stiffness : (samples, n + 3, n + 3) T' K T with T = dx / d load and K what stiffness-proportional
         damping multiplies
     tangent_mass : (samples, n + 3, n + 3) T' M T with T = dx / d load
-    lag_stiffness, lag_viscosity : (samples, n + 3, n + 3) of the lags' shapes, see ``fem.lag``, in the tangent stiffness
-        and in what stiffness-proportional damping multiplies
-    lag_spin : (samples, 3, n + 3) rad, rotation of the plate by the lags
     centre_of_mass : (samples, 3) m, displacement of the centre of mass
     centre_slope : (samples, 3, n + 3) d centre_of_mass / d load
     give : (samples, 3, 3) kg s^2, change of mass times centre of mass by gravity, volumes and tip held
@@ -58,7 +55,7 @@ class Snapshots(Artifact):
     robot_name : the robot
     """
 
-    schema: ClassVar[int] = 7
+    schema: ClassVar[int] = 8
     stage: ClassVar[str] = "fem"
 
     loads: np.ndarray
@@ -67,9 +64,6 @@ class Snapshots(Artifact):
     compliance: np.ndarray
     tangent_stiffness: np.ndarray
     tangent_mass: np.ndarray
-    lag_stiffness: np.ndarray
-    lag_viscosity: np.ndarray
-    lag_spin: np.ndarray
     centre_of_mass: np.ndarray
     centre_slope: np.ndarray
     give: np.ndarray
@@ -112,6 +106,6 @@ class Snapshots(Artifact):
     def validate(self) -> None:
         """Check that every per-sample array has one row per load."""
         super().validate()
-        for name in ("coordinate", "energy", "compliance", "lag_stiffness", "tip_quaternion", "displacement"):
+        for name in ("coordinate", "energy", "compliance", "give", "tip_quaternion", "displacement"):
             if len(getattr(self, name)) != len(self.loads):
                 raise ArtifactError(f"Snapshots.{name} has {len(getattr(self, name))} rows for {len(self.loads)} loads")

@@ -23,12 +23,8 @@ class ReducedBody:
     def residual(
         self, z: torch.Tensor, velocity: torch.Tensor, acceleration: torch.Tensor, load: torch.Tensor
     ) -> torch.Tensor:
-        """Return what is missing to the balance of forces (B, n + 3), Pa and N.
-
-        The rate that the body's inside follows with a delay is taken to first order in that delay.
-        """
-        late = velocity - self._twin.lag_time * acceleration
-        return self._twin.residual(z, velocity, acceleration, load, late)
+        """Return what is missing to the balance of forces (B, n + 3), Pa and N."""
+        return self._twin.residual(z, velocity, acceleration, load)
 
     def quaternion(self, z: np.ndarray) -> np.ndarray:
         """Return orientations (B, 4) w x y z of the tip at ``z`` (B, n + 3)."""

@@ -1,4 +1,4 @@
-"""What is read off an equilibrium besides where it is: how it answers its loads, its own viscosity and its weight."""
+"""What is read off an equilibrium besides where it is: how it answers its loads and its weight."""
 
 from collections.abc import Callable
 from functools import partial
@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from softrl.fem.coupling import Pose
-from softrl.fem.lag import lag_of, push_of
 from softrl.fem.model import FemModel
 from softrl.fem.tangent import Tangent
 from softrl.fem.weight import held_of, pull_of, viscosity_by_gravity, weight_of
@@ -21,7 +20,7 @@ class Answers(NamedTuple):
 
     Attributes
     ----------
-    free : (unknowns, n + 6) to the viscous force of a unit rate of each coordinate, and to unit gravity along each axis
+    free : (unknowns, 3) to unit gravity along each axis
     gives : (3, nodes, 3) by which shapes the body gives to unit gravity along each axis, volumes and tip held
     row : what ``Snapshots`` keeps of them
     """
@@ -35,18 +34,14 @@ def answers_at(
     model: FemModel, pose: Pose, tangent: Tangent, solve: Callable[[np.ndarray], np.ndarray]
 ) -> Answers:
     """Return the answers at an equilibrium, where ``solve`` says how the unknowns answer forces (unknowns, k)."""
-    push, pull = push_of(model, pose, tangent), pull_of(model, pose)
-    free = solve(np.hstack([push, pull]))
-    lag = lag_of(model, pose, tangent, push, free[:, : tangent.width])
-    held = held_of(model, pose, tangent, free[:, tangent.width :])
+    pull = pull_of(model, pose)
+    free = solve(pull)
+    held = held_of(model, pose, tangent, free)
     weight = weight_of(model, pose, tangent, pull, held)
     row = {
         "compliance": 0.5 * (tangent.compliance + tangent.compliance.T),
         "tangent_stiffness": tangent.stiffness,
         "tangent_mass": tangent.mass,
-        "lag_stiffness": lag.stiffness,
-        "lag_viscosity": lag.viscosity,
-        "lag_spin": lag.spin,
     }
     return Answers(free, np.stack([model.coupling.expand(x, pose) for x in held.T]), row | weight._asdict())
 

@@ -20,7 +20,7 @@ from softrl.pod.insides import (
     fill_masses,
     shared_energies,
 )
-from softrl.pod.kernel import AGAIN, CLOSE, LONGEST_STEP, MAX_ITERATIONS, VISCOUS, lag_hold, share_of
+from softrl.pod.kernel import AGAIN, CLOSE, LONGEST_STEP, MAX_ITERATIONS, VISCOUS, share_of
 from softrl.pod.lanes import (
     Lanes,
     add,
@@ -43,9 +43,9 @@ LANES = 64  # trajectories in step: many for the matrix products, few enough for
 
 
 def run_batch(
-    y: np.ndarray, velocity: np.ndarray, lag: np.ndarray, dt_s: float, load: np.ndarray, tables: Tables
+    y: np.ndarray, velocity: np.ndarray, dt_s: float, load: np.ndarray, tables: Tables
 ) -> tuple[np.ndarray, int, float]:
-    """Roll out from ``y``, ``velocity`` and ``lag`` (B, r) under ``load`` (B, steps, r) Pa and N.
+    """Roll out from ``y`` and ``velocity`` (B, r) under ``load`` (B, steps, r) Pa and N.
 
     Blocks of trajectories run in threads, one a core. Returns the path (B, steps, r), the number of steps that did not
     converge, and the largest ``|y|``; the same motions as ``pod.kernel.run_kernel`` makes, to round-off.
@@ -54,7 +54,7 @@ def run_batch(
     blocks = [slice(first, first + LANES) for first in range(0, len(y), LANES)]
 
     def run(block: slice) -> tuple[int, float]:
-        moving = (np.array(part[block].T, order="C") for part in (y, velocity, lag))
+        moving = (np.array(part[block].T, order="C") for part in (y, velocity))
         return run_block(*moving, dt_s, load[block], tables, path[block])
 
     with ThreadPoolExecutor(min(len(blocks), len(os.sched_getaffinity(0))) or 1) as threads:
@@ -132,17 +132,13 @@ def _fill_turning(velocity: np.ndarray, held: Lanes) -> None:
 
 @nb.njit(cache=True)
 def _fill_viscosity(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any, insides: Inside, held: Lanes) -> None:
-    """Fill viscosity and its lagging share, and the insides', as ``pod.kernel``."""
-    wide = max(tables.elastic.shape[1], tables.stiffness_root.shape[1], tables.lag_root.shape[1])
+    """Fill viscosity and the insides', as ``pod.kernel``."""
+    wide = max(tables.elastic.shape[1], tables.stiffness_root.shape[1], tables.drag_root.shape[1])
     _fill_ahead(y, velocity, VISCOUS * dt, held)
-    fill_monomials(held.points, tables, held.values[: max(wide, tables.drag_root.shape[1])])
+    fill_monomials(held.points, tables, held.values[:wide])
     fill_rows(tables.elastic, held.values, held.pairs)
     fill_rows(tables.stiffness_root, held.values, held.root)
-    fill_rows(tables.lag_root, held.values, held.other)
     fill_factor(held.pairs, tables.elastic[:, 0], held.matrix, held.some)
-    if tables.lag_root.shape[1] > 0:
-        fill_behind(held.other, held.matrix, held.product)
-        fill_squares(held.product, held.loose)
     fill_behind(held.root, held.matrix, held.product)
     fill_squares(held.product, held.stiff)
     fill_drags(held.product, tables, held.values, insides)
@@ -150,12 +146,11 @@ def _fill_viscosity(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any,
 
 @nb.njit(cache=True, fastmath=FAST, error_model="numpy")
 def _begin(
-    y: np.ndarray, start: np.ndarray, velocity: np.ndarray, lag: np.ndarray, load: np.ndarray, dt: float, tables: Any,
-    held: Lanes,
+    y: np.ndarray, start: np.ndarray, velocity: np.ndarray, load: np.ndarray, dt: float, tables: Any, held: Lanes
 ) -> None:
     """Fill what is constant in a step, and move ``y`` ahead, as ``pod.kernel.begin_step``; ``load`` (lanes, r)."""
     r, lanes = y.shape
-    hold, (mass_scale, mass_damping, stiffness_damping) = lag_hold(dt, tables), tables.scales[:3]
+    mass_scale, mass_damping, stiffness_damping = tables.scales[:3]
     for i in range(r):
         for lane in range(lanes):
             start[i, lane] = y[i, lane]
@@ -166,13 +161,11 @@ def _begin(
             held.right[i, lane] += mass_scale * held.turning[i, lane]
         for j in range(r):
             for lane in range(lanes):
-                mass, loose = held.mass[i, j, lane], held.loose[i, j, lane]
+                mass = held.mass[i, j, lane]
                 free = mass_scale / dt**2 * mass
-                drag = (mass_damping * mass + stiffness_damping * (held.stiff[i, j, lane] + (1.0 - hold) * loose)) / dt
+                drag = (mass_damping * mass + stiffness_damping * held.stiff[i, j, lane]) / dt
                 held.inertia[i, j, lane] = free + drag
-                held.right[i, lane] += (
-                    free * y[j, lane] + drag * start[j, lane] - stiffness_damping * hold * loose * lag[j, lane]
-                )
+                held.right[i, lane] += free * y[j, lane] + drag * start[j, lane]
 
 
 @nb.njit(cache=True)
@@ -294,15 +287,14 @@ def _converge(y: np.ndarray, waiting: np.ndarray, progress: np.ndarray, tables: 
 
 @nb.njit(cache=True, error_model="numpy")
 def _end(
-    y: np.ndarray, start: np.ndarray, velocity: np.ndarray, lag: np.ndarray, inner: np.ndarray, dt: float, tables: Any,
-    insides: Inside, held: Lanes, energies: tuple[np.ndarray, np.ndarray, np.ndarray],
+    y: np.ndarray, start: np.ndarray, velocity: np.ndarray, inner: np.ndarray, dt: float, insides: Inside, held: Lanes,
+    energies: tuple[np.ndarray, np.ndarray],
 ) -> None:
-    """Bring ``velocity``, ``lag`` and ``inner`` up to date and fill the energies (lanes,), as ``pod.kernel.end_step``."""
-    (r, lanes), hold, (kinetic, stored, bent) = y.shape, lag_hold(dt, tables), energies
+    """Bring ``velocity`` and ``inner`` up to date and fill the energies (lanes,), as ``pod.kernel.end_step``."""
+    (r, lanes), (kinetic, bent) = y.shape, energies
     for i in range(r):
         for lane in range(lanes):
             velocity[i, lane] = (y[i, lane] - start[i, lane]) / dt
-            lag[i, lane] = hold * lag[i, lane] + (1.0 - hold) * velocity[i, lane] if hold > 0.0 else 0.0
     squares_of(held.mass, velocity, held.some[0], kinetic)
     end_insides(inner, y, dt, insides, held.some[0], bent)
     shared_energies(velocity, inner, insides, held.some[0], held.some[1])
@@ -311,18 +303,17 @@ def _end(
         for lane in range(lanes):
             kinetic[lane] -= 2.0 * dt * held.turning[i, lane] * velocity[i, lane]
     np.maximum(kinetic, 0.0, kinetic)
-    squares_of(held.loose, lag, held.some[0], stored)
 
 
 @nb.njit(cache=True, error_model="numpy", nogil=True)
 def run_block(
-    y: np.ndarray, velocity: np.ndarray, lag: np.ndarray, dt: float, load: np.ndarray, tables: Any, path: np.ndarray
+    y: np.ndarray, velocity: np.ndarray, dt: float, load: np.ndarray, tables: Any, path: np.ndarray
 ) -> tuple[int, float]:
-    """Fill ``path`` (lanes, steps, r) from ``y``, ``velocity`` and ``lag`` (r, lanes), used up, under ``load``."""
+    """Fill ``path`` (lanes, steps, r) from ``y`` and ``velocity`` (r, lanes), used up, under ``load``."""
     r, lanes = y.shape
     held, start = make_lanes(r, lanes, len(tables.parent)), np.empty((r, lanes))
     waiting, progress = np.empty(lanes, dtype=np.bool_), np.empty((lanes, 2))
-    kinetic, stored, bent = np.empty(lanes), np.full(lanes, np.inf), np.empty(lanes)
+    kinetic, bent = np.empty(lanes), np.empty(lanes)
     insides, inner = make_inside(r, (lanes,)), np.zeros((2, AXES, lanes))
     to_balls(y, held.points, held.radius)
     failed, farthest = 0, held.radius.max()
@@ -333,12 +324,11 @@ def run_block(
         _fill_turning(velocity, held)
         if tables.scales[2] > 0.0:
             _fill_viscosity(y, velocity, dt, tables, insides, held)
-            scale_down(lag, stored, held.loose, held.some)
-        _begin(y, start, velocity, lag, load[:, step].copy(), dt, tables, held)
+        _begin(y, start, velocity, load[:, step].copy(), dt, tables, held)
         begin_insides(inner, y, start, dt, tables, insides, held.trial, held.inertia, held.right)
         failed += _converge(y, waiting, progress, tables, held)
         path[:, step] = y.T
-        _end(y, start, velocity, lag, inner, dt, tables, insides, held, (kinetic, stored, bent))
+        _end(y, start, velocity, inner, dt, insides, held, (kinetic, bent))
         to_balls(y, held.points, held.radius)
         farthest = max(farthest, held.radius.max())
         for _ in range(AGAIN):  # the mass ahead hangs on the scaled velocity

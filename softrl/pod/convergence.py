@@ -65,29 +65,21 @@ def errors_of(model: ReducedModel, snapshots: Snapshots, heldout: Equilibria) ->
 
 
 def with_elastic_viscosity(model: ReducedModel) -> ReducedModel:
-    """Return ``model`` with viscosity proportional to the Hessian of its energy, none of which lags."""
+    """Return ``model`` with viscosity proportional to the Hessian of its energy."""
     return replace(
         model,
         stiffness_root=np.eye(model.order).reshape(-1, 1),
         stiffness_root_by_gravity=0.0 * model.stiffness_root_by_gravity[:, :1],
-        lag_root=model.lag_root[:, :0],
-        lag_rotation=model.lag_rotation[:, :0],
         drag_root=0.0 * model.drag_root[:, :1],
     )
-
-
-def without_lags(model: ReducedModel) -> ReducedModel:
-    """Return ``model`` with the share of its viscosity that lags acting at once: no less of it, as in a slow motion."""
-    return replace(model, lag_ratio=0.0)
 
 
 def report_coordinates(
     model: ReducedModel, snapshots: Snapshots, heldout: Equilibria, tracker: Tracker
 ) -> None:
-    """Log what viscosity of its own, the lags and the non-linear maps are worth."""
+    """Log what viscosity of its own and the non-linear maps are worth."""
     for name, other in (
         ("elastic_viscosity", with_elastic_viscosity(model)),
-        ("no_lag", without_lags(model)),
         ("linear", linear_model(model)),
         ("all", model),
     ):

@@ -89,27 +89,18 @@ def _square_of(matrix: np.ndarray, vector: np.ndarray) -> float:
     return total
 
 
-@nb.njit(cache=True)
-def lag_hold(dt: float, tables: Any) -> float:
-    """Return the share of the lag that a step leaves; 0 without lag."""
-    with_lag = tables.scales[2] > 0.0 and tables.lag_root.shape[1] > 0
-    return tables.scales[4] / (tables.scales[4] + dt) if with_lag else 0.0
-
-
 @nb.njit(cache=True, fastmath=FAST)
 def begin_step(
-    y: np.ndarray, velocity: np.ndarray, lag: np.ndarray, inner: np.ndarray, load: np.ndarray, dt: float, tables: Any,
-    held: Any, start: np.ndarray, inertia: np.ndarray, right: np.ndarray,
+    y: np.ndarray, velocity: np.ndarray, inner: np.ndarray, load: np.ndarray, dt: float, tables: Any, held: Any,
+    start: np.ndarray, inertia: np.ndarray, right: np.ndarray,
 ) -> None:
     """Fill what is constant in a step, ``inertia`` (r, r) y - ``right`` (r,), and move ``y`` ahead.
 
-    ``held`` are mass, viscosity, its lagging share (r, r), the force of turning (r,) and the ``pod.inside``.
+    ``held`` are mass and viscosity (r, r), the force of turning (r,) and the ``pod.inside``.
     """
-    mass, stiff, loose, turning, inside = held
-    r, hold = len(y), lag_hold(dt, tables)
-    mass_scale, stiffness_damping = tables.scales[0], tables.scales[2]
-    free, drag, late = mass_scale / dt**2, tables.scales[1] / dt, stiffness_damping / dt
-    held_back = stiffness_damping * hold
+    mass, stiff, turning, inside = held
+    r, mass_scale = len(y), tables.scales[0]
+    free, drag, late = mass_scale / dt**2, tables.scales[1] / dt, tables.scales[2] / dt
     for i in range(r):
         start[i] = y[i]
         y[i] += dt * velocity[i]
@@ -118,9 +109,9 @@ def begin_step(
         for k in range(r):
             total += tables.frame[k, i] * load[k]
         for j in range(r):
-            damping = drag * mass[i, j] + late * (stiff[i, j] + (1.0 - hold) * loose[i, j])
+            damping = drag * mass[i, j] + late * stiff[i, j]
             inertia[i, j] = free * mass[i, j] + damping
-            total += free * mass[i, j] * y[j] + damping * start[j] - held_back * loose[i, j] * lag[j]
+            total += free * mass[i, j] * y[j] + damping * start[j]
         right[i] = total
     begin_inside(inner, y, start, dt, tables, inside, inertia, right)
 
@@ -164,24 +155,22 @@ def iterate(
 
 @nb.njit(cache=True)
 def end_step(
-    y: np.ndarray, velocity: np.ndarray, lag: np.ndarray, inner: np.ndarray, dt: float, tables: Any, held: Any,
-    start: np.ndarray,
-) -> tuple[float, float, float]:
-    """Bring ``velocity``, ``lag`` and ``inner`` up to date; return the energies by which ``_set_out`` scales them.
+    y: np.ndarray, velocity: np.ndarray, inner: np.ndarray, dt: float, tables: Any, held: Any, start: np.ndarray
+) -> tuple[float, float]:
+    """Bring ``velocity`` and ``inner`` up to date; return the energies by which ``_set_out`` scales them.
 
-    They are twice the kinetic energy, what the lag stores and twice what the inside stores. Neither the force of turning
-    nor the change of mass may alter the first; nor may the others grow as viscosity and stiffness change.
+    They are twice the kinetic energy and twice what the inside stores. Neither the force of turning nor the change of mass
+    may alter the first; nor may the second grow as stiffness changes.
     """
-    mass, _, loose, turning, inside = held
-    r, hold = len(y), lag_hold(dt, tables)
+    mass, _, turning, inside = held
+    r = len(y)
     for i in range(r):
         velocity[i] = (y[i] - start[i]) / dt
-        lag[i] = hold * lag[i] + (1.0 - hold) * velocity[i] if hold > 0.0 else 0.0
     bent = end_inside(inner, y, dt, inside)
     kinetic = _square_of(mass, velocity) + shared_energy(velocity, inner, inside)
     for i in range(r):
         kinetic -= 2.0 * dt * turning[i] * velocity[i]
-    return max(kinetic, 0.0), _square_of(loose, lag), bent
+    return max(kinetic, 0.0), bent
 
 
 @nb.njit(cache=True)
@@ -192,23 +181,18 @@ def share_of(energy: float, now: float) -> float:
 
 @nb.njit(cache=True)
 def _fill_viscosity(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any, work: Any, held: Any) -> None:
-    """Fill viscosity, its lagging share and the inside's within the step from ``y``; ``work`` as for ``_set_out``."""
-    values, point, _, factor, ahead, root, other, slope, elastic = work
-    _, stiff, loose, _, inside = held
+    """Fill viscosity and the inside's within the step from ``y``; ``work`` as for ``_set_out``."""
+    values, point, _, factor, ahead, root, slope, elastic = work
+    _, stiff, _, inside = held
     product = slope[: len(root)]
     for i in range(len(y)):
         ahead[i] = y[i] + VISCOUS * dt * velocity[i]
     to_ball(ahead, point)
-    wide = max(tables.elastic.shape[1], tables.stiffness_root.shape[1], tables.lag_root.shape[1])
-    few = values[: max(wide, tables.drag_root.shape[1])]
+    few = values[: max(tables.elastic.shape[1], tables.stiffness_root.shape[1], tables.drag_root.shape[1])]
     fill_monomials(point, tables.parent, tables.variable, few)
     fill_rows(tables.elastic, few, elastic)
     fill_rows(tables.stiffness_root, few, root)
-    fill_rows(tables.lag_root, few, other)
     fill_elastic_factor(elastic, tables.elastic[:, 0], factor)
-    if tables.lag_root.shape[1] > 0:
-        fill_behind(other, factor, product)
-        fill_square(product, loose)
     fill_behind(root, factor, product)
     fill_square(product, stiff)
     fill_drag(product, tables, few, inside)
@@ -216,21 +200,21 @@ def _fill_viscosity(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any,
 
 @nb.njit(cache=True)
 def _set_out(
-    y: np.ndarray, velocity: np.ndarray, lag: np.ndarray, inner: np.ndarray, dt: float,
-    energies: tuple[float, float, float], tables: Any, work: Any, held: Any,
+    y: np.ndarray, velocity: np.ndarray, inner: np.ndarray, dt: float, energies: tuple[float, float], tables: Any,
+    work: Any, held: Any,
 ) -> float:
     """Fill what is held during the step from ``y``, and scale what moves to its energies; return ``|y|``.
 
     Parameters
     ----------
-    energies : twice the kinetic energy that the rates are scaled to, negative to leave them; lag and inside are scaled
-        down where they would store more than the other two
-    work : monomials, point (r,), two matrices (r, r), a vector (r,), rows (r r,), (r r,), (r r r,), (pairs,)
+    energies : twice the kinetic energy that the rates are scaled to, negative to leave them; the inside is scaled down
+        where it would store more than the other
+    work : monomials, point (r,), two matrices (r, r), a vector (r,), rows (r r,), (r r r,), (pairs,)
     held : as for ``begin_step``
     """
-    values, point, scratch, _, ahead, root, _, slope, _ = work
-    mass, _, loose, turning, inside = held
-    kinetic, stored, bent = energies
+    values, point, scratch, _, ahead, root, slope, _ = work
+    mass, _, turning, inside = held
+    kinetic, bent = energies
     radius = to_ball(y, point)
     few, beyond = values[: max(tables.mass_root.shape[1], tables.give_root.shape[1], tables.give.shape[1])], 0.0
     for _ in range(AGAIN if kinetic >= 0.0 else 1):  # the mass ahead hangs on the scaled velocity
@@ -255,9 +239,6 @@ def _set_out(
     _fill_turning(beyond, velocity, point, root, slope, scratch, turning)
     if tables.scales[2] > 0.0:
         _fill_viscosity(y, velocity, dt, tables, work, held)
-        share = min(1.0, share_of(stored, _square_of(loose, lag)))
-        for i in range(len(y)):
-            lag[i] *= share
     return radius
 
 
@@ -265,7 +246,6 @@ def _set_out(
 def run_kernel(
     y: np.ndarray,
     velocity: np.ndarray,
-    lag: np.ndarray,
     inner: np.ndarray,
     rest: np.ndarray,
     dt: float,
@@ -276,16 +256,15 @@ def run_kernel(
     position: np.ndarray,
     quaternion: np.ndarray,
 ) -> tuple[int, float]:
-    """Advance ``y``, ``velocity``, ``lag`` (r,) and ``inner`` (2, 3) by implicit Euler over ``load`` (steps, r) Pa and N.
+    """Advance ``y``, ``velocity`` (r,) and ``inner`` (2, 3) by implicit Euler over ``load`` (steps, r) Pa and N.
 
     Mass is that where the velocity leads in a step, and so is the force of inertia by which a turning body leaves the
     straight way. The full model resists the change of strain from one end of a step to the other: to first order that
     is the viscosity half a step ahead and a quarter of a step's change of its form in the rate, which is its change along
     the rate where its slopes are as symmetric as those of a Hessian: the viscosity ``VISCOUS`` of a step ahead. After a
     step the velocity is scaled so that neither the force of turning nor the change of mass alters the kinetic energy:
-    energy is created nowhere. A share of the viscosity lags: it acts on ``lag``, the rate as the body's inside follows
-    it, ``tau d lag/dt = rate - lag``, and ``lag`` is scaled down where it would gain energy. So is ``inner``, by which the
-    inside gives to acceleration (``pod.inside``).
+    energy is created nowhere. ``inner``, by which the inside gives to acceleration (``pod.inside``), is scaled down where
+    it would gain energy.
 
     Parameters
     ----------
@@ -300,11 +279,11 @@ def run_kernel(
     """
     r, n = len(y), len(y) - 3
     values, point = np.empty(len(tables.parent)), np.empty(r)
-    mass, stiff, loose, factor = np.zeros((r, r)), np.zeros((r, r)), np.zeros((r, r)), np.zeros((r, r))
+    mass, stiff, factor = np.zeros((r, r)), np.zeros((r, r)), np.zeros((r, r))
     inertia, right, start, turning = np.empty((r, r)), np.empty(r), np.empty(r), np.empty(r)
     gradient, hessian, jacobian, scratch = np.empty(r), np.empty((r, r)), np.empty((r, r)), np.empty((r, r))
     direction, trial, progress = np.empty(r), np.empty(r), np.empty(2)
-    rows = np.empty(r * r), np.empty(r * r), np.empty(r * r * r), np.empty(len(tables.elastic))
+    rows = np.empty(r * r), np.empty(r * r * r), np.empty(len(tables.elastic))
     ports, bare = make_ports(n), np.empty(r)
     with_effects = len(hooks[0]) + len(hooks[3]) > 0
     close = TOLERANCE if with_effects else CLOSE
@@ -313,12 +292,12 @@ def run_kernel(
         fill_potential(y, tables, values, point, gradient, hessian)
         fill_ports(y, rest, gradient, hessian, dt, load[0, :n], tables, ports, True)
         ports.strains[0], ports.tips[0] = ports.strains[1], ports.tips[1]
-    work = (values, point, scratch, factor, direction, rows[0], rows[1], rows[2], rows[3])
-    held = (mass, stiff, loose, turning, make_inside(r, ()))
-    farthest = _set_out(y, velocity, lag, inner, dt, (-1.0, np.inf, np.inf), tables, work, held)
+    work = (values, point, scratch, factor, direction, rows[0], rows[1], rows[2])
+    held = (mass, stiff, turning, make_inside(r, ()))
+    farthest = _set_out(y, velocity, inner, dt, (-1.0, np.inf), tables, work, held)
     for step in range(len(load)):
         pressure = load[step, :n]
-        begin_step(y, velocity, lag, inner, load[step], dt, tables, held, start, inertia, right)
+        begin_step(y, velocity, inner, load[step], dt, tables, held, start, inertia, right)
         progress[0] = -1.0
         longest = np.inf
         for iteration in range(MAX_ITERATIONS):
@@ -340,10 +319,10 @@ def run_kernel(
             failed += 1
         if with_effects:  # the potential's derivatives are those a last, negligible step ago
             commit_effects(y, rest, bare, hessian, dt, pressure, tables, hooks, ports)
-        energies = end_step(y, velocity, lag, inner, dt, tables, held, start)
-        farthest = max(farthest, _set_out(y, velocity, lag, inner, dt, energies, tables, work, held))
+        energies = end_step(y, velocity, inner, dt, tables, held, start)
+        farthest = max(farthest, _set_out(y, velocity, inner, dt, energies, tables, work, held))
         if len(path) > 0:
             path[step] = y
         if len(position) > 0:
-            tip_pose(y, lag, inner[0], tables, values, point, position[step], quaternion[step])
+            tip_pose(y, inner[0], tables, values, point, position[step], quaternion[step])
     return failed, farthest

@@ -14,17 +14,16 @@ class Lanes(NamedTuple):
 
     Attributes
     ----------
-    mass, stiff, loose, inertia, matrix : (r, r, lanes), the last one scratch
+    mass, stiff, inertia, matrix : (r, r, lanes), the last one scratch
     turning, right, gradient, direction, wanted, trial : (r, lanes)
     points : (r, lanes) in the unit ball;  radius : (lanes,) of the states they belong to
-    root, other, product : (r r, lanes);  slope : (r r r, lanes);  pairs : (r (r + 1) / 2, lanes)
+    root, product : (r r, lanes);  slope : (r r r, lanes);  pairs : (r (r + 1) / 2, lanes)
     values : (k, lanes) monomials
     some : (5, lanes) scratch
     """
 
     mass: np.ndarray
     stiff: np.ndarray
-    loose: np.ndarray
     inertia: np.ndarray
     matrix: np.ndarray
     turning: np.ndarray
@@ -36,7 +35,6 @@ class Lanes(NamedTuple):
     points: np.ndarray
     radius: np.ndarray
     root: np.ndarray
-    other: np.ndarray
     product: np.ndarray
     slope: np.ndarray
     pairs: np.ndarray
@@ -49,10 +47,10 @@ def make_lanes(r: int, lanes: int, monomials: int) -> Lanes:
     """Return room for ``lanes`` lanes."""
     full = (r, r, lanes)
     return Lanes(
-        np.zeros(full), np.zeros(full), np.zeros(full), np.zeros(full), np.zeros(full),
+        np.zeros(full), np.zeros(full), np.zeros(full), np.zeros(full),
         np.zeros((r, lanes)), np.zeros((r, lanes)), np.zeros((r, lanes)), np.zeros((r, lanes)), np.zeros((r, lanes)),
         np.zeros((r, lanes)), np.zeros((r, lanes)), np.zeros(lanes),
-        np.zeros((r * r, lanes)), np.zeros((r * r, lanes)), np.zeros((r * r, lanes)), np.zeros((r**3, lanes)),
+        np.zeros((r * r, lanes)), np.zeros((r * r, lanes)), np.zeros((r**3, lanes)),
         np.zeros((r * (r + 1) // 2, lanes)), np.zeros((monomials, lanes)),
         np.zeros((5, lanes)),
     )  # fmt: skip

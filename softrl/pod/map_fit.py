@@ -13,7 +13,6 @@ from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
 RIDGES = (1e-10, 1e-8, 1e-7, 1e-6, 1e-5)  # tried for every map
-LAG_FLOOR = 0.005  # of the viscosity lags everywhere: keeps the root smooth at rest, where nothing else does
 
 
 class Kind(NamedTuple):
@@ -31,17 +30,17 @@ def fit_maps(
     A map is fitted to its values at the equilibria and, where that is known, to how it changes under the largest load of
     each kind.
     """
-    images, kinds, ratio = images_of(robot), _kinds(settings), _lag_ratio(samples)
+    images, kinds = images_of(robot), _kinds(settings)
     everything = reflected(samples, [*symmetries(robot.chamber_direction)[:1], *images])
     largest = np.abs(everything.load).max(axis=0)
-    terms = Terms(frame, ratio, _mean_factor(everything, frame))
+    terms = Terms(frame, _mean_factor(everything, frame))
     goals = _goals(everything, terms, largest)
     goals["stiffness_root_by_gravity"] = _stiffness_root_by_gravity(everything.answers, terms)
     seen = Seen(
         np.linalg.solve(frame, everything.coordinate.T).T, np.linalg.solve(frame, everything.compliance) * largest
     )
     weights = {"mass_root": _coordinate_weights(everything, frame)}
-    maps: dict[str, Any] = {"lag_ratio": ratio}
+    maps: dict[str, Any] = {}
     least: dict[str, float] = {}
     folds = np.tile(fold, 1 + len(images))
     own = slice(0, len(fold))
@@ -65,18 +64,16 @@ def _kinds(settings: FitSettings) -> dict[str, Kind]:
     exact = {
         "centre_of_mass": Kind(settings.energy_degree_max, True),
         "rotation": Kind(settings.map_degree_max, True),
-        "lag_rotation": Kind(settings.map_degree_max, True),
         "give_rotation": Kind(settings.root_degree_max, False),
     }
     roots = dict.fromkeys(("mass_root", "give_root", "drag_root", "give", "stiffness_root_by_gravity"), root)
-    return roots | dict.fromkeys(("lag_root", "stiffness_root"), tough) | exact
+    return roots | {"stiffness_root": tough} | exact
 
 
 class Terms(NamedTuple):
-    """In what terms maps are seen: the frame, the lag's ratio, and a factor of the mean mass."""
+    """In what terms maps are seen: the frame, and a factor of the mean mass."""
 
     frame: np.ndarray
-    lag_ratio: float
     mass_factor: np.ndarray
 
 
@@ -94,87 +91,57 @@ def _goals(images: Equilibria, terms: Terms, largest: np.ndarray) -> dict[str, n
 
 
 class Roots(NamedTuple):
-    """Roots (S, r, r) of mass, of the viscosity that lags and of the rest, the latter two beside the elastic factor.
+    """Roots (S, r, r) of mass and of viscosity, the latter beside the elastic factor.
 
     Beside the elastic Hessian, which viscosity equals at rest and whose stiff directions it shares wherever they turn, low
     degrees predict it three times better.
     """
 
     mass: np.ndarray
-    lag: np.ndarray
-    rest: np.ndarray
+    viscous: np.ndarray
     elastic_factor: np.ndarray
 
 
 def _roots(answers: Answers, terms: Terms) -> Roots:
     frame, factor = terms.frame, terms.mass_factor
     viscous, mass = (frame.T @ answers[name] @ frame for name in ("stiffness", "mass"))
-    lagging = frame.T @ _beside_gives(answers).stiffness @ frame / terms.lag_ratio + LAG_FLOOR * viscous
     inverse = np.linalg.inv(factor)
     elastic_factor = elastic_factors(frame.T @ np.linalg.inv(answers["compliance"]) @ frame)
     apart = np.linalg.inv(elastic_factor)
-    parts = (symmetric_roots(apart @ part @ apart.transpose(0, 2, 1)) for part in (lagging, viscous - lagging))
-    return Roots(symmetric_roots(inverse @ mass @ inverse.T) @ factor.T, *parts, elastic_factor)
+    beside = symmetric_roots(apart @ viscous @ apart.transpose(0, 2, 1))
+    return Roots(symmetric_roots(inverse @ mass @ inverse.T) @ factor.T, beside, elastic_factor)
 
 
 def _stiffness_root_by_gravity(answers: Answers, terms: Terms) -> np.ndarray:
-    """Return the changes (S, 1, 3 r r) of the root of the viscosity that does not lag, by unit gravity along each axis."""
+    """Return the changes (S, 1, 3 r r) of the root of viscosity by unit gravity along each axis."""
     roots = _roots(answers, terms)
     apart = np.linalg.inv(roots.elastic_factor)[:, None]
     change = apart @ (terms.frame.T @ answers["viscosity_by_gravity"] @ terms.frame) @ apart.transpose(0, 1, 3, 2)
-    return 0.5 * np.linalg.solve(roots.rest[:, None], change).reshape(len(change), 1, -1)
+    return 0.5 * np.linalg.solve(roots.viscous[:, None], change).reshape(len(change), 1, -1)
 
 
 def _values(answers: Answers, terms: Terms) -> Answers:
     """Return the values (S, columns) of every map whose slopes are known."""
     frame, roots = terms.frame, _roots(answers, terms)
     drag_across, give_across = answers["give_drag"] @ frame, answers["give_coupling"] @ frame
-    rest_root = roots.rest @ roots.elastic_factor.transpose(0, 2, 1)
+    viscous_root = roots.viscous @ roots.elastic_factor.transpose(0, 2, 1)
     values = {
         "mass_root": roots.mass,
-        "lag_root": roots.lag,
-        "stiffness_root": roots.rest,
+        "stiffness_root": roots.viscous,
         "give_root": _rows_beside(roots.mass, give_across, answers["give_mass"]),
-        "drag_root": _rows_beside(rest_root, drag_across, answers["give_viscosity"]),
+        "drag_root": _rows_beside(viscous_root, drag_across, answers["give_viscosity"]),
         "give": symmetric_roots(answers["give"]),
         "centre_of_mass": answers["centre_of_mass"],
         "rotation": answers["rotation"],
-        "lag_rotation": _beside_gives(answers).spin @ frame,
         "give_rotation": answers["give_spin"],
     }
     return {name: value.reshape(len(value), -1) for name, value in values.items()}
-
-
-class Lag(NamedTuple):
-    """What lags beside what gives: (S, r, r) stiffness and viscosity, (S, 3, r) turn of the tip; see ``Equilibria``."""
-
-    stiffness: np.ndarray
-    viscosity: np.ndarray
-    spin: np.ndarray
-
-
-def _beside_gives(answers: Answers) -> Lag:
-    """Return the lags without their share in the shapes by which the body gives; nothing is taken where nothing gives."""
-    shared = np.linalg.pinv(answers["give"]) @ answers["give_drag"]
-    return Lag(
-        answers["lag_stiffness"] - shared.transpose(0, 2, 1) @ answers["give"] @ shared,
-        answers["lag_viscosity"] - shared.transpose(0, 2, 1) @ answers["give_viscosity"] @ shared,
-        answers["lag_spin"] + answers["give_spin"] @ shared,
-    )
 
 
 def _rows_beside(root: np.ndarray, across: np.ndarray, own: np.ndarray) -> np.ndarray:
     """Return A above B (S, r + 3, 3) with R'A = ``across``' (S, r, 3) and A'A + B'B = ``own`` (S, 3, 3), R the ``root``."""
     above = np.linalg.solve(root.transpose(0, 2, 1), across.transpose(0, 2, 1))
     return np.concatenate([above, symmetric_roots(own - above.transpose(0, 2, 1) @ above)], axis=1)
-
-
-def _lag_ratio(samples: Equilibria) -> float:
-    """Return the viscosity of the lags over their stiffness, one number for all: 1 where nothing lags."""
-    lag = _beside_gives(samples.answers)
-    stiffness = float(np.einsum("sij,sji->", samples.compliance, lag.stiffness))
-    viscosity = float(np.einsum("sij,sji->", samples.compliance, lag.viscosity))
-    return viscosity / stiffness if stiffness > 0.0 else 1.0
 
 
 def _mean_factor(samples: Equilibria, frame: np.ndarray) -> np.ndarray:

@@ -22,7 +22,6 @@ def _spun(coefficients: np.ndarray, values: np.ndarray, degrees: np.ndarray, bey
 @nb.njit(cache=True)
 def tip_pose(
     y: np.ndarray,
-    lag: np.ndarray,
     gives: np.ndarray,
     tables: Any,
     values: np.ndarray,
@@ -32,13 +31,13 @@ def tip_pose(
 ) -> None:
     """Fill the tip's position (3,) m and quaternion (4,) w x y z at ``y``.
 
-    ``lag`` (r,) is the lagged rate; ``gives`` (3,) how far the inside gives beyond what weight makes it give.
+    ``gives`` (3,) is how far the inside gives beyond what weight makes it give.
     """
     n, r = len(y) - 3, len(y)
     beyond = max(to_ball(y, point) - 1.0, 0.0)
-    few = values[: max(tables.rotation.shape[1], tables.lag_rotation.shape[1], tables.give_rotation.shape[1])]
+    few = values[: max(tables.rotation.shape[1], tables.give_rotation.shape[1])]
     fill_monomials(point, tables.parent, tables.variable, few)
-    square = lagged = 0.0
+    square = given = 0.0
     for k in range(3):
         position[k] = tables.rest_tip[k]
         for j in range(r):
@@ -55,14 +54,11 @@ def tip_pose(
     turn = (0.0, 0.0, 0.0)
     for k in range(3):
         angle = 0.0
-        for j in range(r):
-            angle += polynomial(tables.lag_rotation[k * r + j], few) * lag[j]
-        angle *= 0.5 * tables.scales[5]
         for j in range(AXES):
             angle += 0.5 * polynomial(tables.give_rotation[k * AXES + j], few) * gives[j]
-        lagged += angle * angle
+        given += angle * angle
         turn = (turn[1], turn[2], angle)
-    v, (x, y_, z) = 1.0 / math.sqrt(1.0 + lagged), turn
+    v, (x, y_, z) = 1.0 / math.sqrt(1.0 + given), turn
     quaternion[0] = v * (w - x * a - y_ * b - z * c)
     quaternion[1] = v * (a + x * w + y_ * c - z * b)
     quaternion[2] = v * (b + y_ * w + z * a - x * c)

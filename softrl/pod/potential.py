@@ -26,18 +26,16 @@ class Tables(NamedTuple):
     parent, variable, degrees : (k,) how monomials are made;  shares : (k,) 1 / (degree + 1)
     gradient : (r, k), hessian : (pairs, k) J, of elastic energy and weight together
     quadratic : (r, r) J, elastic Hessian at rest: what makes an indefinite Newton matrix definite
-    mass_root, stiffness_root, lag_root : (r r, k) of mass, viscosity and the share of it that lags, the latter two
-        beside the factor of ``elastic``; the last may have no columns
+    mass_root, stiffness_root : (r r, k) of mass and viscosity, the latter beside the factor of ``elastic``
     mass_slope : (r r r, k) gradient of ``mass_root`` by y, the first axis by which coordinate
     elastic : (pairs, k) J, Hessian of the elastic energy alone at scale 1
     weight : (3, r, k) N/(m/s^2) m, mass times the gradient of the centre of mass by y
-    rotation : (3, k) rad, with what weight turns;  lag_rotation : (3 r, k) rad per y, of the lags
+    rotation : (3, k) rad, with what weight turns
     give : (9, k) kg^0.5 s;  give_rotation : (9, k) rad s^2/m;  give_root, drag_root : (3 (r + 3), k), see ``pod.inside``
     rest_volume : (n,) m^3;  rest_tip : (3,) m
     rest_slope : (n,) Pa, pressure per relative volume of one chamber at rest, other volumes held and tip free
     gravity : (3,) m/s^2, contained in gradient and hessian
-    scales : (6,) mass scale; mass damping 1/s; stiffness damping s; wall J; time constant of the lags s; seconds of rate
-        in a unit of lag
+    scales : (4,) mass scale; mass damping 1/s; stiffness damping s; wall J
     """
 
     frame: np.ndarray
@@ -51,12 +49,10 @@ class Tables(NamedTuple):
     quadratic: np.ndarray
     mass_root: np.ndarray
     stiffness_root: np.ndarray
-    lag_root: np.ndarray
     mass_slope: np.ndarray
     elastic: np.ndarray
     weight: np.ndarray
     rotation: np.ndarray
-    lag_rotation: np.ndarray
     give: np.ndarray
     give_root: np.ndarray
     drag_root: np.ndarray

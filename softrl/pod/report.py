@@ -102,7 +102,7 @@ def report_speed(model: ReducedModel, snapshots: Snapshots, rng: np.random.Gener
     position, quaternion = np.empty((SPEED_STEPS, 3)), np.empty((SPEED_STEPS, 4))
     run = (tables, no_hooks(), np.empty((0, r)), position, quaternion)
     dt = _time_step(snapshots)
-    still = [*np.zeros((3, r)), STILL, np.zeros(r)]
+    still = [*np.zeros((2, r)), STILL, np.zeros(r)]
     run_kernel(*(part.copy() for part in still), dt, load[:1], *run[:3], position[:1], quaternion[:1])
     moving = [part.copy() for part in still]
     began = time.process_time()

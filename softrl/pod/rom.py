@@ -85,7 +85,6 @@ def static_points(tables: Tables, loads: np.ndarray) -> tuple[np.ndarray, np.nda
         run_kernel(
             y,
             velocity,
-            np.zeros(r),
             STILL.copy(),
             np.zeros(r),
             QUASI_STATIC_S,
@@ -96,7 +95,7 @@ def static_points(tables: Tables, loads: np.ndarray) -> tuple[np.ndarray, np.nda
             *EMPTY,
         )
         again = y.copy()
-        still = *np.zeros((2, r)), STILL.copy(), np.zeros(r)
+        still = np.zeros(r), STILL.copy(), np.zeros(r)
         missed, _ = run_kernel(again, *still, QUASI_STATIC_S, load[None].copy(), tables, no_hooks(), path[:0], *EMPTY)
         found[s], failed[s] = again, missed > 0 or not np.isfinite(again).all()
     return found, failed
@@ -105,15 +104,15 @@ def static_points(tables: Tables, loads: np.ndarray) -> tuple[np.ndarray, np.nda
 def tip_poses(
     model: ReducedModel, coordinate: np.ndarray, gravity_m_s2: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return tip positions (S, 3) m and quaternions (S, 4) w x y z at coordinates z (S, n + 3), nothing lagging.
+    """Return tip positions (S, 3) m and quaternions (S, 4) w x y z at coordinates z (S, n + 3).
 
     The model's own gravity turns the tip a little, unless another is given.
     """
     tables = tables_of(model, gravity_m_s2)
     position, quaternion = np.empty((len(coordinate), 3)), np.empty((len(coordinate), 4))
-    values, point, still = np.empty(len(tables.parent)), np.empty(model.order), np.zeros(model.order)
+    values, point = np.empty(len(tables.parent)), np.empty(model.order)
     for k, y in enumerate(coordinate @ tables.inverse.T):
-        tip_pose(y, still, STILL[0], tables, values, point, position[k], quaternion[k])
+        tip_pose(y, STILL[0], tables, values, point, position[k], quaternion[k])
     return position, quaternion
 
 
@@ -165,7 +164,7 @@ def roll_poses(
 
     Parameters
     ----------
-    start, velocity : (B, n + 3) z and its rate before the first step, at which nothing lags; zero if None
+    start, velocity : (B, n + 3) z and its rate before the first step; zero if None
     gravity_m_s2 : (3,); the model's own if None
     """
     tables = tables_of(model, gravity_m_s2)
@@ -176,7 +175,7 @@ def roll_poses(
     held = np.ascontiguousarray(loads, dtype=float)
     failed, farthest = 0, 0.0
     for b in range(batch):
-        moving = first[b].copy(), rate[b].copy(), rate[b].copy(), STILL.copy(), np.zeros(r)
+        moving = first[b].copy(), rate[b].copy(), STILL.copy(), np.zeros(r)
         missed, far = run_kernel(*moving, dt_s, held[b], tables, no_hooks(), path[b], position, quaternion[b])
         failed, farthest = failed + missed, max(farthest, far)
     _check(path, failed, farthest, model, dt_s)
@@ -197,7 +196,7 @@ def roll(
         np.zeros((batch, model.order)) if given is None else given @ tables.inverse.T for given in (start, velocity)
     )
     held = np.ascontiguousarray(loads, dtype=float)
-    path, failed, farthest = run_batch(first, rate, rate, dt_s, held, tables)
+    path, failed, farthest = run_batch(first, rate, dt_s, held, tables)
     _check(path, failed, farthest, model, dt_s)
     return np.asarray(path @ model.frame.T)
 

@@ -41,7 +41,7 @@ def settles(model: ReducedModel, loads: np.ndarray) -> bool:
         return False
     held = np.repeat(loads, THROW_STEPS, axis=0)
     path = np.empty_like(held)
-    still = *np.zeros((3, model.order)), STILL.copy(), np.zeros(model.order)
+    still = *np.zeros((2, model.order)), STILL.copy(), np.zeros(model.order)
     failed, _ = run_kernel(*still, THROW_STEP / slowest, held, tables, no_hooks(), path, *EMPTY)
     apart = np.linalg.norm(((path[THROW_STEPS - 1 :: THROW_STEPS] - points) @ model.frame.T)[:, -3:], axis=1)
     return failed == 0 and bool((apart < LOST * np.linalg.norm(points @ model.frame.T[:, -3:], axis=1).mean()).all())

@@ -29,13 +29,12 @@ _reported: dict[str, float] = {}
 class RomState(NamedTuple):
     """Coordinates z (n + 3,), chambers' volumes then tip relative to stress-free rest, m^3 and m; their velocity.
 
-    ``lag`` (n + 3,) is the velocity as the body's inside follows it, ``inner`` (2, 3) how far that gives beyond what
-    weight makes it give, in units of acceleration, m/s^2, and its rate.
+    ``inner`` (2, 3) is how far the body's inside gives beyond what weight makes it give, in units of acceleration, m/s^2,
+    and its rate.
     """
 
     coordinates: np.ndarray
     velocity: np.ndarray
-    lag: np.ndarray
     inner: np.ndarray
 
 
@@ -109,19 +108,18 @@ class RomSimulator:
         for _ in range(LOAD_STEPS):
             before = y.copy()
             # a step on the way may fail, as where the tip is thrown out of a surface: what counts is where it comes to rest
-            still = *np.zeros((2, r)), STILL.copy(), np.zeros(r)
+            still = np.zeros(r), STILL.copy(), np.zeros(r)
             self._run(y, *still, QUASI_STATIC_S, load, loads_only, 0, failed_share=1.0)
             load[:] = load[-1]
             if np.abs(y - before).max() < 1e-8:
                 break
-        self._run(y, *np.zeros((2, r)), STILL.copy(), np.zeros(r), QUASI_STATIC_S, load, loads_only, 0)
+        self._run(y, np.zeros(r), STILL.copy(), np.zeros(r), QUASI_STATIC_S, load, loads_only, 0)
         return y
 
     def _run(
         self,
         y: np.ndarray,
         velocity: np.ndarray,
-        lag: np.ndarray,
         inner: np.ndarray,
         rest: np.ndarray,
         dt_s: float,
@@ -134,7 +132,7 @@ class RomSimulator:
         position, quaternion = np.empty((poses, 3)), np.empty((poses, 4))
         path = np.empty((0, len(y)))
         failed, farthest = run_kernel(
-            y, velocity, lag, inner, rest, dt_s, load, self._tables, hooks, path, position, quaternion
+            y, velocity, inner, rest, dt_s, load, self._tables, hooks, path, position, quaternion
         )
         if failed > failed_share * len(load) or not np.isfinite(y).all():
             raise SolverError(
@@ -164,12 +162,12 @@ class RomSimulator:
     def equilibrium(self, pressure: np.ndarray) -> RomState:
         """Return the state at rest under ``pressure`` (n,) Pa and weight."""
         z = self.reduced_model.frame @ self._equilibrium(no_hooks(), np.asarray(pressure, dtype=float))
-        return RomState(z, np.zeros_like(z), np.zeros_like(z), STILL.copy())
+        return RomState(z, np.zeros_like(z), STILL.copy())
 
     def reset(self, rng: np.random.Generator | None = None) -> RomState:
         """Return the state at rest under zero pressure and weight; ``rng`` is unused."""
         z = self.reduced_model.frame @ self._rest
-        return RomState(z, np.zeros_like(z), np.zeros_like(z), STILL.copy())
+        return RomState(z, np.zeros_like(z), STILL.copy())
 
     def step(
         self,
@@ -186,19 +184,18 @@ class RomSimulator:
         from the equilibrium under weight alone.
         """
         tables = self._tables
-        y, velocity, lag = (tables.inverse @ part for part in state[:3])
+        y, velocity = (tables.inverse @ part for part in state[:2])
         inner = state.inner.copy()
         held = self._loads(pressure, tip_force)
-        self._run(y, velocity, lag, inner, self._rest, float(dt_s), held, _running(body, load), 0)
-        return RomState(*(tables.frame @ part for part in (y, velocity, lag)), inner)
+        self._run(y, velocity, inner, self._rest, float(dt_s), held, _running(body, load), 0)
+        return RomState(*(tables.frame @ part for part in (y, velocity)), inner)
 
     def observe(self, state: RomState) -> tuple[np.ndarray, np.ndarray]:
         """Return tip position (3,) m and quaternion (4,) w x y z."""
         tables = self._tables
         position, quaternion = np.empty(3), np.empty(4)
         values, point = np.empty(len(tables.parent)), np.empty(len(tables.frame))
-        y, lag = tables.inverse @ state.coordinates, tables.inverse @ state.lag
-        tip_pose(y, lag, state.inner[0], tables, values, point, position, quaternion)
+        tip_pose(tables.inverse @ state.coordinates, state.inner[0], tables, values, point, position, quaternion)
         return position, quaternion
 
     def simulate(
@@ -216,7 +213,7 @@ class RomSimulator:
         hooks = typed_hooks(body, load) if body or load else no_hooks()
         rest = self._equilibrium(hooks) if load else self._rest
         held = self._loads(pressure, tip_force)
-        moving = rest.copy(), *np.zeros((2, len(rest))), STILL.copy()
+        moving = rest.copy(), np.zeros(len(rest)), STILL.copy()
         position, quaternion = self._run(*moving, rest, float(time[1] - time[0]), held, hooks, len(held))
         return Motion(np.asarray(time, dtype=float), position, quaternion, held[:, : self.robot.chambers].copy())
 

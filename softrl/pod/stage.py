@@ -1,7 +1,7 @@
 """pod: from snapshots of the full model to a reduced one."""
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,8 +10,9 @@ from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ArtifactError, ConfigError
 from softrl.core.tracking import Tracker
 from softrl.pod.basis import PodBasis, pod_basis, projection_errors
+from softrl.pod.candidates import Choice
 from softrl.pod.convergence import by_equilibria, report_coordinates, report_equilibria
-from softrl.pod.equilibria import equilibria
+from softrl.pod.equilibria import Equilibria, equilibria
 from softrl.pod.figures import draw_choice, draw_convergence, draw_motion, draw_parity, draw_spectrum
 from softrl.pod.fit import fit_model, linear_model, tell_choice
 from softrl.pod.report import report_motions, report_speed, report_statics, report_weight, statics
@@ -19,17 +20,18 @@ from softrl.pod.settings import FitSettings
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
+LEAST_RIDGE = 1e-12  # a linear body is fitted with none
 
 
 @dataclass(frozen=True)
 class Config(FitSettings):
-    """POD modes and the energy ROM, fitted to all equilibria but the held-out ones.
+    """POD modes and the energy ROM: judged by the fit without the held-out equilibria, then fitted to all.
 
     Attributes
     ----------
     FitSettings : how the ROM is fitted
     pod_energy : keep modes until this share of the squared singular values;  modes_max : at most this many
-    heldout_share : share of the equilibria that no fit and no choice sees
+    heldout_share : share of the equilibria that no fit and no choice sees until they have judged
     convergence_shares : of the seen equilibria, to which the model is fitted once more for the convergence figure
     """
 
@@ -70,17 +72,27 @@ def run(config: Config, robot: Robot, snapshots: Snapshots, *, tracker: Tracker)
     report_statics(model, linear, samples.rows(seen), "train", tracker)
     static = report_statics(model, linear, samples.rows(heldout), "heldout", tracker)
     tracker.figure("static_parity", draw_parity(static, statics(linear, samples.rows(heldout))[0]))
-    if len(snapshots.trajectory_load):
-        moving = report_motions(model, linear, snapshots, tracker)
-        tracker.figure("motion", draw_motion(snapshots.trajectory_time, moving, 0))
     parts = samples.rows(seen), samples.rows(heldout)
     report_coordinates(model, snapshots, parts[1], tracker)
     points = by_equilibria(config.convergence_shares, config, choices[0], robot, snapshots, parts, pod, model)
     report_equilibria(points, tracker)
     tracker.figure("convergence", draw_convergence(choices, points))
-    report_speed(model, snapshots, rng, tracker)
-    report_weight(model, tracker)
-    return model
+    whole = _fit_whole(config, robot, snapshots, samples, pod, choices[0], rng)
+    if len(snapshots.trajectory_load):
+        moving = report_motions(whole, linear_model(whole), snapshots, tracker)
+        tracker.figure("motion", draw_motion(snapshots.trajectory_time, moving, 0))
+    report_speed(whole, snapshots, rng, tracker)
+    report_weight(whole, tracker)
+    return whole
+
+
+def _fit_whole(
+    config: Config, robot: Robot, snapshots: Snapshots, samples: Equilibria, pod: PodBasis, best: Choice,
+    rng: np.random.Generator,
+) -> ReducedModel:
+    """Return the model of all equilibria, now that those held out have judged how it is fitted; ``best`` gives the ridge."""
+    settings = replace(config, ridges=(max(best.ridge, LEAST_RIDGE),))
+    return fit_model(settings, robot, snapshots, samples, pod, rng)[0]
 
 
 def _refuse_other(robot: Robot, snapshots: Snapshots) -> None:

@@ -7,7 +7,7 @@ from softrl.pod.polynomial import basis, degree_of, sum_of_squares
 from softrl.pod.potential import Tables
 
 WALL = 3.0  # of the largest curvature at rest: what rises outside the samples
-MAPS = ("mass_root", "lag_root", "lag_rotation", "give_root", "drag_root")
+MAPS = ("mass_root", "give_root", "drag_root")
 
 
 def tables_of(
@@ -66,12 +66,10 @@ def tables_of(
                 quadratic,
                 model.mass_root,
                 stiffness_root,
-                model.lag_root,
                 turning.reshape(r**3, turning.shape[-1]),
                 elastic_hessian(model),
                 mass * weight.transpose(1, 0, 2),
                 rotation,
-                model.lag_rotation,
                 give,
                 more * model.give_root,
                 more * model.drag_root,
@@ -86,8 +84,6 @@ def tables_of(
                         damping_scale * mass_scale * model.rayleigh_mass_per_s,
                         damping_scale * youngs_modulus_scale * model.rayleigh_stiffness_s,
                         WALL * np.linalg.eigvalsh(quadratic)[-1],
-                        damping_scale * model.rayleigh_stiffness_s * model.lag_ratio,
-                        damping_scale * model.rayleigh_stiffness_s,
                     ]
                 ),
             ),

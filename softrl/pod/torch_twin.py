@@ -34,7 +34,6 @@ class TorchRom(torch.nn.Module):
     hessian: Tensor
     mass_root: Tensor
     stiffness_root: Tensor
-    lag_root: Tensor
     mass_slope: Tensor
     give: Tensor
     give_root: Tensor
@@ -56,7 +55,7 @@ class TorchRom(torch.nn.Module):
         tables = tables_of(model, gravity_m_s2, youngs_modulus_scale, damping_scale, mass_scale)
         self.order = r = model.order
         for name in (
-            "frame", "inverse", "gradient", "mass_root", "stiffness_root", "lag_root", "mass_slope", "degrees", "quadratic",
+            "frame", "inverse", "gradient", "mass_root", "stiffness_root", "mass_slope", "degrees", "quadratic",
             "give", "give_root", "drag_root",
         ):  # fmt: skip
             self.register_buffer(name, torch.tensor(getattr(tables, name), dtype=dtype))
@@ -66,8 +65,8 @@ class TorchRom(torch.nn.Module):
         for name in ("hessian", "elastic"):
             self.register_buffer(name, torch.tensor(getattr(tables, name)[pairs.ravel()], dtype=dtype))
         scales = [float(scale) for scale in tables.scales]
-        self.mass_scale, self.mass_damping, self.stiffness_damping, self.wall, self.lag_time = scales[:5]
-        roots = tables.mass_root, tables.stiffness_root, tables.lag_root, tables.give, tables.give_root, tables.drag_root
+        self.mass_scale, self.mass_damping, self.stiffness_damping, self.wall = scales
+        roots = tables.mass_root, tables.stiffness_root, tables.give, tables.give_root, tables.drag_root
         most = max(tables.gradient.shape[1], tables.elastic.shape[1], *(root.shape[1] for root in roots))
         self._levels: list[tuple[Tensor, Tensor]] = []
         for degree in range(1, int(tables.degrees[most - 1]) + 1):
@@ -75,41 +74,35 @@ class TorchRom(torch.nn.Module):
             first = int(np.flatnonzero(tables.degrees == degree - 1)[0])
             self._levels.append((torch.tensor(tables.parent[level] - first), torch.tensor(tables.variable[level])))
 
-    def residual(
-        self, z: Tensor, velocity: Tensor, acceleration: Tensor, load: Tensor, lag: Tensor | None = None
-    ) -> Tensor:
+    def residual(self, z: Tensor, velocity: Tensor, acceleration: Tensor, load: Tensor) -> Tensor:
         """Return M a + M' v - grad(v'M v) / 2 + D v + dW/dz - weight - load, (B, n + 3) Pa and N; zero along a motion.
 
-        Without ``lag``, the lagged rate (B, n + 3), the body's inside is taken to keep up, as in a slow motion; that it
-        gives to acceleration, a few per cent of inertia in a fast one, is left out.
+        That the body's inside gives to acceleration, a few per cent of inertia in a fast motion, is left out.
         """
         y, rate, change = z @ self.inverse.T, velocity @ self.inverse.T, acceleration @ self.inverse.T
         mass, turning, *_ = self._inertia(y, rate)
-        stiff, loose, *_ = self._viscosity(y)
-        late = rate if lag is None else lag @ self.inverse.T
-        viscous = self.stiffness_damping * (_times(stiff, rate) + _times(loose, late)) + _times(self.mass_damping * mass, rate)
+        stiff, *_ = self._viscosity(y)
+        viscous = _times(self.stiffness_damping * stiff + self.mass_damping * mass, rate)
         inside = _times(self.mass_scale * mass, change) - self.mass_scale * turning + viscous + self._slope(y)
         return inside @ self.inverse - load
 
     def step(
-        self, z: Tensor, velocity: Tensor, lag: Tensor, inner: Tensor, load: Tensor, dt_s: float
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return z, its rate, the lagged rate (B, n + 3) and ``inner`` (B, 2, 3) ``dt_s`` later, by implicit Euler.
+        self, z: Tensor, velocity: Tensor, inner: Tensor, load: Tensor, dt_s: float
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Return z, its rate (B, n + 3) and ``inner`` (B, 2, 3) ``dt_s`` later, by implicit Euler.
 
         The load is held. The iteration runs outside the graph; a last Newton step from its end carries the exact first
         derivatives. ``inner`` is that of ``pod.inside``.
         """
-        start, rate, late = z @ self.inverse.T, velocity @ self.inverse.T, lag @ self.inverse.T
+        start, rate = z @ self.inverse.T, velocity @ self.inverse.T
         mass, turning, couple, own, give = self._inertia(start + dt_s * rate, rate)
-        stiff, loose, drag, tough = self._viscosity(start + VISCOUS * dt_s * rate)
-        hold, viscous = self.lag_time / (self.lag_time + dt_s), self.stiffness_damping / dt_s
-        free, rub = self.mass_scale / dt_s**2, self.mass_damping / dt_s
+        stiff, drag, tough = self._viscosity(start + VISCOUS * dt_s * rate)
+        free, rub, viscous = self.mass_scale / dt_s**2, self.mass_damping / dt_s, self.stiffness_damping / dt_s
         ahead, (gives, giving) = start + dt_s * rate, inner.unbind(1)
         flown = free * (gives + dt_s * giving) + rub * gives
         moved = free * ahead + rub * start
-        inertia = (free + rub) * mass + viscous * (stiff + (1.0 - hold) * loose)
-        right = load @ self.frame + self.mass_scale * turning - dt_s * viscous * hold * _times(loose, late)
-        right = right + _times(mass, moved) + viscous * _times(stiff + (1.0 - hold) * loose, start)
+        inertia = (free + rub) * mass + viscous * stiff
+        right = load @ self.frame + self.mass_scale * turning + _times(mass, moved) + viscous * _times(stiff, start)
         right = right + _times(couple, flown) + viscous * _times(drag, gives)
         pull = (free + rub) * couple + viscous * drag
         push = _times(own, flown) + viscous * _times(tough, gives)
@@ -124,7 +117,6 @@ class TorchRom(torch.nn.Module):
         y = y - torch.linalg.solve(jacobian, left.unsqueeze(-1)).squeeze(-1)
         given = _times(apart, push - _times(pull.transpose(1, 2), y))
         moved, giving = (y - start) / dt_s, (given - gives) / dt_s
-        late = hold * late + (1.0 - hold) * moved
         spared = _dot(moved, _times(mass, moved)) + _shared(moved, giving, couple, own) - 2.0 * dt_s * _dot(turning, moved)
         bent = _dot(given, _times(give, given))
         for _ in range(AGAIN):
@@ -134,11 +126,7 @@ class TorchRom(torch.nn.Module):
             moved, giving = moved * ratio, giving * ratio
         now = _dot(given, _times(give, given))
         given = given * _root_ratio(torch.minimum(bent, now), now)
-        _, tighter, _, _ = self._viscosity(y + VISCOUS * dt_s * moved)
-        stored, held = _dot(late, _times(loose, late)), _dot(late, _times(tighter, late))
-        late = late * _root_ratio(torch.minimum(stored, held), held)
-        inner = torch.stack([given, giving], dim=1)
-        return y @ self.frame.T, moved @ self.frame.T, late @ self.frame.T, inner
+        return y @ self.frame.T, moved @ self.frame.T, torch.stack([given, giving], dim=1)
 
     def _solve(self, y: Tensor, inertia: Tensor, right: Tensor) -> Tensor:
         """Return the solution of the implicit step, by Newton with halved steps where the slope along them turns."""
@@ -232,18 +220,15 @@ class TorchRom(torch.nn.Module):
         couple, own = _beside(root, rows)
         return root.transpose(1, 2) @ root, force, couple, own, _square(give)
 
-    def _viscosity(self, y: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return viscosity without what lags, and what lags (B, r, r) in y.
-
-        After them come the inside's viscosity with the coordinates (B, r, 3) and its own (B, 3, 3).
-        """
+    def _viscosity(self, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return viscosity (B, r, r) in y, the inside's with the coordinates (B, r, 3) and its own (B, 3, 3)."""
         u, _ = self._ball(y)
-        roots = self.stiffness_root, self.lag_root, self.drag_root
+        roots = self.stiffness_root, self.drag_root
         values = self._monomials(u, max(self.elastic.shape[1], *(root.shape[1] for root in roots)))
         behind = self._elastic_factor(values).transpose(1, 2)
-        stiff, loose, rows = (values[:, : root.shape[1]] @ root.T for root in roots)
-        stiff, loose = (root.reshape(-1, self.order, self.order) @ behind for root in (stiff, loose))
-        return _square(stiff), _square(loose), *_beside(stiff, rows)
+        stiff, rows = (values[:, : root.shape[1]] @ root.T for root in roots)
+        stiff = stiff.reshape(-1, self.order, self.order) @ behind
+        return _square(stiff), *_beside(stiff, rows)
 
     def _elastic_factor(self, values: Tensor) -> Tensor:
         """Return U (B, r, r) of ``pod.potential.fill_elastic_factor``."""

@@ -11,7 +11,6 @@ from softrl.pod.kernel import VISCOUS
 from softrl.robots.robot import Robot
 
 YOUNG_PA, MASS_KG = 1e6, 0.5
-LAG_SHARE, LAG_RATIO = 0.2, 1.3  # of the viscosity lags, by so many times the stiffness damping
 STROKE_N_PER_PA = 1e-3  # effective area of a chamber
 GIVE = np.diag([8e-5, 7e-5, 4e-5])  # kg s^2, the inside; with mass and viscosity of its own, and shared with the tip
 GIVE_MASS, GIVE_COUPLING, GIVE_DRAG = 2e-8 * np.eye(3), 0.3 * GIVE, 0.02 * np.eye(3)
@@ -102,18 +101,13 @@ class Law:
         return hessian
 
     def answers(self, z: np.ndarray) -> dict[str, np.ndarray]:
-        """Return by the names of ``Snapshots`` how the equilibrium z answers its loads, its viscosity and its weight."""
+        """Return by the names of ``Snapshots`` how the equilibrium z answers its loads and its weight."""
         n, stiffness = self.chambers, self.hessian(z)
         compliance = np.linalg.inv(stiffness)
-        shared = joint(np.zeros((n + 3, n + 3)), GIVE_DRAG, np.zeros((3, 3)))[: n + 3, n + 3 :]
-        shared = shared @ np.linalg.inv(GIVE) @ shared.T  # of what lags, the share in the shapes that give
         return {
             "compliance": 0.5 * (compliance + compliance.T),
             "tangent_stiffness": compliance @ stiffness @ compliance,
             "tangent_mass": compliance @ self.mass(z) @ compliance,
-            "lag_stiffness": LAG_RATIO * LAG_SHARE * stiffness + shared,
-            "lag_viscosity": LAG_RATIO**2 * LAG_SHARE * stiffness + shared,
-            "lag_spin": np.zeros((3, n + 3)),
             "give": GIVE,
             "give_spin": np.zeros((3, 3)),
             "give_mass": GIVE_MASS,
@@ -187,18 +181,16 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
 def march(law: Law, loads: np.ndarray, dt: float, mass_damping: float, stiffness_damping: float) -> np.ndarray:
     """Return z (steps, n + 3) by implicit Euler in SI, from rest, the inside's three coordinates solved for with the rest.
 
-    Mass is that a step ahead; the stiffness in the damping is the law's Hessian ``VISCOUS`` of a step ahead, a share lags.
+    Mass is that a step ahead; the stiffness in the damping is the law's Hessian ``VISCOUS`` of a step ahead.
     """
     r = loads.shape[1]
-    z, v, u, path = np.zeros(r + 3), np.zeros(r + 3), np.zeros(r), []
-    hold = LAG_RATIO * stiffness_damping / (LAG_RATIO * stiffness_damping + dt)
+    z, v, path = np.zeros(r + 3), np.zeros(r + 3), []
     for load in loads:
         stiffness = law.hessian((z + VISCOUS * dt * v)[:r])
         mass = joint(law.mass((z + dt * v)[:r]), GIVE_COUPLING, GIVE_MASS)
-        viscosity = joint((1.0 - LAG_SHARE * hold) * stiffness, GIVE_DRAG, GIVE)
+        viscosity = joint(stiffness, GIVE_DRAG, GIVE)
         damping = mass_damping * mass + stiffness_damping * viscosity
         force = np.r_[load + law.turning((z + dt * v)[:r], v[:r]), np.zeros(3)]
-        force[:r] -= LAG_SHARE * stiffness_damping * hold * stiffness @ u
         trial = z + dt * v
         for _ in range(40):
             held = np.r_[law.gradient(trial[:r]), GIVE @ trial[r:]]
@@ -209,7 +201,6 @@ def march(law: Law, loads: np.ndarray, dt: float, mass_damping: float, stiffness
             if np.abs(step[law.chambers : r]).max() < 1e-15:
                 break
         v, z = (trial - z) / dt, trial
-        u = hold * u + (1.0 - hold) * v[:r]
         path.append(z[:r])
     return np.array(path)
 
