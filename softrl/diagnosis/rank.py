@@ -1,7 +1,8 @@
 """Every effect of the library fitted roughly beside a trial, so that only the promising ones are fitted in full."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from softrl.diagnosis.trial import Search, Trial, join, parallel, squares_left_o
 log = logging.getLogger(__name__)
 MIN_AMPLITUDE = 0.25  # a search begins at least at this share of an effect's typical size
 ROUGH_STARTS = 2  # of every effect that are followed
-WILD, GENTLE = 40.0, 0.1  # a size that moves this many times what is left tells no slope: this share of it is tried instead
+WILD, GENTLE = 20.0, 0.1  # a size that moves this many times what is left tells no slope: this share of it is tried instead
 LOOK_SHARE = 0.2  # of the best effect's gain, along straight lines, which another needs to be fitted at all
 CLOSER = 0.25  # of that: what seems to explain less at the sizes that are tried first is not looked at more closely
 PROMISING = 0.3  # of the best gain: what an effect above a pressure saves in all chambers, to be tried in one alone
@@ -27,7 +28,6 @@ SECOND_LOOK = 0.5  # of an effect's best begin's gain, which another begin of it
 ROUGH_DIFFERENCE = 0.02  # scaled step of differences
 FAR = 0.5  # a parameter retuned by more than this factor, in logarithms, is no longer near nominal
 MISTAKEN, RETUNED = 0.15, 0.1  # share of a motion that parameters retuned by so much, in logarithms, cannot bring about
-Direction = Callable[[np.ndarray], np.ndarray | None]
 Known = dict[bytes, "_Moved | None"]
 
 
@@ -170,10 +170,15 @@ def _plain(choice: Choice, shape: np.ndarray | None) -> np.ndarray:
 
 
 class _Moved(NamedTuple):
-    """What an effect changes (rows,) beyond what free parameters can do, and which share of all that it changes that is."""
+    """What an effect changes (rows,) beyond what free parameters can do, and the size of all that it changes."""
 
     beyond: np.ndarray
-    share: float
+    size: float
+
+    @property
+    def share(self) -> float:
+        """Share of it that free parameters cannot do."""
+        return float(norm(self.beyond) / self.size)
 
 
 class _Begin(NamedTuple):
@@ -249,6 +254,56 @@ def _rough_fit(fitting: Problem, bases: list[_Base], choice: Choice, look: list[
     return Lead(choice, np.r_[fit.point[own], np.delete(fit.point, own)], 1.0 - left / max(before, 1e-300))
 
 
+@dataclass(frozen=True)
+class _Sizes:
+    """One effect beside a base, simulated at sizes that are asked for; none twice.
+
+    Attributes
+    ----------
+    fitting, base, choice : the problem, where it begins, and the effect
+    known : what was simulated before
+    """
+
+    fitting: Problem
+    base: _Base
+    choice: Choice
+    known: Known
+
+    def moved(self, point: np.ndarray) -> _Moved | None:
+        """Return what the effect changes at ``point``, None where it does nothing or does not run."""
+        key = point.tobytes()
+        if key not in self.known:
+            self.known[key] = self._simulated(point)
+        return self.known[key]
+
+    def _simulated(self, point: np.ndarray) -> _Moved | None:
+        current, basis = self.base.trial, self.base.basis
+        hypothesis = current.hypothesis.with_effect(self.choice)
+        try:
+            moved = self.fitting.residual(hypothesis, join(current, point)).flat - current.fit.residual
+        except SolverError:
+            return None
+        beyond = moved - basis @ (basis.T @ moved)
+        return _Moved(beyond, float(norm(moved))) if norm(beyond) > 1e-6 * norm(self.base.left) else None
+
+    def direction(self, point: np.ndarray) -> np.ndarray | None:
+        """Return what the effect changes beyond what the free parameters can do, (rows,)."""
+        moved = self.moved(point)
+        return None if moved is None else moved.beyond
+
+    def gently(self, point: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return ``point``, or one nearer to ``start`` where that is far too much, and its direction.
+
+        A mass that makes the body fall over says nothing about a tenth of it.
+        """
+        moved = self.moved(point)
+        if moved is not None and moved.size > WILD * norm(self.base.left):
+            nearer = start + GENTLE * (point - start)
+            if (along := self.direction(nearer)) is not None:
+                return nearer, along
+        return point, self.direction(point)
+
+
 def _begins(
     fitting: Problem, base: _Base, choice: Choice, points: list[np.ndarray], closely: bool, known: Known
 ) -> list[tuple[float, np.ndarray]]:
@@ -257,32 +312,15 @@ def _begins(
     The effect is simulated at a few sizes beside ``current``; the differences, less what the free parameters can do,
     are fitted to the residual within the effect's bounds. If ``closely``, it is simulated at the best sizes as well.
     """
-    current, basis, residual = base.trial, base.basis, base.left
-    hypothesis, zero = current.hypothesis.with_effect(choice), neutral(choice)
-    cost = float(residual @ residual)
+    sizes, residual, zero = _Sizes(fitting, base, choice, known), base.left, neutral(choice)
     log_axis = np.array([axis.log for axis in effect_axes(choice)])
-
-    def simulated(point: np.ndarray) -> _Moved | None:
-        try:
-            moved = fitting.residual(hypothesis, join(current, point)).flat - current.fit.residual
-        except SolverError:
-            return None
-        beyond = moved - basis @ (basis.T @ moved)
-        return _Moved(beyond, float(norm(beyond) / norm(moved))) if beyond @ beyond > 1e-12 * cost else None
-
-    def direction(point: np.ndarray) -> np.ndarray | None:
-        key = point.tobytes()
-        if key not in known:
-            known[key] = simulated(point)
-        moved = known[key]
-        return None if moved is None else moved.beyond
 
     def left(moved: np.ndarray) -> float:
         return float(np.sum((residual + moved) ** 2))
 
     found: list[tuple[float, np.ndarray]] = []
     for typical in points:
-        point, along = _gently(direction, typical, np.where(log_axis, typical, zero), cost)
+        point, along = sizes.gently(typical, np.where(log_axis, typical, zero))
         if along is not None:
             most = 2.0 if point is typical else 2.0 / GENTLE
             share = float(np.clip(-(along @ residual) / (along @ along), 0.0, most))
@@ -290,37 +328,17 @@ def _begins(
             if not closely:
                 found.append((left(share * along), begin))
                 continue
-            shorter = direction(begin)
+            shorter = sizes.direction(begin)
             if shorter is None or left(along) < left(shorter):  # a wall out of reach does nothing
                 begin, shorter = point, along
             found.append((min(left(share * along), left(shorter)), begin))
     if not log_axis[0]:
-        found += _jointly(direction, points[0], zero, log_axis, residual, choice)
+        found += _jointly(sizes, points[0], zero, log_axis)
     return sorted(found, key=lambda pair: pair[0])
 
 
-def _gently(
-    direction: Direction, point: np.ndarray, zero: np.ndarray, cost: float
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return a point on the way from ``zero`` to ``point`` and its direction: near ``zero`` where ``point`` is far too much.
-
-    A mass that makes the body fall over says nothing about a tenth of it.
-    """
-    along = direction(point)
-    if along is None or along @ along <= WILD**2 * cost:
-        return point, along
-    nearer = zero + GENTLE * (point - zero)
-    found = direction(nearer)
-    return (nearer, found) if found is not None else (point, along)
-
-
 def _jointly(
-    direction: Direction,
-    typical: np.ndarray,
-    zero: np.ndarray,
-    log_axis: np.ndarray,
-    residual: np.ndarray,
-    choice: Choice,
+    sizes: _Sizes, typical: np.ndarray, zero: np.ndarray, log_axis: np.ndarray
 ) -> list[tuple[float, np.ndarray]]:
     """Return what is left by the bounded linear combination of the effect's own parameters, each moved alone, and where.
 
@@ -330,16 +348,16 @@ def _jointly(
     for k in range(len(zero)):
         point = zero.copy()
         point[k] = typical[k] if typical[k] != zero[k] else zero[k] + 1.0
-        point, along = _gently(direction, point, zero, float(residual @ residual))
+        point, along = sizes.gently(point, zero)
         if along is not None:
             columns.append(along)
             places.append((k, point[k] - zero[k]))
     if not columns:
         return []
-    ends = np.array([sorted((a.scaled(a.low), a.scaled(a.high))) for a in effect_axes(choice)])
+    ends = np.array([sorted((a.scaled(a.low), a.scaled(a.high))) for a in effect_axes(sizes.choice)])
     low = np.array([min((ends[k] - zero[k]) / by) for k, by in places])
     high = np.array([max((ends[k] - zero[k]) / by) for k, by in places])
-    solved = lsq_linear(np.stack(columns, axis=1), -residual, (low - 1e-9, high + 1e-9))
+    solved = lsq_linear(np.stack(columns, axis=1), -sizes.base.left, (low - 1e-9, high + 1e-9))
     begin = np.where(log_axis, typical, zero)
     for (k, by), share in zip(places, solved.x, strict=True):
         begin[k] = zero[k] + share * by
