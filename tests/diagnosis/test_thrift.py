@@ -9,11 +9,12 @@ import pytest
 from softrl.core.identity import Same
 from softrl.diagnosis import problem as problems
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, starts
+from softrl.diagnosis.look import Base, hidden_by_retuning, look_at
 from softrl.diagnosis.problem import Numerics, Problem
-from softrl.diagnosis.rank import _Base, _begins, _mistaken
+from softrl.diagnosis.rank import rank
 from softrl.diagnosis.search import Fit, jacobian_at, least_squares
 from softrl.diagnosis.separate import PIECES, REST_S, STEP_S, _rival, gap, separating_program, separation
-from softrl.diagnosis.trial import Trial, shared_out
+from softrl.diagnosis.trial import Trial, fit_trials, shared_out
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.lag import Lag
 from softrl.effects.replay import CHANNELS, replay
@@ -21,7 +22,7 @@ from softrl.excite.block import blocks
 from softrl.excite.separation import Sensing
 from softrl.pcc.simulator import PccSimulator
 from softrl.robots.robot import Robot
-from tests.diagnosis.conftest import made
+from tests.diagnosis.conftest import configured, made
 
 NUMERICS = Numerics(0.02, 0.04, 0.1, 0.0, 4.0)
 
@@ -87,11 +88,10 @@ def test_what_retuning_does_nearly_all_of_is_told(tripod: Robot, body: PccSimula
         value = problem.residual(space.hypothesis, point).flat
         jacobian = jacobian_at(lambda u: problem.residual(space.hypothesis, u).flat, point, value, *space.bounds, 0.02)
         trial = Trial(space.hypothesis, Fit(point, value, jacobian, 0.5 * float(value @ value), 0), {}, value**2, value**2)
-        base = _Base(trial, np.linalg.qr(jacobian)[0])
+        base = Base(trial, np.linalg.qr(jacobian)[0])
         for name, alike in (("payload", False), ("gain", True)):  # a gain is another stiffness, but for the weight
-            known: dict = {}
-            _begins(problem, base, Choice(name), starts(Choice(name)), False, known)
-            assert _mistaken(base, known) is (mistaken and alike), name
+            look = look_at(problem, [base], Choice(name), starts(Choice(name)), False, [{}])
+            assert hidden_by_retuning(base, look.known[0]) is (mistaken and alike), name
 
 
 def test_a_replay_asked_for_again_is_the_same_and_other_processes_do_not_carry_it(
@@ -159,3 +159,15 @@ def test_the_pieces_that_tell_two_hypotheses_apart_are_the_best_of_all(
     best = np.argsort(-(apart**2) / [len(piece.pressure) for piece in pieces])[:PIECES]
     assert found is not None and found["program"] == "; then ".join(pieces[k].label for k in best)
     np.testing.assert_allclose(found["separation"], np.linalg.norm(apart[best]))
+
+
+def test_how_many_processes_rank_changes_nothing(tripod: Robot, body: PccSimulator) -> None:
+    problem = problem_of(tripod, body)
+    tuned = tuple(body.parameters)
+    search = configured(search={"workers": 1}).search
+    current = fit_trials(problem, None, [(Hypothesis((), tuned), [])], search)[0]
+    choices = [Choice(name) for name in ("lag", "payload", "gain", "tether")]
+    one, two = (rank(problem, current, choices, replace(search, workers=workers)) for workers in (1, 2))
+    for alone, shared in zip(one, two, strict=True):
+        assert (alone.choice, alone.gain) == (shared.choice, shared.gain)
+        np.testing.assert_array_equal(alone.point, shared.point)
