@@ -6,6 +6,7 @@ inverse asks for it in advance. The controllers on a robot and the expert of a p
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -33,6 +34,8 @@ class Inversion:
     approach_weight : of the errors before the rollout counts
     """
 
+    key: ClassVar[str] = "stage.motion.planning"  # where it stands in the configuration
+
     dt_s: float
     memory_steps: int
     probe_kpa: float
@@ -46,7 +49,7 @@ class Inversion:
             "dt_s", "memory_steps", "probe_kpa", "rounds", "refinements", "smoothness_mm_per_kpa", "approach_weight",
         ):  # fmt: skip
             if getattr(self, name) <= 0:
-                raise ConfigError(f"planning.{name}={getattr(self, name):g} must be positive")
+                raise ConfigError(f"{self.key}.{name}={getattr(self, name):g} must be positive")
 
     @property
     def bend_weight(self) -> float:

@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -28,6 +29,8 @@ class Planning(Inversion):
     watch : of the air lines; what a broken one does is not taken as lasting
     """
 
+    key: ClassVar[str] = "stage.planning"
+
     feedback: float
     horizon_steps: int
     watch: Watch
@@ -35,9 +38,9 @@ class Planning(Inversion):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.horizon_steps <= 0:
-            raise ConfigError(f"planning.horizon_steps={self.horizon_steps:g} must be positive")
+            raise ConfigError(f"{self.key}.horizon_steps={self.horizon_steps:g} must be positive")
         if not 0.0 <= self.feedback <= 1.0:
-            raise ConfigError(f"planning.feedback={self.feedback:g}; expected a share between 0 and 1")
+            raise ConfigError(f"{self.key}.feedback={self.feedback:g}; expected a share between 0 and 1")
 
 
 class PlannedController:
