@@ -96,6 +96,7 @@ class Effect:
     variant_of : name of the effect whose physics this one describes by another law, or empty
     together : whether its parameters mean something together only, so that none is tried without the others
     clock : slot of the state that counts the seconds since the first sample, if there is one
+    stores : whether its first parameter is a flow into a store of each chamber's, which stays when a gate stops the flow
     above_share : share of the robot's largest pressure above which it acts; ``EVERYWHERE`` for all pressures
     since_s : time of each run from which it acts, s; 0 for always
     """
@@ -107,6 +108,7 @@ class Effect:
     variant_of: ClassVar[str] = ""
     together: ClassVar[bool] = False
     clock: ClassVar[int | None] = None
+    stores: ClassVar[bool] = False
 
     above_share: float = dataclasses.field(default=EVERYWHERE, kw_only=True, metadata=_gate("1", EVERYWHERE, 1.0, 0.3))
     since_s: float = dataclasses.field(default=0.0, kw_only=True, metadata=_gate("s", 0.0, 600.0, 10.0))

@@ -1,7 +1,8 @@
 """Where in time and pressure an effect acts: above a pressure only, or only from a time of each run on.
 
 Any effect can be gated. Its kernel runs as ever, and a share of what it changes counts: none below the pressure or before
-the time, all a little beyond, in between in proportion.
+the time, all a little beyond, in between in proportion. What fills a store is gated where it flows in: air that has left
+a chamber is still missing when the leak has closed.
 """
 
 import numba as nb
@@ -59,6 +60,19 @@ def gated_signal(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, d
         value[i] = before[i] + late * _above(before[i], parameters) * (value[i] - before[i])
 
 
+@nb.njit(SIGNAL_KERNEL, cache=True)
+def gated_flow(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
+    """Let a share of the flow, the effect's first parameter, run into each chamber's store, by the pressure before it."""
+    own = parameters[:-GATE].copy()
+    flow, chamber = own[0], int(own[-1])
+    late = _late(state[-1], dt, parameters)
+    for i in range(len(value)):
+        if chamber < 0 or chamber == i:
+            own[0], own[-1] = flow * late * _above(value[i], parameters), i
+            call_signal(_address(parameters), own, state[:-1], value, dt)
+    state[-1] = _after(state[-1], dt)
+
+
 @nb.njit(PORT_KERNEL, cache=True)
 def gated_body(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
     """Let a share of the resistance that the effect adds count, by the pressure in each chamber."""
@@ -99,5 +113,5 @@ def hook_of(effect: Effect, robot: Robot, before_s: float = 0.0) -> Hook:
     above = effect.above_share * robot.pressure_max_pa if effect.above_share > EVERYWHERE else -np.inf
     behind = np.array([above, BAND * robot.pressure_max_pa, effect.since_s, 0.0])
     behind[-1:].view(np.int64)[0] = address_of(kernel)
-    gate = KERNELS.get(effect.site, gated_signal)
+    gate = gated_flow if effect.stores else KERNELS.get(effect.site, gated_signal)
     return Hook(gate, np.r_[parameters, behind], np.r_[state, -before_s])

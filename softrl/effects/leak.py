@@ -35,6 +35,7 @@ class Leak(Effect):
     site: ClassVar[str] = "chamber"
     title: ClassVar[str] = "leak of a chamber"
     kernel: ClassVar = leak_kernel
+    stores: ClassVar[bool] = True
 
     leak_per_s: float = parameter("1/s", 0.0, 2.0, 0.0, typical=0.3)
     refill_s: float = parameter("s", 0.1, 1000.0, 10.0, typical=3.0, log=True)

@@ -178,6 +178,18 @@ def test_leak_decays_and_settles() -> None:
     np.testing.assert_allclose(settled, 1e4 / (1 + 0.2 * 3.0), rtol=1e-9)
 
 
+def test_leak_that_opens_above_a_pressure_leaves_its_deficit_behind() -> None:
+    """Air that has left is missing, and refilled, when the pressure falls below the one that opens the leak."""
+    leak = Leak(leak_per_s=0.2, refill_s=3.0, above_share=0.5)
+    high, low = step_to(0.8 * FULL, 2000), step_to(0.2 * FULL, 600)
+    lacking = np.r_[high, low] - signal(leak, np.r_[high, low])
+    always = high - signal(Leak(leak_per_s=0.2, refill_s=3.0), high)
+    np.testing.assert_allclose(lacking[:2000], always, rtol=1e-9)
+    np.testing.assert_allclose(lacking[2000:, 0], lacking[1999, 0] * np.exp(-DT / 3.0 * np.arange(1, 601)), rtol=1e-9)
+    alone = signal(Leak(leak_per_s=0.2, refill_s=3.0, above_share=0.5, chamber=1), high)
+    np.testing.assert_allclose(alone, np.stack([high[:, 0], high[:, 1] - always[:, 1], high[:, 2]], axis=1), rtol=1e-9)
+
+
 def test_gain_offset_crosstalk_are_linear_maps() -> None:
     command = np.array([[1e4, 2e4, -1e4]])
     np.testing.assert_allclose(signal(Gain(gain=0.8), command), 0.8 * command)
