@@ -229,4 +229,11 @@ def parallel(task: Callable[..., Any], jobs: Sequence[tuple[Any, ...]], workers:
     """Return ``task(*job)`` of every job, in order, in ``workers`` processes."""
     if workers == 1 or len(jobs) < 2:
         return [task(*job) for job in jobs]
-    return list(joblib.Parallel(n_jobs=workers, inner_max_num_threads=1)(joblib.delayed(task)(*job) for job in jobs))
+    pool = joblib.Parallel(n_jobs=workers, inner_max_num_threads=1)
+    return list(pool(joblib.delayed(_quietly)(task, job) for job in jobs))
+
+
+def _quietly(task: Callable[..., Any], job: tuple[Any, ...]) -> Any:
+    """Return ``task(*job)`` in a process that has no log of its own: what trial fits warn of is no news."""
+    logging.getLogger("softrl").setLevel(logging.ERROR)
+    return task(*job)

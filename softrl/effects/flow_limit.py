@@ -47,6 +47,11 @@ class FlowLimit(Effect):
     vent_s: float = parameter("s", 0.0, 10.0, 0.0, typical=0.5)
     chamber: int = -1
 
+    @classmethod
+    def shapes(cls) -> list[dict[str, float]]:
+        """Return faster valves: from one that is far too slow no slope leads there."""
+        return [{"rise_per_s": rate, "vent_s": 1.0 / rate} for rate in (1.0, 3.0, 9.0)]
+
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (rise Pa/s, time constant s, lowest pressure Pa, chamber)."""
         rise, vent_s, chamber = super().pack(robot)

@@ -40,6 +40,11 @@ class RateLimit(Effect):
     fall_per_s: float = parameter("1/s", 0.02, UNLIMITED_PER_S, UNLIMITED_PER_S, typical=0.4, log=True)
     chamber: int = -1
 
+    @classmethod
+    def shapes(cls) -> list[dict[str, float]]:
+        """Return faster valves: from one that is far too slow no slope leads there."""
+        return [{"rise_per_s": rate, "fall_per_s": rate} for rate in (1.0, 3.0, 9.0)]
+
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (rise Pa/s, fall Pa/s, chamber)."""
         rise, fall, chamber = super().pack(robot)

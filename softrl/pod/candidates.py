@@ -122,12 +122,14 @@ def anchored(settings: FitSettings, candidates: Candidates, trusted: Choice) -> 
     ]  # fmt: skip
 
 
-def first_that_settles(candidates: Candidates, choices: list[Choice], loads: np.ndarray) -> Choice | None:
-    """Return the best of ``choices`` whose body is at rest only where it should be, or None.
+def first_that_settles(
+    candidates: Candidates, choices: list[Choice], loads: np.ndarray, thrown: bool = True
+) -> Choice | None:
+    """Return the best of ``choices`` whose body is at rest only where it should be, or None; see ``settles``.
 
     A polynomial may have further wells beyond the samples. Statics from rest does not find them; a motion falls in.
     """
-    return next((choice for choice in choices if settles(candidates.model(choice), loads)), None)
+    return next((choice for choice in choices if settles(candidates.model(choice), loads, thrown)), None)
 
 
 def safest(candidates: Candidates, choices: list[Choice]) -> Choice | None:

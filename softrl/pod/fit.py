@@ -54,7 +54,7 @@ def fit_model(
         choices += anchored(settings, candidates, trusted)
         choices.sort(key=lambda choice: choice.tip_error_m)
         trusted = first_that_settles(candidates, choices, trial)
-    best = trusted or safest(candidates, choices)
+    best = trusted or first_that_settles(candidates, choices, trial, thrown=False) or safest(candidates, choices)
     if best is None:
         log.warning(
             "no energy fitted to %d equilibria is stable at rest; the reduced model is linear, from the compliance of "
@@ -71,7 +71,7 @@ def fit_model(
 
 def tell_choice(model: ReducedModel, robot: Robot, samples: Equilibria, best: Choice) -> None:
     """Log what was chosen, and warn of wells."""
-    if not settles(model, trial_loads(robot, samples)):
+    if not settles(model, trial_loads(robot, samples), thrown=True):
         log.warning(
             "every energy has wells or saddles beyond its samples, in which a fast motion may be caught; the safest was "
             "taken: more equilibria, or a larger tip_force_scale of stage=fem, help"

@@ -1,7 +1,7 @@
 """pod: from snapshots of the full model to a reduced one."""
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,9 +10,8 @@ from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ArtifactError, ConfigError
 from softrl.core.tracking import Tracker
 from softrl.pod.basis import PodBasis, pod_basis, projection_errors
-from softrl.pod.candidates import Choice
 from softrl.pod.convergence import by_equilibria, report_coordinates, report_equilibria
-from softrl.pod.equilibria import Equilibria, equilibria
+from softrl.pod.equilibria import equilibria
 from softrl.pod.figures import draw_choice, draw_convergence, draw_motion, draw_parity, draw_spectrum
 from softrl.pod.fit import fit_model, linear_model, tell_choice
 from softrl.pod.report import report_motions, report_speed, report_statics, report_weight, statics
@@ -20,7 +19,6 @@ from softrl.pod.settings import FitSettings
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
-LEAST_RIDGE = 1e-12  # a linear body is fitted with none
 
 
 @dataclass(frozen=True)
@@ -77,22 +75,14 @@ def run(config: Config, robot: Robot, snapshots: Snapshots, *, tracker: Tracker)
     points = by_equilibria(config.convergence_shares, config, choices[0], robot, snapshots, parts, pod, model)
     report_equilibria(points, tracker)
     tracker.figure("convergence", draw_convergence(choices, points))
-    whole = _fit_whole(config, robot, snapshots, samples, pod, choices[0], rng)
+    whole, choices = fit_model(config, robot, snapshots, samples, pod, rng)  # those held out have judged how it is done
+    tell_choice(whole, robot, samples, choices[0])
     if len(snapshots.trajectory_load):
         moving = report_motions(whole, linear_model(whole), snapshots, tracker)
         tracker.figure("motion", draw_motion(snapshots.trajectory_time, moving, 0))
     report_speed(whole, snapshots, rng, tracker)
     report_weight(whole, tracker)
     return whole
-
-
-def _fit_whole(
-    config: Config, robot: Robot, snapshots: Snapshots, samples: Equilibria, pod: PodBasis, best: Choice,
-    rng: np.random.Generator,
-) -> ReducedModel:
-    """Return the model of all equilibria, now that those held out have judged how it is fitted; ``best`` gives the ridge."""
-    settings = replace(config, ridges=(max(best.ridge, LEAST_RIDGE),))
-    return fit_model(settings, robot, snapshots, samples, pod, rng)[0]
 
 
 def _refuse_other(robot: Robot, snapshots: Snapshots) -> None:

@@ -178,6 +178,14 @@ def test_leak_decays_and_settles() -> None:
     np.testing.assert_allclose(settled, 1e4 / (1 + 0.2 * 3.0), rtol=1e-9)
 
 
+def test_leak_through_an_orifice_settles_where_the_flows_balance() -> None:
+    """In the long run ``leak sqrt(p p_max) = d / refill`` with ``p = supply - d``: a quadratic in the root of p."""
+    leak, refill, supply = 0.1, 3.0, 0.6
+    root = 0.5 * (-leak * refill + np.sqrt((leak * refill) ** 2 + 4.0 * supply))
+    settled = signal(Leak(leak_per_s=leak, refill_s=refill, exponent=0.5), step_to(supply * FULL, 6000))[-1]
+    np.testing.assert_allclose(settled, root**2 * FULL, rtol=1e-4)
+
+
 def test_leak_that_opens_above_a_pressure_leaves_its_deficit_behind() -> None:
     """Air that has left is missing, and refilled, when the pressure falls below the one that opens the leak."""
     leak = Leak(leak_per_s=0.2, refill_s=3.0, above_share=0.5)
@@ -375,9 +383,16 @@ def test_mullins_acts_only_below_the_largest_strain() -> None:
     np.testing.assert_allclose(added[152:], 0.0, atol=1e-9)  # beyond the maximum again
 
 
+def test_drift_levels_off() -> None:
+    """It begins at its rate and ends at ``exp(-rate T)``."""
+    added = pull(Drift(rate_per_s=0.02, levels_s=5.0), np.full(10000, 0.05)) / (STIFFNESS * 0.05)
+    np.testing.assert_allclose(added[9], -0.02 * 10 * DT, rtol=0.02)
+    np.testing.assert_allclose(added[-1], np.expm1(-0.02 * 5.0), rtol=1e-6)
+
+
 def test_drift_softens_exponentially() -> None:
     added = pull(Drift(rate_per_s=0.004), np.full(1000, 0.05))
-    np.testing.assert_allclose(1.0 + added / (STIFFNESS * 0.05), np.exp(-0.004 * DT * np.arange(1, 1001)), rtol=1e-12)
+    np.testing.assert_allclose(1.0 + added / (STIFFNESS * 0.05), np.exp(-0.004 * DT * np.arange(1, 1001)), rtol=1e-5)
 
 
 def test_payload_weighs_as_its_force_and_slows_the_body() -> None:
