@@ -10,6 +10,7 @@ from typing import Any
 
 import numba as nb
 import numpy as np
+from threadpoolctl import ThreadpoolController
 
 from softrl.pod.inside import AXES, Inside, make_inside
 from softrl.pod.insides import (
@@ -57,7 +58,8 @@ def run_batch(
         moving = (np.array(part[block].T, order="C") for part in (y, velocity))
         return run_block(*moving, dt_s, load[block], tables, path[block])
 
-    with ThreadPoolExecutor(min(len(blocks), len(os.sched_getaffinity(0))) or 1) as threads:
+    alone = ThreadpoolController().limit(limits=1, user_api="blas")  # its threads would wait for ours, and spin meanwhile
+    with alone, ThreadPoolExecutor(min(len(blocks), len(os.sched_getaffinity(0))) or 1) as threads:
         ends = list(threads.map(run, blocks))
     return path, sum(failed for failed, _ in ends), max((farthest for _, farthest in ends), default=0.0)
 
