@@ -171,18 +171,26 @@ def seed_steps(config: Config, seed: int) -> list[Step]:
         needs = ("calibration", f"rl:{config.tasks[-1]}")
         clock = "stage.clock=cpu"  # other work may share the machine
         steps.append(Step("bench", seed, needs, (f"bench=[{','.join(config.benches)}]", clock, last)))
-    return steps + (corrected_steps(seed) if config.corrected else [])
+    return steps + (corrected_steps(seed, config.tasks) if config.corrected else [])
 
 
-def corrected_steps(seed: int) -> list[Step]:
-    """Return the steps that diagnose the rollouts, and learn and calibrate anew in the simulator that this corrects."""
+def corrected_steps(seed: int, tasks: Sequence[str]) -> list[Step]:
+    """Return the steps that diagnose the rollouts, and learn and calibrate anew in the simulator that this corrects.
+
+    Of the tasks on a surface, which no policy learns in motion, the commands are planned through it; their policies are
+    those of before, taken up again.
+    """
     words = ("effect=identified", "task=track")
-    return [
+    steps = [
         Step("diagnosis", seed, ("sim2real",)),
         Step("rl:corrected", seed, ("diagnosis",), words),
         Step("sim2real:corrected", seed, ("rl:corrected",), words),
         Step("calibration:corrected", seed, ("diagnosis",), words[:1]),
     ]
+    for task in (task for task in tasks if task != "track"):
+        steps.append(Step(f"rl:{task}:again", seed, ("diagnosis",), (f"task={task}",)))
+        steps.append(Step(f"sim2real:corrected_{task}", seed, (f"rl:{task}:again",), (words[0], f"task={task}")))
+    return steps
 
 
 def follow(

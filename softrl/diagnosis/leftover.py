@@ -14,6 +14,7 @@ from softrl.diagnosis.search import jacobian_at
 from softrl.diagnosis.spectrum import spectral_line
 from softrl.diagnosis.statistics import whiteness
 from softrl.diagnosis.trial import Trial
+from softrl.effects.library import effect_class
 
 WHITENESS_LAGS = 20
 NOISE_LEVEL = 0.01  # chance of what is left under noise of its own spectrum
@@ -23,7 +24,7 @@ LINE_LEVEL = 1e-8  # chance of a line in the spectrum of noise
 UNDRIVEN_SHARE = 0.5  # of the squared error: effects that remove less explain nothing
 UNKNOWN_TIMES = 1.2  # what is missing must stand out more than what is named: nobody can check it
 REST_FACTOR = 2.5  # times what counts: what is left beside effects that explain most of it, and is no detail of them
-NEARLY_ALL = 0.9  # of the squared error: effects that explain less leave a third of the error
+NEARLY_ALL = 0.9  # of the squared error: effects whose laws have no other form explain it, or leave a third of the error
 FOLLOWING_FACTOR = 3.0  # times what counts: structure below this may be a detail of the body
 UNEVEN_FACTOR = 2.0  # times what counts: what jumps or moves with the pressures beside noise, and is no detail of the body
 FOLLOWING_LEVEL = 1e-3
@@ -82,7 +83,7 @@ def reasons_of(judge: Judge, final: Trial, offer: Offer, explained: Explained) -
 
     Noise with a memory is no reason: what is left has to follow the pressures, to be a line in the spectrum, or to be
     unlike noise of its own spectrum. Where effects explain most of it, what is left must follow the pressures plainly, or,
-    where that is less than nearly all, be no noise.
+    where that is less than they should explain, be no noise: a wall's law may differ in its form, a turned frame may not.
     """
     left = explained.left
     if left <= judge.material:
@@ -94,7 +95,9 @@ def reasons_of(judge: Judge, final: Trial, offer: Offer, explained: Explained) -
             return []
         if follows:
             return ["what the effects named leave follows the pressures and their past"]
-        uneven = explained.of_all < NEARLY_ALL and _uneven(judge, final, heldout, drives, 1.0)
+        exact = all(effect_class(name).exact for name in final.hypothesis.names)
+        enough = NEARLY_ALL if exact else judge.thresholds.explained_share
+        uneven = explained.of_all < enough and _uneven(judge, final, heldout, drives, 1.0)
         return ["what the effects named leave is no noise: it jumps, or grows where the pressures move"] if uneven else []
     if follows:
         reasons.append("what is left follows the pressures and their past")

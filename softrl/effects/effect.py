@@ -95,6 +95,7 @@ class Effect:
     channel : of a sensor effect, what it changes: "pose", or "pressure" for the reported chamber pressures
     variant_of : name of the effect whose physics this one describes by another law, or empty
     together : whether its parameters mean something together only, so that none is tried without the others
+    exact : whether its law has no other form: a turned frame explains nearly all where it acts, a wall's law may not
     clock : slot of the state that counts the seconds since the first sample, if there is one
     stores : whether its first parameter is a flow into a store of each chamber's, which stays when a gate stops the flow
     above_share : share of the robot's largest pressure above which it acts; ``EVERYWHERE`` for all pressures
@@ -107,6 +108,7 @@ class Effect:
     channel: ClassVar[str] = "pose"
     variant_of: ClassVar[str] = ""
     together: ClassVar[bool] = False
+    exact: ClassVar[bool] = False
     clock: ClassVar[int | None] = None
     stores: ClassVar[bool] = False
 

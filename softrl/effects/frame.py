@@ -35,6 +35,7 @@ class Frame(Effect):
     site: ClassVar[str] = "sensor"
     title: ClassVar[str] = "misregistration of the sensor's frame"
     kernel: ClassVar = frame_kernel
+    exact: ClassVar[bool] = True
 
     turn_x_rad: float = parameter("rad", -0.8, 0.8, 0.0, typical=0.1)
     turn_y_rad: float = parameter("rad", -0.8, 0.8, 0.0, typical=0.1)

@@ -59,6 +59,7 @@ class Hold(Effect):
     site: ClassVar[str] = "sensor"
     title: ClassVar[str] = "sample-and-hold of the pose sensor"
     kernel: ClassVar = hold_kernel
+    exact: ClassVar[bool] = True
     clock: ClassVar = 0
 
     # a slightly longer period makes the last readings of a run much later: what is plain to see is far below the period

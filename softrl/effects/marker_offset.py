@@ -33,6 +33,7 @@ class MarkerOffset(Effect):
     site: ClassVar[str] = "sensor"
     title: ClassVar[str] = "offset of the marker from the tip"
     kernel: ClassVar = marker_offset_kernel
+    exact: ClassVar[bool] = True
 
     x: float = parameter("1", -0.3, 0.3, 0.0, typical=0.03)
     y: float = parameter("1", -0.3, 0.3, 0.0, typical=0.03)

@@ -39,6 +39,7 @@ class MountTilt(Effect):
     site: ClassVar[str] = "load"
     title: ClassVar[str] = "tilt of the mount against gravity"
     kernel: ClassVar = mount_tilt_kernel
+    exact: ClassVar[bool] = True
 
     about_x_rad: float = parameter("rad", -0.6, 0.6, 0.0, typical=0.15)
     about_y_rad: float = parameter("rad", -0.6, 0.6, 0.0, typical=0.15)

@@ -31,6 +31,7 @@ class Offset(Effect):
     site: ClassVar[str] = "chamber"
     title: ClassVar[str] = "offset of a chamber's pressure"
     kernel: ClassVar = offset_kernel
+    exact: ClassVar[bool] = True
 
     offset: float = parameter("1", -0.5, 0.5, 0.0, typical=0.05)
     chamber: int = -1

@@ -34,6 +34,7 @@ class Payload(Effect):
     site: ClassVar[str] = "load"
     title: ClassVar[str] = "payload at the tip"
     kernel: ClassVar = payload_kernel
+    exact: ClassVar[bool] = True
 
     mass: float = parameter("1", 0.0, 3.0, 0.0, typical=0.2)
 

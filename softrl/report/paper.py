@@ -70,6 +70,13 @@ ROWS = (
     Row("2", "rig, force task, position", "mm", 4.68, 0.75, "sim2real:force", "force_sine_mm"),
     Row("2", "rig, hybrid task, position", "mm", 4.20, 0.9, "sim2real:hybrid", "hybrid_circle_mm"),
     Row("2", "rig, hybrid task, force", "N", 0.70, 0.15, "sim2real:hybrid", "hybrid_circle_force_n"),
+    *(Row("2", f"rig, {name}, plan{when}", unit, paper, goal, run + task, metric)
+      for when, run in (("", "sim2real:"), (" after the diagnosis", "sim2real:corrected_"))
+      for name, unit, paper, goal, task, metric in (
+        ("force task, position", "mm", 4.68, 0.75, "force", "force_sine_planned_mm"),
+        ("hybrid task, position", "mm", 4.20, 0.9, "hybrid", "hybrid_circle_planned_mm"),
+        ("hybrid task, force", "N", 0.70, 0.15, "hybrid", "hybrid_circle_planned_force_n"),
+      )),
     *(Row(table, f"rig, {name}, {how} after the diagnosis", "mm", paper, 0.45, "sim2real:corrected", metric + ending)
       for table, name, paper, metric in (
         ("2", "circle", 3.38, "circle"), ("2", "star", 6.79, "star"), ("7.4", "unseen 3-D figure-eight", None, "figure_eight"),

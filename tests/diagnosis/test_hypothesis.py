@@ -34,10 +34,10 @@ from tests.diagnosis.conftest import configured, made, node
 
 def test_a_gate_is_one_parameter_more_that_begins_where_it_is_told() -> None:
     form = Choice("leak", gate=Gate("since_s", 12.0))
-    assert [axis.name for axis in effect_axes(form)] == ["leak_per_s", "refill_s", "since_s"]
+    assert [axis.name for axis in effect_axes(form)] == ["leak_per_s", "refill_s", "exponent", "since_s"]
     for point in (neutral(form), *starts(form)):
         assert effect_axes(form)[-1].physical(float(point[-1])) == pytest.approx(12.0)
-    assert build_effect(form, [0.1, 3.0, 15.0]).since_s == 15.0
+    assert build_effect(form, [0.1, 3.0, 1.0, 15.0]).since_s == 15.0
     assert not [form for form in gated(Choice("drift"), 30.0, 0.8) if form.gate and form.gate.field == "since_s"]
 
 

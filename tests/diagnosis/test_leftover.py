@@ -6,18 +6,27 @@ from typing import Any
 import pytest
 
 from softrl.diagnosis import leftover
+from softrl.diagnosis.hypothesis import Choice, Hypothesis
 from softrl.diagnosis.leftover import Explained, reasons_of
 
 
 @pytest.mark.parametrize(
-    ("of_all", "left", "uneven", "unknown"),
-    [(0.8, 3.0, True, True), (0.95, 3.0, True, False), (0.8, 3.0, False, False), (0.8, 2.0, True, False)],
+    ("name", "of_all", "left", "uneven", "unknown"),
+    [
+        ("frame", 0.8, 3.0, True, True),
+        ("frame", 0.95, 3.0, True, False),
+        ("frame", 0.8, 3.0, False, False),
+        ("frame", 0.8, 2.0, True, False),
+        ("mullins", 0.8, 3.0, True, False),  # a wall's law may have another form
+        ("mullins", 0.7, 3.0, True, True),
+    ],
 )
 def test_structure_that_is_plainly_left_is_told_unless_nearly_all_is_explained(
-    of_all: float, left: float, uneven: bool, unknown: bool, monkeypatch: pytest.MonkeyPatch
+    name: str, of_all: float, left: float, uneven: bool, unknown: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     judge: Any = SimpleNamespace(material=1.0, thresholds=SimpleNamespace(explained_share=0.75))
     offer: Any = SimpleNamespace(pays=False)
-    for name, value in (("_drives", []), ("heldout_residual", None), ("_uneven", uneven)):
-        monkeypatch.setattr(leftover, name, lambda *_, value=value: value)
-    assert bool(reasons_of(judge, Any, offer, Explained(0.9, of_all, left))) is unknown
+    final: Any = SimpleNamespace(hypothesis=Hypothesis((Choice(name),), ()), squares=None)
+    for own, value in (("_drives", []), ("heldout_residual", None), ("_uneven", uneven)):
+        monkeypatch.setattr(leftover, own, lambda *_, value=value: value)
+    assert bool(reasons_of(judge, final, offer, Explained(0.9, of_all, left))) is unknown
