@@ -1,6 +1,7 @@
 """bench=rom: the reduced bodies beside the full model, on motions that no fit has seen."""
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -15,6 +16,7 @@ from softrl.effects.chain import chain_of
 from softrl.effects.effect import Effect
 from softrl.fem.sampling import step_program
 from softrl.fem.simulator import FemSimulator
+from softrl.pcc.simulator import PccSimulator
 from softrl.pod.galerkin_simulator import GalerkinSimulator
 from softrl.pod.rom import roll
 from softrl.pod.simulator import RomSimulator
@@ -42,6 +44,7 @@ class RomBench:
     rom, galerkin, fem : the bodies; the full model takes its damping from what the reduced model was made with;
         ``galerkin`` may be left out
     motions : unseen ones of ``duration_s`` with pressures and tip forces held ``hold_s``, on the time step ``dt_s``
+    lumped : the lumped body, for its speed
     violent : further ones, in which every pressure jumps between the robot's limits, beside the largest tip force
     effects : on the body, whose cost in a step is told
     rate_steps : of a timed run of the ROM
@@ -51,6 +54,7 @@ class RomBench:
     rom: RomSimulator
     galerkin: GalerkinSimulator | None
     fem: FemSimulator
+    lumped: PccSimulator
     motions: int
     violent: int
     effects: dict[str, Effect]
@@ -129,25 +133,28 @@ class RomBench:
         model, robot = self.rom.reduced_model, self.rom.robot
         clock = np.arange(1, self.rate_steps + 1) * self.dt_s
         load = step_program(robot, clock, self.hold_s, rng)
-        pressure, force = load[:, : robot.chambers], load[:, robot.chambers :]
-        chain = chain_of(robot, self.effects.values())
-
-        def alone() -> None:
-            self.rom.simulate(clock, pressure, force)
-
-        def affected() -> None:
-            self.rom.simulate(clock, pressure, force, chain.hooks("body"), chain.hooks("load"))
-
         starts = rng.integers(0, max(1, len(load) - self.batch_steps), self.batch)
         batch = np.stack([load[s : s + self.batch_steps] for s in starts])
-        works = (alone, affected, lambda: roll(model, self.dt_s, batch))
+        works = (*self._replays(self.rom, clock, load), *self._replays(self.lumped, clock, load),
+                 lambda: roll(model, self.dt_s, batch))  # fmt: skip
         for work in works:  # compiles
             work()
-        single, slowed, many = watch.time(*works)
+        single, slowed, lumped, lumped_slowed, many = watch.time(*works)
         metrics = single.rate("rom_steps", len(load)) | many.rate("rom_batch_steps", batch.shape[0] * batch.shape[1])
         metrics |= slowed.rate("rom_effects_steps", len(load)) | {"rom_effects_over_bare": slowed.median / single.median}
         metrics["rom_batch_over_single"] = metrics["rom_batch_steps_per_s"] / metrics["rom_steps_per_s"]
-        return metrics
+        replays = {"rom": single, "rom_effects": slowed, "lumped": lumped, "lumped_effects": lumped_slowed}
+        return metrics | {f"{name}_replay_60s_ms": float(6e4 / clock[-1] * taken.median) for name, taken in replays.items()}
+
+    def _replays(
+        self, body: RomSimulator | PccSimulator, clock: np.ndarray, load: np.ndarray
+    ) -> tuple[Callable[[], object], Callable[[], object]]:
+        """Return what moves ``body`` under ``load`` (steps, n + 3): bare, and with the effects."""
+        chain, (pressure, force) = chain_of(body.robot, self.effects.values()), np.split(load, [body.robot.chambers], axis=1)
+        return (
+            lambda: body.simulate(clock, pressure, force),
+            lambda: body.simulate(clock, pressure, force, chain.hooks("body"), chain.hooks("load")),
+        )
 
 
 def violent_program(robot: Robot, time: np.ndarray, hold_s: float, rng: np.random.Generator) -> np.ndarray:
