@@ -83,7 +83,8 @@ def reasons_of(judge: Judge, final: Trial, offer: Offer, explained: Explained) -
 
     Noise with a memory is no reason: what is left has to follow the pressures, to be a line in the spectrum, or to be
     unlike noise of its own spectrum. Where effects explain most of it, what is left must follow the pressures plainly, or,
-    where that is less than they should explain, be no noise: a wall's law may differ in its form, a turned frame may not.
+    where that is less than they should explain, be no noise: a wall's law may differ in its form, a turned frame may not,
+    and a map without physics excuses nothing.
     """
     left = explained.left
     if left <= judge.material:
@@ -95,7 +96,7 @@ def reasons_of(judge: Judge, final: Trial, offer: Offer, explained: Explained) -
             return []
         if follows:
             return ["what the effects named leave follows the pressures and their past"]
-        exact = all(effect_class(name).exact for name in final.hypothesis.names)
+        exact = all(cls.exact or cls.together for cls in map(effect_class, final.hypothesis.names))
         enough = NEARLY_ALL if exact else judge.thresholds.explained_share
         uneven = explained.of_all < enough and _uneven(judge, final, heldout, drives, 1.0)
         return ["what the effects named leave is no noise: it jumps, or grows where the pressures move"] if uneven else []

@@ -14,6 +14,7 @@ from softrl.diagnosis.leftover import Explained, reasons_of
     ("name", "of_all", "left", "uneven", "unknown"),
     [
         ("frame", 0.8, 3.0, True, True),
+        ("command_map", 0.8, 3.0, True, True),
         ("frame", 0.95, 3.0, True, False),
         ("frame", 0.8, 3.0, False, False),
         ("frame", 0.8, 2.0, True, False),
