@@ -185,12 +185,11 @@ def corrected_steps(seed: int, tasks: Sequence[str]) -> list[Step]:
         Step("diagnosis", seed, ("sim2real",)),
         Step("rl:corrected", seed, ("diagnosis",), words),
         Step("sim2real:corrected", seed, ("rl:corrected",), words),
-        Step("calibration:corrected", seed, ("diagnosis",), words[:1]),
     ]
     for task in (task for task in tasks if task != "track"):
         steps.append(Step(f"rl:{task}:again", seed, ("diagnosis",), (f"task={task}",)))
         steps.append(Step(f"sim2real:corrected_{task}", seed, (f"rl:{task}:again",), (words[0], f"task={task}")))
-    return steps
+    return [*steps, Step("calibration:corrected", seed, ("diagnosis",), words[:1])]  # last: rollouts take the nominal f_RS
 
 
 def follow(
