@@ -114,7 +114,7 @@ def test_what_follows_from_a_diagnosis_leaves_the_nominal_alone(monkeypatch: pyt
     stages = [stage for stage, _, _ in ran]
     again = stages.index("diagnosis") + 1
     assert stages[again:] == ["rl", "sim2real", "rl", "sim2real", "calibration"]  # the second two of task hybrid
-    assert not any(made.get("calibration") == f"run:calibration-{len(ran)}" for _, _, made in ran)  # rollouts take the nominal one
+    assert not any(made.get("calibration") == f"run:calibration-{len(ran)}" for _, _, made in ran)  # last
     for stage, words, made in ran[again:]:
         taken_up = stage == "rl" and "task=track" not in words
         assert ("effect=identified" in words) is not taken_up and made["diagnosis"] == f"run:diagnosis-{again}"
