@@ -43,8 +43,8 @@ class RomBench:
     ----------
     rom, galerkin, fem : the bodies; the full model takes its damping from what the reduced model was made with;
         ``galerkin`` may be left out
-    motions : unseen ones of ``duration_s`` with pressures and tip forces held ``hold_s``, on the time step ``dt_s``
     lumped : the lumped body, for its speed
+    motions : unseen ones of ``duration_s`` with pressures and tip forces held ``hold_s``, on the time step ``dt_s``
     violent : further ones, in which every pressure jumps between the robot's limits, beside the largest tip force
     effects : on the body, whose cost in a step is told
     rate_steps : of a timed run of the ROM

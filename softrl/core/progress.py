@@ -5,6 +5,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import TypeVar
 
 from tqdm import tqdm
@@ -30,6 +31,18 @@ def progress(items: Iterable[T], title: str, total: int | None = None) -> Iterat
             left = f", about {(total - done) * (now - start) / done:.0f} s left" if total else ""
             log.info("%s: %d of %s%s", title, done, total or "?", left)
         yield item
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Tell errors only meanwhile: what a trial run warns of is no news."""
+    logger = logging.getLogger("softrl")
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
 
 
 class TqdmHandler(logging.Handler):

@@ -9,6 +9,7 @@ import joblib
 import numpy as np
 
 from softrl.core.errors import ConfigError, SolverError
+from softrl.core.progress import quiet
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes
 from softrl.diagnosis.least_squares import left_out
 from softrl.diagnosis.problem import Problem, Registration
@@ -234,6 +235,6 @@ def parallel(task: Callable[..., Any], jobs: Sequence[tuple[Any, ...]], workers:
 
 
 def _quietly(task: Callable[..., Any], job: tuple[Any, ...]) -> Any:
-    """Return ``task(*job)`` in a process that has no log of its own: what trial fits warn of is no news."""
-    logging.getLogger("softrl").setLevel(logging.ERROR)
-    return task(*job)
+    """Return ``task(*job)`` in a process that has no log of its own: its warnings would go to the terminal as they are."""
+    with quiet():
+        return task(*job)

@@ -6,6 +6,7 @@ seldom needs, the potential outside the samples and a Newton matrix made definit
 
 import os
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import Any
 
 import numba as nb
@@ -43,6 +44,12 @@ from softrl.pod.potential import FAST, Tables, fill_potential
 LANES = 64  # trajectories in step: many for the matrix products, few enough for the cache
 
 
+@cache
+def _libraries() -> ThreadpoolController:
+    """Return what holds the threads of libraries; it takes milliseconds to find them."""
+    return ThreadpoolController()
+
+
 def run_batch(
     y: np.ndarray, velocity: np.ndarray, dt_s: float, load: np.ndarray, tables: Tables
 ) -> tuple[np.ndarray, int, float]:
@@ -58,8 +65,8 @@ def run_batch(
         moving = (np.array(part[block].T, order="C") for part in (y, velocity))
         return run_block(*moving, dt_s, load[block], tables, path[block])
 
-    alone = ThreadpoolController().limit(limits=1, user_api="blas")  # its threads would wait for ours, and spin meanwhile
-    with alone, ThreadPoolExecutor(min(len(blocks), len(os.sched_getaffinity(0))) or 1) as threads:
+    threads = ThreadPoolExecutor(min(len(blocks), len(os.sched_getaffinity(0))) or 1)
+    with _libraries().limit(limits=1, user_api="blas"), threads:  # threads of linear algebra would wait for these, and spin
         ends = list(threads.map(run, blocks))
     return path, sum(failed for failed, _ in ends), max((farthest for _, farthest in ends), default=0.0)
 

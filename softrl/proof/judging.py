@@ -11,6 +11,7 @@ import numpy as np
 
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.errors import SolverError
+from softrl.core.progress import quiet
 from softrl.diagnosis.noise import redrawn
 from softrl.diagnosis.stage import Config as DiagnosisConfig
 from softrl.diagnosis.stage import diagnose
@@ -36,15 +37,12 @@ def diagnosed(
     source: Callable[[], RecordingSet], robot: Robot, nominal: PccSimulator, config: DiagnosisConfig
 ) -> Answer:
     """Return what the diagnosis says of the recordings that ``source`` gives."""
-    logger, started = logging.getLogger("softrl"), time.perf_counter()
-    before = logger.level
-    logger.setLevel(logging.ERROR)
+    started = time.perf_counter()
     try:
-        found = plain(diagnose(config, robot, source(), nominal)[0])
+        with quiet():
+            found = plain(diagnose(config, robot, source(), nominal)[0])
     except Exception as error:  # whatever it is, the case counts as a miss and its message is kept
         found = {"verdict": "crashed", "error": f"{type(error).__name__}: {error}"}
-    finally:
-        logger.setLevel(before)
     return found | {"seconds": round(time.perf_counter() - started, 2)}
 
 
