@@ -10,21 +10,20 @@ import numpy as np
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
 from softrl.robots.robot import Robot
 
-AT_ONCE = 1e-3  # s: faster filling takes no time
+AT_ONCE_PER_S = 1e4  # faster filling takes no time
 
 
 @nb.njit(SIGNAL_KERNEL, cache=True)
 def deadband_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
     """Open valves beyond the band, fill towards the command, close them again; the state is supply and open, per chamber."""
     band, closes, chamber, count = parameters[0], parameters[1] * parameters[0], int(parameters[3]), len(value)
-    filled = 1.0 - math.exp(-dt / parameters[2]) if parameters[2] > AT_ONCE else 1.0
     for i in range(count):
         if chamber < 0 or chamber == i:
             gap = value[i] - state[i]
             if abs(gap) > band:
                 state[count + i] = 1.0
             if state[count + i] > 0.0:
-                left = (1.0 - filled) * abs(gap)
+                left = abs(gap) - parameters[2] * dt
                 if left <= closes:
                     left, state[count + i] = min(closes, abs(gap)), 0.0
                 state[i] = value[i] - math.copysign(left, gap)
@@ -38,9 +37,9 @@ class Deadband(Effect):
     Notes
     -----
     A regulator that switches with a differential gap: its valves open where the error leaves the band and close where it is
-    back at ``closes_at`` of it; in between the pressure approaches the command with the time constant ``fill_s`` (textbook
-    relay before a first-order line, no equation number checked). With ``closes_at`` 1 and no time to fill the supply follows
-    at the band's edge, which is play.
+    back at ``closes_at`` of it; in between the flow is that of a choked opening into a constant volume, so that the pressure
+    moves at ``fill_per_s`` of the robot's largest pressure (textbook relay and choked flow, no equation number checked). With
+    ``closes_at`` 1 and no time to fill the supply follows at the band's edge, which is play.
     """
 
     site: ClassVar[str] = "valve"
@@ -49,7 +48,9 @@ class Deadband(Effect):
 
     band: float = parameter("1", 0.0, 0.3, 0.0, typical=0.05)
     closes_at: float = parameter("1", 0.0, 1.0, 1.0, typical=1.0, scale=0.5, default=1.0)
-    fill_s: float = parameter("s", AT_ONCE, 1.0, AT_ONCE, typical=AT_ONCE, log=True, default=AT_ONCE)
+    fill_per_s: float = parameter(
+        "1/s", 0.5, AT_ONCE_PER_S, AT_ONCE_PER_S, typical=AT_ONCE_PER_S, log=True, default=AT_ONCE_PER_S
+    )
     chamber: int = -1
 
     @classmethod
@@ -61,10 +62,10 @@ class Deadband(Effect):
     def shapes(cls) -> list[dict[str, float]]:
         """Return bands that close at different places: a staircase has its steps elsewhere for every one."""
         return [
-            {"band": band, "closes_at": at, "fill_s": fill}
+            {"band": band, "closes_at": at, "fill_per_s": fill}
             for band in (0.02, 0.04, 0.08, 0.15)
             for at in (0.0, 0.5)
-            for fill in (AT_ONCE, 0.02)
+            for fill in (AT_ONCE_PER_S, 3.0)
         ]
 
     def reset(self, robot: Robot) -> np.ndarray:
@@ -72,5 +73,5 @@ class Deadband(Effect):
         return np.zeros(2 * robot.chambers)
 
     def pack(self, robot: Robot) -> np.ndarray:
-        """Return (band Pa, share of it at which valves close, time to fill s, chamber)."""
-        return super().pack(robot) * [robot.pressure_max_pa, 1.0, 1.0, 1.0]
+        """Return (band Pa, share of it at which valves close, rate of filling Pa/s, chamber)."""
+        return super().pack(robot) * [robot.pressure_max_pa, 1.0, robot.pressure_max_pa, 1.0]

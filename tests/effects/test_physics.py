@@ -150,6 +150,15 @@ def test_deadband_whose_valves_close_within_it_climbs_by_steps(closes_at: float)
     assert np.abs(supplied - ramp[:, 0]).max() <= band * FULL
 
 
+def test_deadband_fills_at_the_rate_of_its_valves_and_then_rests_within_the_band() -> None:
+    rate, band = 2.0, 0.05
+    supplied = signal(Deadband(band=band, closes_at=0.4, fill_per_s=rate), step_to(FULL, 100))[:, 0]
+    rising = np.diff(supplied, prepend=0.0)
+    climbs = int((1.0 - 0.4 * band) / (rate * DT))
+    np.testing.assert_allclose(rising[:climbs], rate * FULL * DT)
+    np.testing.assert_allclose(supplied[climbs + 1 :], (1.0 - 0.4 * band) * FULL)
+
+
 def test_rate_limit_ramps_at_its_rates() -> None:
     supplied = signal(RateLimit(rise_per_s=0.5, fall_per_s=0.25), np.vstack([step_to(FULL, 100), step_to(0.0, 100)]))[
         :, 0
