@@ -45,6 +45,7 @@ class Deadband(Effect):
     site: ClassVar[str] = "valve"
     title: ClassVar[str] = "deadband of the pressure regulator"
     kernel: ClassVar = deadband_kernel
+    sticks: ClassVar[bool] = True
 
     band: float = parameter("1", 0.0, 0.3, 0.0, typical=0.05)
     closes_at: float = parameter("1", 0.0, 1.0, 1.0, typical=1.0, scale=0.5, default=1.0)

@@ -97,6 +97,7 @@ class Effect:
     together : whether its parameters mean something together only, so that none is tried without the others
     exact : whether its law has no other form: a turned frame explains nearly all where it acts, a wall's law may not
     clock : slot of the state that counts the seconds since the first sample, if there is one
+    sticks : whether a small change and its taking back leave something behind, as dry friction does
     stores : whether its first parameter is a flow into a store of each chamber's, which stays when a gate stops the flow
     above_share : share of the robot's largest pressure above which it acts; ``EVERYWHERE`` for all pressures
     since_s : time of each run from which it acts, s; 0 for always
@@ -110,6 +111,7 @@ class Effect:
     together: ClassVar[bool] = False
     exact: ClassVar[bool] = False
     clock: ClassVar[int | None] = None
+    sticks: ClassVar[bool] = False
     stores: ClassVar[bool] = False
 
     above_share: float = dataclasses.field(default=EVERYWHERE, kw_only=True, metadata=_gate("1", EVERYWHERE, 1.0, 0.3))

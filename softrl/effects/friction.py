@@ -38,6 +38,7 @@ class Friction(Effect):
     site: ClassVar[str] = "body"
     title: ClassVar[str] = "dry friction in the wall"
     kernel: ClassVar = friction_kernel
+    sticks: ClassVar[bool] = True
 
     dry: float = parameter("1", 0.0, 0.5, 0.0, typical=0.05)
     loaded: float = parameter("1", 0.0, 0.5, 0.0, typical=0.05)

@@ -51,6 +51,7 @@ class Hysteresis(Effect):
     site: ClassVar[str] = "body"
     title: ClassVar[str] = "rate-independent hysteresis of the wall"
     kernel: ClassVar = hysteresis_kernel
+    sticks: ClassVar[bool] = True
 
     height: float = parameter("1", 0.0, 1.0, 0.0, typical=0.1)
     yield_strain: float = parameter("1", 0.001, 0.3, 0.02, typical=0.02, log=True)

@@ -44,6 +44,7 @@ class Play(Effect):
     title: ClassVar[str] = "play (backlash) of the wall"
     kernel: ClassVar = play_kernel
     variant_of: ClassVar[str] = "hysteresis"
+    sticks: ClassVar[bool] = True
 
     height: float = parameter("1", 0.0, 1.0, 0.0, typical=0.1)
     yield_strain: float = parameter("1", 0.0005, 0.3, 0.005, typical=0.005, log=True)

@@ -16,6 +16,8 @@ from softrl.effects.chain import Plant
 from softrl.rl.filter import moving_average
 from softrl.robots.robot import Robot
 
+SHARES = (1.0, 0.5, 0.25)  # of a correction, tried in this order
+LEAST_GAIN = 0.02  # of the cost, for which another correction is worth its time
 # tip positions (steps, 3) m -> what is compared with the targets, (steps, 3) m, by the simulation
 Reading = Callable[[np.ndarray], np.ndarray]
 
@@ -189,13 +191,15 @@ def plan(
     for _ in range(settings.rounds):
         response = linearise(even, request, predicted if even is route else even.predict(request), settings)
         for _ in range(settings.refinements):
-            trial = request + _correction(route.robot, request, predicted - wanted, response, weight, settings)
-            trial_predicted = route.predict(trial)
-            if _cost(trial, trial_predicted - wanted, weight, settings) >= _cost(
-                request, predicted - wanted, weight, settings
-            ):
+            turn = _correction(route.robot, request, predicted - wanted, response, weight, settings)
+            least = (1.0 - LEAST_GAIN) * _cost(request, predicted - wanted, weight, settings)
+            for trial in (request + share * turn for share in SHARES):
+                reached = route.predict(trial)
+                if _cost(trial, reached - wanted, weight, settings) < least:
+                    break
+            else:
                 break
-            request, predicted = trial, trial_predicted
+            request, predicted = trial, reached
     return Plan(request, predicted, wanted, response)
 
 

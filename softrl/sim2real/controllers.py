@@ -104,14 +104,16 @@ def route_of(models: Models, planning: Planning, pace: Pace, course: Course) -> 
 def free_route(models: Models, planning: Planning, pace: Pace, course: Course) -> Route:
     """Return the same for a tip that goes through the surface, which would press it back by so much.
 
-    Its readings answer to pressures evenly: what a tip that sticks or hardly touches answers says little about how far a
-    correction will move one that does not.
+    Its readings answer to pressures evenly: what a tip or a wall that sticks or hardly touches answers says little about how
+    far a correction will move one that does not.
     """
+    chain = models.plant.chain
+    plant = Plant(models.plant.simulator, EffectChain(chain.robot, tuple(e for e in chain.effects if not e.sticks)))
 
     def reading(position: np.ndarray) -> np.ndarray:
         return course.readings(position, models.yielding_n_per_m * models.depth(position))
 
-    return Route(models.robot, models.plant, pace.period_s, planning.dt_s, pace.average_window, reading)
+    return Route(models.robot, plant, pace.period_s, planning.dt_s, pace.average_window, reading)
 
 
 def controllers(models: Models, planning: Planning, pace: Pace, course: Course, prepared: Plan) -> dict[str, Controller]:

@@ -9,13 +9,12 @@ import numpy as np
 
 from softrl.core.driver import Sample
 from softrl.core.errors import ConfigError
-from softrl.rl.inversion import Inversion, Plan, Route
+from softrl.rl.inversion import SHARES, Inversion, Plan, Route
 from softrl.rl.running import Run
 from softrl.sim2real.course import Course
 from softrl.sim2real.watch import LineWatch, Watch
 
 log = logging.getLogger(__name__)
-SHARES = (1.0, 0.5, 0.25)  # of a correction, tried in this order
 
 
 @dataclass(frozen=True)

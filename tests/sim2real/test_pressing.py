@@ -10,6 +10,9 @@ from softrl.artifacts.calibration import Calibration
 from softrl.artifacts.policy import Policy
 from softrl.core.config import build, build_target
 from softrl.effects.chain import Plant, chain_of
+from softrl.effects.hysteresis import Hysteresis
+from softrl.effects.lag import Lag
+from softrl.effects.viscoelasticity import Viscoelasticity
 from softrl.rl.inversion import Plan, plan
 from softrl.rl.tasks.force import Force
 from softrl.rl.tasks.hybrid import Hybrid
@@ -81,6 +84,17 @@ def test_a_plan_is_nearer_where_it_is_linearised_without_sticking(bench: Bench) 
     stuck = plan(route_of(bench.sliding, PLANNING, PACE, course), course.wanted, start, PACE.approach_steps, PLANNING)
     even = prepare(bench.sliding, PLANNING, PACE, course)
     assert np.linalg.norm(even.predicted - even.target) < 0.5 * np.linalg.norm(stuck.predicted - stuck.target)
+
+
+@pytest.mark.parametrize("task", ["pressing", "sliding"])
+def test_a_wall_that_slips_and_creeps_is_planned_for(bench: Bench, task: str) -> None:
+    models = bench.models if task == "pressing" else bench.sliding
+    wall = Hysteresis(height=0.03, yield_strain=0.02), Viscoelasticity(0.0, 1.0, 0.25, 0.8)
+    known = replace(models, plant=Plant(bench.body, chain_of(bench.robot, [Lag(fill_s=0.1, vent_s=0.2), *wall])))
+    course = next(courses(models.task, models.space))
+    prepared = prepare(known, PLANNING, PACE, course)
+    left = 1e3 * np.linalg.norm(prepared.predicted - prepared.target, axis=1)[PACE.approach_steps :]
+    assert np.sqrt(np.mean(left**2)) < 0.15
 
 
 @pytest.mark.parametrize("name", GROUNDS)
