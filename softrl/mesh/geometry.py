@@ -8,7 +8,8 @@ import numpy as np
 from manifold3d import CrossSection, JoinType, Manifold
 
 from softrl.core.errors import ConfigError, MeshError
-from softrl.mesh.surface import Surface, orient_shells
+from softrl.mesh.sector import surface_of
+from softrl.mesh.surface import Surface
 from softrl.robots.robot import Robot
 
 MM = 1e3  # the solid modeller works in mm, where its single precision is 1e-5
@@ -166,6 +167,4 @@ def _plate(g: TripodGeometry, robot: Robot) -> Manifold:
 def _as_surface(solid: Manifold) -> Surface:
     if solid.status() != manifold3d.Error.NoError or solid.is_empty():
         raise MeshError(f"the solid of these measures cannot be built ({solid.status()}); check stage.geometry")
-    mesh = solid.to_mesh()
-    points = np.asarray(mesh.vert_properties, float)[:, :3] / MM
-    return orient_shells(Surface(points, np.asarray(mesh.tri_verts, np.int64)))
+    return surface_of(solid)

@@ -16,8 +16,9 @@ from softrl.mesh.quality import check_orientation, check_slivers, smallest_dihed
 from softrl.mesh.reader import join_surfaces, read_mesh, read_surface
 from softrl.mesh.region import Regions, layer_of_elements, tag_nodes
 from softrl.mesh.sample import read_sample
+from softrl.mesh.sector import fill
 from softrl.mesh.surface import Surface
-from softrl.mesh.tetrahedra import Tetrahedra, TetrahedraSettings, tetrahedralize
+from softrl.mesh.tetrahedra import Tetrahedra, TetrahedraSettings
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
@@ -79,7 +80,7 @@ def _solid(config: Config, robot: Robot, name: str) -> Tetrahedra:
     if isinstance(body, Tetrahedra):
         return body
     cavities_of(body, robot, name)  # a wrong surface is refused before it is meshed
-    return tetrahedralize(body, config.tetrahedra)
+    return fill(body, robot, config.tetrahedra)
 
 
 def _read_own(config: Config, robot: Robot) -> Tetrahedra | Surface:

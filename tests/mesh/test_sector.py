@@ -1,0 +1,79 @@
+"""Laws of a mesh made of one sector: it is the solid's, it is symmetric, and its images meet face to face."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from softrl.artifacts.mesh import tetrahedron_volumes
+from softrl.core.errors import MeshError
+from softrl.mesh.cavity import find_cavities
+from softrl.mesh.geometry import build_tripod
+from softrl.mesh.sample import read_sample
+from softrl.mesh.sector import Sector, fill, sector_of, whole_of
+from softrl.mesh.stage import Config
+from softrl.mesh.surface import Surface, check_closed
+from softrl.mesh.tetrahedra import tidy
+
+
+@pytest.fixture(scope="module")
+def config(configure) -> Config:
+    return configure(profile="tiny")
+
+
+@pytest.fixture(scope="module")
+def surface(config, robot) -> Surface:
+    return build_tripod(config.geometry, robot)
+
+
+@pytest.fixture(scope="module")
+def sector(surface, robot) -> Sector:
+    found = sector_of(surface, robot)
+    assert found is not None
+    return found
+
+
+def image_error(points: np.ndarray, image: np.ndarray) -> float:
+    return float(cKDTree(points).query(points @ image.T)[0].max())
+
+
+def test_sector_is_its_share_of_the_solid(surface, sector) -> None:
+    check_closed(sector.surface.triangles, sector.surface.points, "sector")
+    assert len(sector.images) * sector.surface.volume() == pytest.approx(surface.volume(), rel=1e-3)
+    assert (sector.surface.points @ sector.inward.T).min() > -1e-6
+    unique = {tuple(np.round(image.ravel(), 6)) for image in sector.images}
+    assert len(unique) == 6
+
+
+def test_mesh_is_symmetric_and_its_images_meet_face_to_face(surface, sector, config, robot) -> None:
+    whole = fill(surface, robot, config.tetrahedra)
+    assert max(image_error(whole.points, image) for image in sector.images) < 1e-9
+    assert tetrahedron_volumes(whole.points, whole.corners).min() > 0.0
+    boundary = whole.boundary()
+    check_closed(boundary, whole.points, "mesh")
+    for normal in sector.inward:  # a face left on a plane would be a slit
+        assert not (np.abs(whole.points[boundary] @ normal).max(axis=1) < 1e-9).any()
+    assert whole.volume() == pytest.approx(surface.volume(), rel=0.05)
+    find_cavities(whole, robot, "mesh")
+
+
+def test_samples_are_symmetric(sector, configure) -> None:
+    for config in (configure(), configure(profile="tiny")):
+        points = read_sample(config.geometry, config.tetrahedra).points
+        assert max(image_error(points, image) for image in sector.images) < 1e-6
+
+
+def test_solids_without_the_symmetry_are_meshed_whole(surface, robot) -> None:
+    pulled = surface.points + np.where(surface.points[:, :1] > 0.02, [[0.005, 0.0, 0.0]], 0.0)
+    assert sector_of(Surface(pulled, surface.triangles), robot) is None
+    assert sector_of(surface, dataclasses.replace(robot, chamber_angle_deg=(-90.0, -200.0, -330.0))) is None
+
+
+def test_crushed_elements_are_told() -> None:
+    # four corners of a thin quadrilateral near the plane y = 0, onto which all of them move
+    points = np.array([[0.01, 1e-5, 0.0], [0.02, 0.0, 0.0], [0.02, 1e-5, 0.01], [0.01, 0.0, 0.01]])
+    part = tidy(points, np.array([[0, 1, 2, 3]]))
+    planes = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    with pytest.raises(MeshError, match="1 elements at its cuts"):
+        whole_of(part, Sector(Surface(points, part.boundary()), planes, np.eye(3)[None]), 1e-3)
