@@ -46,7 +46,9 @@ class Sector(NamedTuple):
 def fill(surface: Surface, robot: Robot, settings: TetrahedraSettings) -> Tetrahedra:
     """Return the tetrahedra of the solid that ``surface`` bounds, as symmetric as it is."""
     sector = sector_of(surface, robot)
-    for _ in range(ATTEMPTS if sector else 0):
+    if sector is None:
+        return tetrahedralize(surface, settings)
+    for _ in range(ATTEMPTS):
         try:
             whole = whole_of(tetrahedralize(sector.surface, settings), sector, STRAY * settings.envelope_m)
             find_cavities(whole, robot, "the mirrored sector")

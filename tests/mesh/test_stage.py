@@ -114,7 +114,7 @@ def test_sample_is_what_its_recipe_makes(sample, configure, robot, tmp_path, mon
     for region in np.unique(sample.node_region)[1:]:
         a, b = (m.points[m.node_region == region] for m in (made, sample))
         assert a[:, 2].mean() == pytest.approx(b[:, 2].mean(), abs=1e-3), region
-        assert len(a) == pytest.approx(len(b), rel=0.5), region
+        assert 0.4 < len(a) / len(b) < 2.5, region  # they come in sixes
 
 
 @pytest.mark.slow
