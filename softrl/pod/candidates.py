@@ -11,7 +11,7 @@ from softrl.pod.equilibria import Equilibria
 from softrl.pod.rom import static_points
 from softrl.pod.settings import FitSettings
 from softrl.pod.settling import equilibria_of, settles, stands
-from softrl.pod.symmetry import images_of, reflected
+from softrl.pod.symmetry import ALIKE, images_of, reflected, weight_to_trust
 from softrl.pod.tables import tables_of
 from softrl.robots.robot import Robot
 
@@ -97,19 +97,27 @@ class Candidates:
 
 
 def tried(settings: FitSettings, candidates: Candidates) -> list[Choice]:
-    """Return the candidates without anchors by rising error of the tip in cross-validation.
+    """Return the candidates without anchors, the best first, see ``best_first``.
 
-    First all weights of images and degrees at the middle ridge, then the other ridges at the best weight, near its
-    degree and the degree below.
+    First all weights of images and degrees at the middle ridge are tried, then the other ridges at the best weight, near
+    its degree and the degree below.
     """
     ridges = sorted(settings.ridges)
     middle = ridges.pop(len(ridges) // 2)
     degrees = range(2, settings.energy_degree_max + 1)
     choices = [candidates.judged(weight, 0.0, degree, middle) for weight in candidates.image_weights for degree in degrees]
-    best = min(choices, key=lambda choice: choice.tip_error_m)
+    best = best_first(choices)[0]
     near = [degree for degree in degrees if abs(degree - best.degree) <= 1]
     choices += [candidates.judged(best.image_weight, 0.0, degree, ridge) for degree in near for ridge in ridges]
-    return sorted(choices, key=lambda choice: choice.tip_error_m)
+    return best_first(choices)
+
+
+def best_first(choices: list[Choice]) -> list[Choice]:
+    """Return ``choices`` by rising error of the tip in cross-validation, but first good ones with the images to trust."""
+    by_error = sorted(choices, key=lambda choice: choice.tip_error_m)
+    trusted = weight_to_trust({choice.image_weight: choice.tip_error_m for choice in reversed(by_error)})
+    good = ALIKE * by_error[0].tip_error_m
+    return sorted(by_error, key=lambda choice: choice.image_weight != trusted or choice.tip_error_m > good)
 
 
 def anchored(settings: FitSettings, candidates: Candidates, trusted: Choice) -> list[Choice]:

@@ -17,7 +17,16 @@ from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ConfigError
 from softrl.pod.basis import PodBasis
-from softrl.pod.candidates import Candidates, Choice, anchored, first_that_settles, safest, squared_tip_errors, tried
+from softrl.pod.candidates import (
+    Candidates,
+    Choice,
+    anchored,
+    best_first,
+    first_that_settles,
+    safest,
+    squared_tip_errors,
+    tried,
+)
 from softrl.pod.energy import frame_of
 from softrl.pod.equilibria import Equilibria
 from softrl.pod.map_fit import fit_maps
@@ -51,8 +60,7 @@ def fit_model(
     trusted = first_that_settles(candidates, choices, trial)
     if trusted is not None and trusted.degree < settings.energy_degree_max and any(settings.anchor_weights):
         candidates.anchor(trusted, anchor_loads(draft))
-        choices += anchored(settings, candidates, trusted)
-        choices.sort(key=lambda choice: choice.tip_error_m)
+        choices = best_first([*choices, *anchored(settings, candidates, trusted)])
         trusted = first_that_settles(candidates, choices, trial)
     best = trusted or first_that_settles(candidates, choices, trial, thrown=False) or safest(candidates, choices)
     if best is None:

@@ -8,7 +8,7 @@ import numpy as np
 from softrl.pod.equilibria import Answers, Equilibria, slopes_of
 from softrl.pod.maps import Seen, best_form, elastic_factors, equations, symmetric_roots
 from softrl.pod.settings import FitSettings
-from softrl.pod.symmetry import images_of, reflected, symmetries
+from softrl.pod.symmetry import images_of, reflected, symmetries, weight_to_trust
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
@@ -25,7 +25,7 @@ class Kind(NamedTuple):
 def fit_maps(
     settings: FitSettings, robot: Robot, samples: Equilibria, frame: np.ndarray, fold: np.ndarray
 ) -> dict[str, Any]:
-    """Return the coefficients of all maps besides the energy; each weighs the samples' images as predicts it best.
+    """Return the coefficients of all maps besides the energy; each weighs the samples' images as they deserve.
 
     A map is fitted to its values at the equilibria and, where that is known, to how it changes under the largest load of
     each kind.
@@ -40,23 +40,28 @@ def fit_maps(
         np.linalg.solve(frame, everything.coordinate.T).T, np.linalg.solve(frame, everything.compliance) * largest
     )
     weights = {"mass_root": _coordinate_weights(everything, frame)}
-    maps: dict[str, Any] = {}
-    least: dict[str, float] = {}
     folds = np.tile(fold, 1 + len(images))
     own = slice(0, len(fold))
-    for image_weight in settings.image_weights_of(robot):
-        rows = slice(0, len(folds) if image_weight else len(fold))
-        weight = np.where(np.arange(len(folds)) < len(fold), 1.0, image_weight)[rows]
-        for name, kind in kinds.items():
-            values = goals[name][rows]
-            here = Seen(seen.points[rows], seen.moves[rows, :, : values.shape[1] - 1])
-            found = best_form(here, values / weights.get(name, 1.0), weight, folds[rows], own, *kind, RIDGES)
-            if found.error < least.get(name, np.inf):
-                least[name] = found.error
-                normal = equations(here, values, weight, found.degree, kind.through_origin)
-                maps[name] = normal.solve(found.ridge)
-                log.debug("%s of degree %d, ridge %g, images of weight %g", name, found.degree, found.ridge, image_weight)
+    maps: dict[str, Any] = {}
+    for name, kind in kinds.items():
+        parts = {weight: _part(weight, seen, goals[name], len(fold)) for weight in settings.image_weights_of(robot)}
+        forms = {
+            weight: best_form(here, values / weights.get(name, 1.0), each, folds[: len(each)], own, *kind, RIDGES)
+            for weight, (here, values, each) in parts.items()
+        }
+        trusted = weight_to_trust({weight: np.sqrt(form.error) for weight, form in forms.items()})
+        form = forms[trusted]
+        maps[name] = equations(*parts[trusted], form.degree, kind.through_origin).solve(form.ridge)
+        log.debug("%s of degree %d, ridge %g, images of weight %g", name, form.degree, form.ridge, trusted)
     return maps
+
+
+def _part(image_weight: float, seen: Seen, goal: np.ndarray, own: int) -> tuple[Seen, np.ndarray, np.ndarray]:
+    """Return where, what and with which weight (S,) a map is seen: ``own`` samples, and unless they weigh nothing images."""
+    rows = slice(0, len(goal) if image_weight else own)
+    weight = np.where(np.arange(len(goal)) < own, 1.0, image_weight)[rows]
+    values = goal[rows]
+    return Seen(seen.points[rows], seen.moves[rows, :, : values.shape[1] - 1]), values, weight
 
 
 def _kinds(settings: FitSettings) -> dict[str, Kind]:

@@ -8,6 +8,7 @@ from softrl.pod.equilibria import AXES, Equilibria
 from softrl.robots.robot import Robot
 
 SAME_RAD = 1e-6
+ALIKE = 1.5  # times the least error: weights of images that do about as well
 
 
 class Symmetry(NamedTuple):
@@ -50,6 +51,16 @@ def reflected(samples: Equilibria, operations: list[Symmetry]) -> Equilibria:
     arrays = (np.concatenate([getattr(image, name) for image in images]) for name in ("load", "coordinate", "energy"))
     parts = ([getattr(image, name) for image in images] for name in ("answers", "slopes"))
     return Equilibria(*arrays, *({n: np.concatenate([part[n] for part in of]) for n in of[0]} for of in parts))
+
+
+def weight_to_trust(errors: dict[float, float]) -> float:
+    """Return the largest weight of images whose error in cross-validation, of ``errors`` by weight, is about the least.
+
+    Samples have near neighbours on their paths, which flatters a fit without images; where no sample stands, images are all
+    that a fit has. On a lopsided mesh they cost more than that.
+    """
+    least = min(errors.values())
+    return max(weight for weight, error in errors.items() if error <= ALIKE * least)
 
 
 def _image(samples: Equilibria, operation: Symmetry) -> Equilibria:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softrl.pod.equilibria import equilibria, rotation_vector
-from softrl.pod.symmetry import reflected, symmetries
+from softrl.pod.symmetry import reflected, symmetries, weight_to_trust
 from tests.pod.synthetic import law_of, quaternion, robot_with, synthetic_snapshots
 
 
@@ -58,3 +58,9 @@ def test_rotation_vectors_invert_quaternions() -> None:
     turns = np.random.default_rng(0).uniform(-1.5, 1.5, (20, 3))
     found = rotation_vector(np.array([quaternion(turn) * sign for turn, sign in zip(turns, [1, -1] * 10, strict=True)]))
     np.testing.assert_allclose(found, turns, atol=1e-12)
+
+
+def test_images_count_in_full_unless_the_body_is_lopsided() -> None:
+    assert weight_to_trust({0.003: 0.07, 0.1: 0.08, 1.0: 0.09}) == 1.0
+    assert weight_to_trust({0.003: 0.16, 0.1: 0.36, 1.0: 0.56}) == 0.003
+    assert weight_to_trust({1.0: 0.2}) == 1.0
