@@ -1,7 +1,7 @@
 """From equilibria to a reduced model: degree, ridge and weight of symmetry are chosen by cross-validation.
 
-Images of the samples under the robot's symmetries are further samples, of less weight: a mesh is never quite symmetric,
-which full weight overlooks, but where there are few samples their images say how the body goes on.
+Images of the samples under the robot's symmetries are further samples: in full where the body is symmetric, with less
+weight where its mesh is lopsided, since where there are few samples their images still say how the body goes on.
 
 A high degree follows the samples closely and may go astray between and beyond them, where weight and fast motion lead.
 There it is held to the best energy of lower degree that stands everywhere: equilibria of that energy, under all
