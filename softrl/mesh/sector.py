@@ -91,7 +91,7 @@ def whole_of(part: Tetrahedra, sector: Sector, tolerance_m: float) -> Tetrahedra
     Raises
     ------
     MeshError
-        If an element is crushed by that.
+        If an element is crushed by that, or a node lies in the next image.
     """
     points, cuts = part.points.copy(), [_cut(part, normal, tolerance_m) for normal in sector.inward]
     for nodes, normal in zip(cuts, sector.inward, strict=True):
@@ -99,8 +99,9 @@ def whole_of(part: Tetrahedra, sector: Sector, tolerance_m: float) -> Tetrahedra
     points[np.intersect1d(*cuts), :2] = 0.0
     before, after = (tetrahedron_volumes(nodes, part.corners) for nodes in (part.points, points))
     crushed = int((after < CRUSHED * np.median(before)).sum())
-    if crushed or (points @ sector.inward.T < -SAME_M).any():
-        raise MeshError(f"{crushed} elements at its cuts would be crushed")
+    beyond = int((points @ sector.inward.T < -SAME_M).any(axis=1).sum())
+    if crushed or beyond:
+        raise MeshError(f"{crushed} elements would be crushed at its cuts, and {beyond} nodes lie beyond them")
     copies = np.concatenate([points @ image.T for image in sector.images])
     corners = [
         part.corners[:, [0, 1, 2, 3] if np.linalg.det(image) > 0.0 else [0, 2, 1, 3]] + k * len(points)
