@@ -158,5 +158,4 @@ def test_the_fem_stage_gives_the_same_artifact_on_a_cluster(
     here = run_fem(settings, robot, box, tracker=NullTracker())
     there = run_fem(settings, robot, box, Parallel("dask", None, cluster[0]), tracker=NullTracker())
     for field in fields(Snapshots):
-        one, two = getattr(here, field.name), getattr(there, field.name)
-        assert np.array_equal(one, two) if isinstance(one, np.ndarray) else one == two, field.name
+        np.testing.assert_equal(getattr(there, field.name), getattr(here, field.name), field.name)
