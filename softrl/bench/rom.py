@@ -179,13 +179,16 @@ def volumes_of(body: Any, state: Any) -> np.ndarray:
 
 
 def errors(name: str, found: list[Path], full: list[Path]) -> dict[str, float]:
-    """Return the metrics of ``found`` against the full model's motions."""
+    """Return the metrics of ``found`` against the full model's motions: of all together, and the tip's rms in single ones."""
     pairs = list(zip(found, full, strict=True))
     tip = [np.linalg.norm(a.tip - b.tip, axis=1) for a, b in pairs]
     turn = [2.0 * np.arccos(np.minimum(1.0, np.abs((a.quaternion * b.quaternion).sum(axis=1)))) for a, b in pairs]
     missed, moved = (np.concatenate(rows) for rows in ([a.volume - b.volume for a, b in pairs], [b.volume for b in full]))
+    single = [_rms_mm([a.tip - b.tip]) for a, b in pairs]
     return {
         f"{name}_tip_rms_mm": _rms_mm([a.tip - b.tip for a, b in pairs]),
+        f"{name}_motion_median_mm": float(np.median(single)),
+        f"{name}_motion_worst_mm": max(single),
         f"{name}_tip_max_mm": 1e3 * float(np.concatenate(tip).max()),
         f"{name}_orientation_rms_deg": float(np.rad2deg(np.sqrt((np.concatenate(turn) ** 2).mean()))),
         f"{name}_volume_err_pct": 100.0 * float(np.sqrt((missed**2).mean() / (moved**2).mean())),

@@ -17,11 +17,11 @@ from softrl.mesh.cavity import find_cavities
 from softrl.mesh.surface import Surface, orient_shells
 from softrl.mesh.tetrahedra import MM, Tetrahedra, TetrahedraSettings, tetrahedralize, tidy
 from softrl.robots.robot import Robot
+from softrl.robots.symmetry import images_of
 
 log = logging.getLogger(__name__)
-SAME_DEG = 1e-6
 LOPSIDED = 1e-3  # of the volume: what a solid and its image may not share
-ATTEMPTS = 3  # fTetWild draws random numbers, and a face that is moved onto its plane may crush an element
+DRAWS = 6  # fTetWild draws random numbers; so many sectors take about as long as the whole solid
 STRAY = 1.2  # envelopes from its plane a node of the cut may lie
 FACING = 0.5  # least cosine between a face of the cut and its plane
 CRUSHED = 1e-6  # of the median volume: an element is left with less
@@ -48,33 +48,37 @@ def fill(surface: Surface, robot: Robot, settings: TetrahedraSettings) -> Tetrah
     sector = sector_of(surface, robot)
     if sector is None:
         return tetrahedralize(surface, settings)
-    for _ in range(ATTEMPTS):
-        try:
-            whole = whole_of(tetrahedralize(sector.surface, settings), sector, STRAY * settings.envelope_m)
-            find_cavities(whole, robot, "the mirrored sector")
-            return whole
-        except MeshError as failure:
-            log.info("one sector was meshed, to be mirrored, and is made anew: %s", failure)
-    return tetrahedralize(surface, settings)
+    drawn = [whole for _ in range(DRAWS) if (whole := _draw(sector, robot, settings)) is not None]
+    drawn.sort(key=lambda whole: abs(whole.volume() - surface.volume()))
+    fullest = drawn[: (len(drawn) + 1) // 2]
+    return min(fullest, key=lambda whole: len(whole.points), default=None) or tetrahedralize(surface, settings)
+
+
+def _draw(sector: Sector, robot: Robot, settings: TetrahedraSettings) -> Tetrahedra | None:
+    """Return the solid of one mesh of the sector, or None if that cannot be mirrored."""
+    try:
+        whole = whole_of(tetrahedralize(sector.surface, settings), sector, STRAY * settings.envelope_m)
+        find_cavities(whole, robot, "the mirrored sector")
+    except MeshError as failure:
+        log.info("a mesh of one sector is left out: %s", failure)
+        return None
+    return whole
 
 
 def sector_of(surface: Surface, robot: Robot) -> Sector | None:
     """Return half the share of the first chamber of the solid, or None if the solid is not symmetric."""
-    n = robot.chambers
-    angle = np.sort(np.mod(robot.chamber_angle_deg, 360.0))
-    even = np.allclose(np.diff(angle), 360.0 / n, atol=SAME_DEG)
-    if n < 2 or not even or robot.axis not in ("+z", "-z"):
+    n, images = robot.chambers, [np.eye(3), *(image.vector for image in images_of(robot))]
+    if n < 2 or len(images) < 2 * n:  # not evenly on a ring, or not about z
         return None
-    begin, end = np.deg2rad(angle[0]), np.deg2rad(angle[0]) + np.pi / n
+    begin = np.deg2rad(np.mod(robot.chamber_angle_deg, 360.0).min())
+    end = begin + np.pi / n
     inward = np.array([[-np.sin(begin), np.cos(begin), 0.0], [np.sin(end), -np.cos(end), 0.0]])
-    mirror, turn = np.eye(3) - 2.0 * np.outer(inward[0], inward[0]), _turn(2.0 * np.pi / n)
     solid = Manifold(manifold3d.Mesh((MM * surface.points).astype(np.float32), surface.triangles.astype(np.uint32)))
-    if solid.status() != manifold3d.Error.NoError or any(_differs(solid, image) for image in (mirror, turn)):
+    if solid.status() != manifold3d.Error.NoError or any(_differs(solid, image) for image in images):
         return None
     reach = 2.0 * MM * np.linalg.norm(surface.points, axis=1).max() / np.cos(np.pi / (2 * n))
     corners = reach * np.array([[0.0, 0.0], [np.cos(begin), np.sin(begin)], [np.cos(end), np.sin(end)]])
     part = solid ^ CrossSection([corners]).extrude(2.0 * reach).translate((0, 0, -reach))
-    images = [np.linalg.matrix_power(turn, k) @ image for k in range(n) for image in (np.eye(3), mirror)]
     return Sector(surface_of(part), inward, np.array(images))
 
 
@@ -88,6 +92,8 @@ def surface_of(solid: Manifold) -> Surface:
 def whole_of(part: Tetrahedra, sector: Sector, tolerance_m: float) -> Tetrahedra:
     """Return the solid of ``part`` and its images, after the nodes of its cuts were moved onto their planes.
 
+    An element of which a cut makes a flat one is dropped: its other faces are the cut then.
+
     Raises
     ------
     MeshError
@@ -98,13 +104,15 @@ def whole_of(part: Tetrahedra, sector: Sector, tolerance_m: float) -> Tetrahedra
         points[nodes] -= np.outer(points[nodes] @ normal, normal)
     points[np.intersect1d(*cuts), :2] = 0.0
     before, after = (tetrahedron_volumes(nodes, part.corners) for nodes in (part.points, points))
-    crushed = int((after < CRUSHED * np.median(before)).sum())
+    flat = np.any([np.isin(part.corners, nodes).all(axis=1) for nodes in cuts], axis=0)
+    crushed = int((after[~flat] < CRUSHED * np.median(before)).sum())
     beyond = int((points @ sector.inward.T < -SAME_M).any(axis=1).sum())
     if crushed or beyond:
         raise MeshError(f"{crushed} elements would be crushed at its cuts, and {beyond} nodes lie beyond them")
+    kept = part.corners[~flat]
     copies = np.concatenate([points @ image.T for image in sector.images])
     corners = [
-        part.corners[:, [0, 1, 2, 3] if np.linalg.det(image) > 0.0 else [0, 2, 1, 3]] + k * len(points)
+        kept[:, [0, 1, 2, 3] if np.linalg.det(image) > 0.0 else [0, 2, 1, 3]] + k * len(points)
         for k, image in enumerate(sector.images)
     ]
     first = np.array([min(same) for same in cKDTree(copies).query_ball_point(copies, SAME_M)])
@@ -119,11 +127,6 @@ def _cut(part: Tetrahedra, normal: np.ndarray, tolerance_m: float) -> np.ndarray
     facing = -(outward @ normal) > FACING * np.linalg.norm(outward, axis=1)
     near = np.abs(part.points[faces] @ normal).max(axis=1) < tolerance_m
     return np.unique(faces[facing & near])
-
-
-def _turn(angle: float) -> np.ndarray:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _differs(solid: Manifold, image: np.ndarray) -> bool:

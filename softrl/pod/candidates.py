@@ -11,9 +11,10 @@ from softrl.pod.equilibria import Equilibria
 from softrl.pod.rom import static_points
 from softrl.pod.settings import FitSettings
 from softrl.pod.settling import equilibria_of, settles, stands
-from softrl.pod.symmetry import ALIKE, images_of, reflected, weight_to_trust
+from softrl.pod.symmetry import ALIKE, reflected, weight_to_trust
 from softrl.pod.tables import tables_of
 from softrl.robots.robot import Robot
+from softrl.robots.symmetry import images_of
 
 LOST = 0.1  # of the rms motion: an equilibrium farther off counts as lost, however far it is
 
@@ -115,8 +116,10 @@ def tried(settings: FitSettings, candidates: Candidates) -> list[Choice]:
 def best_first(choices: list[Choice]) -> list[Choice]:
     """Return ``choices`` by rising error of the tip in cross-validation, but first good ones with the images to trust."""
     by_error = sorted(choices, key=lambda choice: choice.tip_error_m)
-    trusted = weight_to_trust({choice.image_weight: choice.tip_error_m for choice in reversed(by_error)})
-    good = ALIKE * by_error[0].tip_error_m
+    least: dict[float, float] = {}
+    for choice in by_error:
+        least.setdefault(choice.image_weight, choice.tip_error_m)
+    trusted, good = weight_to_trust(least), ALIKE * by_error[0].tip_error_m
     return sorted(by_error, key=lambda choice: choice.image_weight != trusted or choice.tip_error_m > good)
 
 

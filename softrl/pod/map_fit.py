@@ -8,8 +8,9 @@ import numpy as np
 from softrl.pod.equilibria import Answers, Equilibria, slopes_of
 from softrl.pod.maps import Seen, best_form, elastic_factors, equations, symmetric_roots
 from softrl.pod.settings import FitSettings
-from softrl.pod.symmetry import images_of, reflected, symmetries, weight_to_trust
+from softrl.pod.symmetry import reflected, weight_to_trust
 from softrl.robots.robot import Robot
+from softrl.robots.symmetry import images_of, symmetries
 
 log = logging.getLogger(__name__)
 RIDGES = (1e-10, 1e-8, 1e-7, 1e-6, 1e-5)  # tried for every map

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 from softrl.core.errors import ConfigError
 from softrl.pod.energy import Weights
-from softrl.pod.symmetry import images_of
 from softrl.robots.robot import Robot
+from softrl.robots.symmetry import images_of
 
 
 @dataclass(frozen=True)

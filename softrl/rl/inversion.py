@@ -193,13 +193,11 @@ def plan(
         for _ in range(settings.refinements):
             turn = _correction(route.robot, request, predicted - wanted, response, weight, settings)
             least = (1.0 - LEAST_GAIN) * _cost(request, predicted - wanted, weight, settings)
-            for trial in (request + share * turn for share in SHARES):
-                reached = route.predict(trial)
-                if _cost(trial, reached - wanted, weight, settings) < least:
-                    break
-            else:
+            trials = ((trial, route.predict(trial)) for trial in (request + share * turn for share in SHARES))
+            better = next((t for t in trials if _cost(t[0], t[1] - wanted, weight, settings) < least), None)
+            if better is None:
                 break
-            request, predicted = trial, reached
+            request, predicted = better
     return Plan(request, predicted, wanted, response)
 
 

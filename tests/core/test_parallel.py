@@ -158,4 +158,5 @@ def test_the_fem_stage_gives_the_same_artifact_on_a_cluster(
     here = run_fem(settings, robot, box, tracker=NullTracker())
     there = run_fem(settings, robot, box, Parallel("dask", None, cluster[0]), tracker=NullTracker())
     for field in fields(Snapshots):
-        np.testing.assert_equal(getattr(there, field.name), getattr(here, field.name), field.name)
+        one, two = ({"": v} if not isinstance(v, dict) else v for v in (getattr(s, field.name) for s in (here, there)))
+        assert one.keys() == two.keys() and all(np.array_equal(one[name], two[name]) for name in one), field.name

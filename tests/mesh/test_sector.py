@@ -70,10 +70,23 @@ def test_solids_without_the_symmetry_are_meshed_whole(surface, robot) -> None:
     assert sector_of(surface, dataclasses.replace(robot, chamber_angle_deg=(-90.0, -200.0, -330.0))) is None
 
 
+PLANES = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+
+
+def test_flat_elements_are_dropped_and_leave_no_gap() -> None:
+    # four corners of a thin quadrilateral at the plane y = 0, onto which all of them move, and two elements behind it
+    points = np.array([[0.01, 1e-5, 0.0], [0.02, 0.0, 0.0], [0.02, 1e-5, 0.01], [0.01, 0.0, 0.01], [0.015, 0.01, 0.005]])
+    part = tidy(points, np.array([[0, 2, 1, 3], [0, 2, 3, 4], [0, 1, 2, 4]]))
+    planes = Sector(Surface(points, part.boundary()), PLANES, np.array([np.eye(3), np.diag([1.0, -1.0, 1.0])]))
+    whole = whole_of(part, planes, 1e-3)
+    check_closed(whole.boundary(), whole.points, "two pyramids")
+    assert len(whole.corners) == 4
+    assert whole.volume() == pytest.approx(2.0 * 0.01**3 / 3.0, rel=1e-6)
+
+
 def test_crushed_elements_are_told() -> None:
-    # four corners of a thin quadrilateral near the plane y = 0, onto which all of them move
-    points = np.array([[0.01, 1e-5, 0.0], [0.02, 0.0, 0.0], [0.02, 1e-5, 0.01], [0.01, 0.0, 0.01]])
+    # the face moves up to its apex
+    points = np.array([[0.01, -8e-4, 0.0], [0.02, -8e-4, 0.0], [0.01, -8e-4, 0.01], [0.015, 1e-10, 0.005]])
     part = tidy(points, np.array([[0, 1, 2, 3]]))
-    planes = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
     with pytest.raises(MeshError, match="1 elements would be crushed"):
-        whole_of(part, Sector(Surface(points, part.boundary()), planes, np.eye(3)[None]), 1e-3)
+        whole_of(part, Sector(Surface(points, part.boundary()), PLANES, np.eye(3)[None]), 1e-3)
