@@ -12,13 +12,12 @@ from softrl.diagnosis.noise import unlike_noise
 from softrl.diagnosis.problem import Problem, Residual
 from softrl.diagnosis.search import jacobian_at
 from softrl.diagnosis.spectrum import spectral_line
-from softrl.diagnosis.statistics import whiteness
 from softrl.diagnosis.trial import Trial
 from softrl.effects.library import effect_class
 
-WHITENESS_LAGS = 20
 NOISE_LEVEL = 0.01  # chance of what is left under noise of its own spectrum
 NOISE_DRAWS = 500
+CHANGING_LEVEL, CHANGING_DRAWS = 0.002, 1000  # likewise of what follows the pressures in ways that change
 DIFFERENCE = 0.02  # scaled step of derivatives
 LINE_LEVEL = 1e-8  # chance of a line in the spectrum of noise
 UNDRIVEN_SHARE = 0.5  # of the squared error: effects that remove less explain nothing
@@ -121,8 +120,8 @@ def _changing(judge: Judge, residual: Residual) -> float:
     """Return the mean square of what follows the pressures within windows, zero if noise may do so."""
     window = max(round(WINDOW_S / judge.problem.numerics.bin_s), 1)
     rng = np.random.default_rng(judge.seed)
-    found = follows_at_times(residual.runs, _drives(judge), window, NOISE_DRAWS, rng)
-    return found.share * float(residual.squares.mean()) if found.p_value < NOISE_LEVEL else 0.0
+    found = follows_at_times(residual.runs, _drives(judge), window, CHANGING_DRAWS, rng)
+    return found.share * float(residual.squares.mean()) if found.p_value < CHANGING_LEVEL else 0.0
 
 
 def _followed(judge: Judge, residual: Residual) -> str:
@@ -139,14 +138,11 @@ def _followed(judge: Judge, residual: Residual) -> str:
 
 
 def _uneven(judge: Judge, trial: Trial, residual: Residual, drives: list[np.ndarray], times: float) -> bool:
-    """Return whether ``residual`` is neither white nor noise of any other colour, whatever the parameters are.
+    """Return whether ``residual`` is no noise of any colour, whatever the parameters are.
 
     Any body differs a little from the robot's, sharply where pressures move, and what is loud beside it may be noise:
     what is uneven has to be large itself, ``times`` what counts.
     """
-    p_values = [whiteness(column, WHITENESS_LAGS)[1] for run in residual.runs for column in run.T]
-    if min(p_values) * len(p_values) > NOISE_LEVEL:
-        return False
     rng = np.random.default_rng(judge.seed)
     found = unlike_noise(residual.runs, drives, NOISE_DRAWS, rng, _slopes(judge, trial, residual))
     large = np.sqrt(found.share) * judge.rms(residual.squares) > times * judge.material

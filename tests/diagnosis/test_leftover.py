@@ -3,11 +3,13 @@
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from softrl.diagnosis import leftover
 from softrl.diagnosis.hypothesis import Choice, Hypothesis
 from softrl.diagnosis.leftover import Explained, reasons_of
+from softrl.diagnosis.problem import Residual
 
 
 @pytest.mark.parametrize(
@@ -31,3 +33,15 @@ def test_structure_that_is_plainly_left_is_told_unless_nearly_all_is_explained(
     for own, value in (("_drives", []), ("heldout_residual", None), ("_uneven", uneven)):
         monkeypatch.setattr(leftover, own, lambda *_, value=value: value)
     assert bool(reasons_of(judge, final, offer, Explained(0.9, of_all, left))) is unknown
+
+
+def test_rare_jumps_are_no_noise_however_white_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(5)
+    quiet = rng.standard_normal((400, 3))
+    jumps = 8.0 * rng.standard_normal((400, 3)) * (rng.random((400, 1)) < 0.03)
+    judge: Any = SimpleNamespace(material=0.3, seed=1, rms=lambda squares: float(np.sqrt(np.mean(squares))))
+    drives = [rng.standard_normal((400, 2)).cumsum(axis=0)]
+    monkeypatch.setattr(leftover, "_slopes", lambda *_: ())
+    for run, uneven in ((quiet, False), (quiet + jumps, True)):
+        residual = Residual([run], {})
+        assert leftover._uneven(judge, None, residual, drives, leftover.UNEVEN_FACTOR) is uneven  # type: ignore[arg-type]
