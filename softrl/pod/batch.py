@@ -22,7 +22,7 @@ from softrl.pod.insides import (
     fill_masses,
     shared_energies,
 )
-from softrl.pod.kernel import AGAIN, CLOSE, LONGEST_STEP, MAX_ITERATIONS, VISCOUS, share_of
+from softrl.pod.kernel import AGAIN, CLOSE, LONGEST_STEP, MAX_ITERATIONS, TINY, share_of
 from softrl.pod.lanes import (
     Lanes,
     add,
@@ -30,6 +30,8 @@ from softrl.pod.lanes import (
     fill_factor,
     fill_monomials,
     fill_rows,
+    fill_slopes,
+    fill_slopes_behind,
     fill_squares,
     fill_tangent,
     make_lanes,
@@ -139,11 +141,12 @@ def _fill_turning(velocity: np.ndarray, held: Lanes) -> None:
             take(force[j], held.root[a * r + j], changed[a])
 
 
-@nb.njit(cache=True)
-def _fill_viscosity(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any, insides: Inside, held: Lanes) -> None:
-    """Fill viscosity and the insides', as ``pod.kernel``."""
-    wide = max(tables.elastic.shape[1], tables.stiffness_root.shape[1], tables.drag_root.shape[1])
-    _fill_ahead(y, velocity, VISCOUS * dt, held)
+@nb.njit(cache=True, error_model="numpy")
+def _fill_viscosity(start: np.ndarray, by: np.ndarray, tables: Any, insides: Inside, held: Lanes) -> None:
+    """Fill viscosity, the insides', and the forces of its slope half way of steps ``by`` (r, lanes), as ``pod.kernel``."""
+    steep, driven, outward = held.steep, held.some[3], held.some[2]
+    wide = max(len(held.mixed), tables.drag_root.shape[1])
+    _fill_ahead(start, by, 0.5, held)
     fill_monomials(held.points, tables, held.values[:wide])
     fill_rows(tables.elastic, held.values, held.pairs)
     fill_rows(tables.stiffness_root, held.values, held.root)
@@ -151,30 +154,44 @@ def _fill_viscosity(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any,
     fill_behind(held.root, held.matrix, held.product)
     fill_squares(held.product, held.stiff)
     fill_drags(held.product, tables, held.values, insides)
+    fill_slopes_behind(by, held)
+    fill_slopes(tables, held)
+    outward[:], driven[:] = 0.0, 0.0
+    for i in range(len(by)):
+        add(outward, held.points[i], steep[i])
+    fill_tangent(steep, outward, held, held.trial)
+    for i in range(len(by)):
+        for lane in range(by.shape[1]):
+            steep[i, lane] = 0.25 * held.trial[i, lane]
+        take(driven, steep[i], by[i])
+    squares_of(held.stiff, by, held.some[0], held.some[1])
+    for lane in range(by.shape[1]):
+        share = max(1.0, driven[lane] / max(held.some[1, lane], TINY))
+        for i in range(len(by)):
+            steep[i, lane] /= share
 
 
 @nb.njit(cache=True, fastmath=FAST, error_model="numpy")
 def _begin(
-    y: np.ndarray, start: np.ndarray, velocity: np.ndarray, load: np.ndarray, dt: float, tables: Any, held: Lanes
+    start: np.ndarray, ahead: np.ndarray, velocity: np.ndarray, load: np.ndarray, dt: float, tables: Any, held: Lanes
 ) -> None:
-    """Fill what is constant in a step, and move ``y`` ahead, as ``pod.kernel.begin_step``; ``load`` (lanes, r)."""
-    r, lanes = y.shape
+    """Fill what is constant in a step, and free flight ``ahead``, as ``pod.kernel.begin_step``; ``load`` (lanes, r)."""
+    r, lanes = start.shape
     mass_scale, mass_damping, stiffness_damping = tables.scales[:3]
     for i in range(r):
         for lane in range(lanes):
-            start[i, lane] = y[i, lane]
-            y[i, lane] += dt * velocity[i, lane]
+            ahead[i, lane] = start[i, lane] + dt * velocity[i, lane]
     np.dot(tables.frame.T, load.T, held.right)
     for i in range(r):
         for lane in range(lanes):
-            held.right[i, lane] += mass_scale * held.turning[i, lane]
+            held.right[i, lane] += mass_scale * held.turning[i, lane] - stiffness_damping / dt * held.steep[i, lane]
         for j in range(r):
             for lane in range(lanes):
                 mass = held.mass[i, j, lane]
                 free = mass_scale / dt**2 * mass
                 drag = (mass_damping * mass + stiffness_damping * held.stiff[i, j, lane]) / dt
                 held.inertia[i, j, lane] = free + drag
-                held.right[i, lane] += free * y[j, lane] + drag * start[j, lane]
+                held.right[i, lane] += free * ahead[j, lane] + drag * start[j, lane]
 
 
 @nb.njit(cache=True)
@@ -281,10 +298,10 @@ def _move(y: np.ndarray, lane: int, progress: np.ndarray, held: Lanes) -> float:
 
 
 @nb.njit(cache=True)
-def _converge(y: np.ndarray, waiting: np.ndarray, progress: np.ndarray, tables: Any, held: Lanes) -> int:
-    """Move ``y`` to where the forces balance; return the number of lanes that do not get there."""
+def _converge(y: np.ndarray, waiting: np.ndarray, progress: np.ndarray, tables: Any, held: Lanes, most: int) -> int:
+    """Move ``y`` to where the forces balance, in ``most`` iterations; return the number of lanes that do not get there."""
     waiting[:], progress[:] = True, -1.0
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(most):
         _fill_wanted(y, waiting, tables, held)
         for lane in range(len(waiting)):
             if waiting[lane]:
@@ -320,7 +337,7 @@ def run_block(
 ) -> tuple[int, float]:
     """Fill ``path`` (lanes, steps, r) from ``y`` and ``velocity`` (r, lanes), used up, under ``load``."""
     r, lanes = y.shape
-    held, start = make_lanes(r, lanes, len(tables.parent)), np.empty((r, lanes))
+    held, start, ahead = make_lanes(r, lanes, tables), np.empty((r, lanes)), np.empty((r, lanes))
     waiting, progress = np.empty(lanes, dtype=np.bool_), np.empty((lanes, 2))
     kinetic, bent = np.empty(lanes), np.empty(lanes)
     insides, inner = make_inside(r, (lanes,)), np.zeros((2, AXES, lanes))
@@ -331,11 +348,17 @@ def run_block(
     for step in range(load.shape[1]):
         fill_rows(tables.mass_slope, held.values, held.slope)
         _fill_turning(velocity, held)
-        if tables.scales[2] > 0.0:
-            _fill_viscosity(y, velocity, dt, tables, insides, held)
-        _begin(y, start, velocity, load[:, step].copy(), dt, tables, held)
-        begin_insides(inner, y, start, dt, tables, insides, held.trial, held.inertia, held.right)
-        failed += _converge(y, waiting, progress, tables, held)
+        start[:] = y
+        for viscous in range(2 if tables.scales[2] > 0.0 else 1):
+            if tables.scales[2] > 0.0:
+                _fill_viscosity(start, y - start if viscous else dt * velocity, tables, insides, held)
+            _begin(start, ahead, velocity, load[:, step].copy(), dt, tables, held)
+            begin_insides(inner, ahead, start, dt, tables, insides, held.trial, held.inertia, held.right)
+            if not viscous:
+                y[:] = ahead
+            first = viscous < 1 and tables.scales[2] > 0.0
+            missed = _converge(y, waiting, progress, tables, held, 1 if first else MAX_ITERATIONS)
+        failed += missed
         path[:, step] = y.T
         _end(y, start, velocity, inner, dt, insides, held, (kinetic, bent))
         to_balls(y, held.points, held.radius)

@@ -22,11 +22,14 @@ from softrl.pod.ports import add_effects, commit_effects, fill_ports, make_ports
 from softrl.pod.pose import tip_pose
 from softrl.pod.potential import (
     FAST,
+    add_mixture,
     fill_behind,
     fill_elastic_factor,
     fill_monomials,
     fill_potential,
     fill_rows,
+    fill_slope,
+    fill_slope_behind,
     fill_square,
     to_ball,
 )
@@ -35,7 +38,7 @@ TOLERANCE = 1e-9  # change of y: below a nanometre at the tip
 CLOSE = 1e-6  # likewise where the Jacobian is exact: such a step leaves an error that is far below TOLERANCE
 MAX_ITERATIONS = 60
 LONGEST_STEP = 0.5  # of y, in one iteration
-VISCOUS = 0.75  # of a step ahead viscosity is taken: half where strain changes, a quarter for what resists its change
+TINY = 1e-300
 AGAIN = 3  # times that a velocity is scaled to its energy, each with the mass where the last leads: enough for 1e-6
 
 
@@ -91,29 +94,28 @@ def _square_of(matrix: np.ndarray, vector: np.ndarray) -> float:
 
 @nb.njit(cache=True, fastmath=FAST)
 def begin_step(
-    y: np.ndarray, velocity: np.ndarray, inner: np.ndarray, load: np.ndarray, dt: float, tables: Any, held: Any,
-    start: np.ndarray, inertia: np.ndarray, right: np.ndarray,
+    velocity: np.ndarray, inner: np.ndarray, load: np.ndarray, dt: float, tables: Any, held: Any, start: np.ndarray,
+    ahead: np.ndarray, inertia: np.ndarray, right: np.ndarray,
 ) -> None:
-    """Fill what is constant in a step, ``inertia`` (r, r) y - ``right`` (r,), and move ``y`` ahead.
+    """Fill what is constant in a step from ``start``: ``inertia`` (r, r) y - ``right`` (r,), and free flight ``ahead``.
 
-    ``held`` are mass and viscosity (r, r), the force of turning (r,) and the ``pod.inside``.
+    ``held`` are mass and viscosity (r, r), the forces of turning and of viscosity's slope (r,), and the ``pod.inside``.
     """
-    mass, stiff, turning, inside = held
-    r, mass_scale = len(y), tables.scales[0]
+    mass, stiff, turning, steep, inside = held
+    r, mass_scale = len(start), tables.scales[0]
     free, drag, late = mass_scale / dt**2, tables.scales[1] / dt, tables.scales[2] / dt
     for i in range(r):
-        start[i] = y[i]
-        y[i] += dt * velocity[i]
+        ahead[i] = start[i] + dt * velocity[i]
     for i in range(r):
-        total = mass_scale * turning[i]
+        total = mass_scale * turning[i] - late * steep[i]
         for k in range(r):
             total += tables.frame[k, i] * load[k]
         for j in range(r):
             damping = drag * mass[i, j] + late * stiff[i, j]
             inertia[i, j] = free * mass[i, j] + damping
-            total += free * mass[i, j] * y[j] + damping * start[j]
+            total += free * mass[i, j] * ahead[j] + damping * start[j]
         right[i] = total
-    begin_inside(inner, y, start, dt, tables, inside, inertia, right)
+    begin_inside(inner, ahead, start, dt, tables, inside, inertia, right)
 
 
 @nb.njit(cache=True)
@@ -162,7 +164,7 @@ def end_step(
     They are twice the kinetic energy and twice what the inside stores. Neither the force of turning nor the change of mass
     may alter the first; nor may the second grow as stiffness changes.
     """
-    mass, _, turning, inside = held
+    mass, _, turning, _, inside = held
     r = len(y)
     for i in range(r):
         velocity[i] = (y[i] - start[i]) / dt
@@ -180,15 +182,21 @@ def share_of(energy: float, now: float) -> float:
 
 
 @nb.njit(cache=True)
-def _fill_viscosity(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any, work: Any, held: Any) -> None:
-    """Fill viscosity and the inside's within the step from ``y``; ``work`` as for ``_set_out``."""
-    values, point, _, factor, ahead, root, slope, elastic = work
-    _, stiff, _, inside = held
-    product = slope[: len(root)]
-    for i in range(len(y)):
-        ahead[i] = y[i] + VISCOUS * dt * velocity[i]
-    to_ball(ahead, point)
-    few = values[: max(tables.elastic.shape[1], tables.stiffness_root.shape[1], tables.drag_root.shape[1])]
+def _fill_viscosity(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, held: Any) -> None:
+    """Fill viscosity and the inside's half way of a step from ``start`` by ``by`` (r,), and the force of its slope.
+
+    The full model resists the change of strain from one end of a step to the other: its square is ``by' D by`` with the
+    viscosity D half way, to third order, and its derivative by the arrival, halved, is ``D by`` and a quarter of the
+    gradient of that square. The force is never more than would turn what damps into what drives.
+    """
+    values, point, scratch, factor, middle, root, slope, elastic, mixed = work
+    _, stiff, _, steep, inside = held
+    r = len(by)
+    product, turned = slope[: r * r], slope[r * r : 2 * r * r]
+    for i in range(r):
+        middle[i] = start[i] + 0.5 * by[i]
+    radius = to_ball(middle, point)
+    few = values[: max(len(mixed), tables.drag_root.shape[1])]
     fill_monomials(point, tables.parent, tables.variable, few)
     fill_rows(tables.elastic, few, elastic)
     fill_rows(tables.stiffness_root, few, root)
@@ -196,6 +204,22 @@ def _fill_viscosity(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any,
     fill_behind(root, factor, product)
     fill_square(product, stiff)
     fill_drag(product, tables, few, inside)
+    bent = np.empty(len(elastic))
+    fill_slope_behind(root, factor, elastic, by, scratch, turned, bent)
+    mixed[:] = 0.0
+    add_mixture(tables.stiffness_root, turned, mixed)
+    add_mixture(tables.elastic, bent, mixed)
+    fill_slope(mixed, few, point, tables.parent, tables.variable, steep)
+    outward = driven = 0.0
+    for i in range(r):
+        outward += point[i] * steep[i] if radius > 1.0 else 0.0
+    for i in range(r):
+        steep[i] = 0.25 * (steep[i] - point[i] * outward) / max(radius, 1.0)
+        driven -= steep[i] * by[i]
+    share = driven / max(_square_of(stiff, by), TINY)
+    if share > 1.0:
+        for i in range(r):
+            steep[i] /= share
 
 
 @nb.njit(cache=True)
@@ -209,11 +233,11 @@ def _set_out(
     ----------
     energies : twice the kinetic energy that the rates are scaled to, negative to leave them; the inside is scaled down
         where it would store more than the other
-    work : monomials, point (r,), two matrices (r, r), a vector (r,), rows (r r,), (r r r,), (pairs,)
+    work : monomials, point (r,), two matrices (r, r), a vector (r,), rows (r r,), (r r r,), (pairs,), a polynomial
     held : as for ``begin_step``
     """
-    values, point, scratch, _, ahead, root, slope, _ = work
-    mass, _, turning, inside = held
+    values, point, scratch, _, ahead, root, slope, _, _ = work
+    mass, _, turning, _, inside = held
     kinetic, bent = energies
     radius = to_ball(y, point)
     few, beyond = values[: max(tables.mass_root.shape[1], tables.give_root.shape[1], tables.give.shape[1])], 0.0
@@ -238,7 +262,7 @@ def _set_out(
         inner[0, k] *= share
     _fill_turning(beyond, velocity, point, root, slope, scratch, turning)
     if tables.scales[2] > 0.0:
-        _fill_viscosity(y, velocity, dt, tables, work, held)
+        _fill_viscosity(y, dt * velocity, tables, work, held)
     return radius
 
 
@@ -259,9 +283,7 @@ def run_kernel(
     """Advance ``y``, ``velocity`` (r,) and ``inner`` (2, 3) by implicit Euler over ``load`` (steps, r) Pa and N.
 
     Mass is that where the velocity leads in a step, and so is the force of inertia by which a turning body leaves the
-    straight way. The full model resists the change of strain from one end of a step to the other: to first order that
-    is the viscosity half a step ahead and a quarter of a step's change of its form in the rate, which is its change along
-    the rate where its slopes are as symmetric as those of a Hessian: the viscosity ``VISCOUS`` of a step ahead. After a
+    straight way. Viscosity is that half way to where the step's first iteration leads, see ``_fill_viscosity``. After a
     step the velocity is scaled so that neither the force of turning nor the change of mass alters the kinetic energy:
     energy is created nowhere. ``inner``, by which the inside gives to acceleration (``pod.inside``), is scaled down where
     it would gain energy.
@@ -280,27 +302,34 @@ def run_kernel(
     r, n = len(y), len(y) - 3
     values, point = np.empty(len(tables.parent)), np.empty(r)
     mass, stiff, factor = np.zeros((r, r)), np.zeros((r, r)), np.zeros((r, r))
-    inertia, right, start, turning = np.empty((r, r)), np.empty(r), np.empty(r), np.empty(r)
+    inertia, right, start, ahead = np.empty((r, r)), np.empty(r), np.empty(r), np.empty(r)
     gradient, hessian, jacobian, scratch = np.empty(r), np.empty((r, r)), np.empty((r, r)), np.empty((r, r))
     direction, trial, progress = np.empty(r), np.empty(r), np.empty(2)
     rows = np.empty(r * r), np.empty(r * r * r), np.empty(len(tables.elastic))
+    mixed = np.empty(max(tables.elastic.shape[1], tables.stiffness_root.shape[1]))
     ports, bare = make_ports(n), np.empty(r)
     with_effects = len(hooks[0]) + len(hooks[3]) > 0
-    close = TOLERANCE if with_effects else CLOSE
+    close, viscous = TOLERANCE if with_effects else CLOSE, tables.scales[2] > 0.0
     failed = 0
     if with_effects:
         fill_potential(y, tables, values, point, gradient, hessian)
         fill_ports(y, rest, gradient, hessian, dt, load[0, :n], tables, ports, True)
         ports.strains[0], ports.tips[0] = ports.strains[1], ports.tips[1]
-    work = (values, point, scratch, factor, direction, rows[0], rows[1], rows[2])
-    held = (mass, stiff, turning, make_inside(r, ()))
+    work = (values, point, scratch, factor, direction, rows[0], rows[1], rows[2], mixed)
+    held = (mass, stiff, np.empty(r), np.zeros(r), make_inside(r, ()))
     farthest = _set_out(y, velocity, inner, dt, (-1.0, np.inf), tables, work, held)
     for step in range(len(load)):
         pressure = load[step, :n]
-        begin_step(y, velocity, inner, load[step], dt, tables, held, start, inertia, right)
+        start[:] = y
+        begin_step(velocity, inner, load[step], dt, tables, held, start, ahead, inertia, right)
+        y[:] = ahead
         progress[0] = -1.0
         longest = np.inf
         for iteration in range(MAX_ITERATIONS):
+            if iteration == 1 and viscous:
+                _fill_viscosity(start, y - start, tables, work, held)
+                begin_step(velocity, inner, load[step], dt, tables, held, start, ahead, inertia, right)
+                progress[0] = -1.0
             fill_potential(y, tables, values, point, gradient, hessian)
             for i in range(r):
                 for j in range(r):
@@ -313,7 +342,7 @@ def run_kernel(
             longest = iterate(
                 y, gradient, jacobian, inertia, right, tables, not with_effects, scratch, direction, trial, progress
             )
-            if longest < close:
+            if longest < close and (iteration > 0 or not viscous):
                 break
         if longest >= close:
             failed += 1

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 
-from softrl.pod.potential import FAST, PIVOT, diagonal
+from softrl.pod.potential import FAST, HELD, PIVOT, diagonal
 
 
 class Lanes(NamedTuple):
@@ -15,10 +15,10 @@ class Lanes(NamedTuple):
     Attributes
     ----------
     mass, stiff, inertia, matrix : (r, r, lanes), the last one scratch
-    turning, right, gradient, direction, wanted, trial : (r, lanes)
+    turning, steep, right, gradient, direction, wanted, trial : (r, lanes)
     points : (r, lanes) in the unit ball;  radius : (lanes,) of the states they belong to
     root, product : (r r, lanes);  slope : (r r r, lanes);  pairs : (r (r + 1) / 2, lanes)
-    values : (k, lanes) monomials
+    values : (k, lanes) monomials;  mixed : (k, lanes) polynomials, one a lane
     some : (5, lanes) scratch
     """
 
@@ -27,6 +27,7 @@ class Lanes(NamedTuple):
     inertia: np.ndarray
     matrix: np.ndarray
     turning: np.ndarray
+    steep: np.ndarray
     right: np.ndarray
     gradient: np.ndarray
     direction: np.ndarray
@@ -39,20 +40,21 @@ class Lanes(NamedTuple):
     slope: np.ndarray
     pairs: np.ndarray
     values: np.ndarray
+    mixed: np.ndarray
     some: np.ndarray
 
 
 @nb.njit(cache=True)
-def make_lanes(r: int, lanes: int, monomials: int) -> Lanes:
+def make_lanes(r: int, lanes: int, tables: Any) -> Lanes:
     """Return room for ``lanes`` lanes."""
-    full = (r, r, lanes)
+    full, one = (r, r, lanes), (r, lanes)
     return Lanes(
         np.zeros(full), np.zeros(full), np.zeros(full), np.zeros(full),
-        np.zeros((r, lanes)), np.zeros((r, lanes)), np.zeros((r, lanes)), np.zeros((r, lanes)), np.zeros((r, lanes)),
-        np.zeros((r, lanes)), np.zeros((r, lanes)), np.zeros(lanes),
+        np.zeros(one), np.zeros(one), np.zeros(one), np.zeros(one), np.zeros(one), np.zeros(one), np.zeros(one),
+        np.zeros(one), np.zeros(lanes),
         np.zeros((r * r, lanes)), np.zeros((r * r, lanes)), np.zeros((r**3, lanes)),
-        np.zeros((r * (r + 1) // 2, lanes)), np.zeros((monomials, lanes)),
-        np.zeros((5, lanes)),
+        np.zeros((r * (r + 1) // 2, lanes)), np.zeros((len(tables.parent), lanes)),
+        np.zeros((max(tables.elastic.shape[1], tables.stiffness_root.shape[1]), lanes)), np.zeros((5, lanes)),
     )  # fmt: skip
 
 
@@ -186,3 +188,73 @@ def fill_behind(root: np.ndarray, factor: np.ndarray, product: np.ndarray) -> No
             product[i * r + j] = 0.0
             for k in range(j, r):
                 add(product[i * r + j], root[i * r + k], factor[j, k])
+
+
+@nb.njit(cache=True, error_model="numpy")
+def fill_slopes_behind(by: np.ndarray, held: Lanes) -> None:
+    """Fill how ``|R U' by|^2`` changes with the roots R and with the elastic Hessians, as ``pod.potential.fill_slope_behind``.
+
+    R and U are in ``root`` and ``matrix``, the Hessians in ``pairs``; what they change by takes the place of ``root`` and
+    ``pairs``.
+    """
+    behind, moved, back = held.wanted, held.gradient, held.direction
+    root, factor = held.root, held.matrix
+    r, lanes = by.shape
+    for j in range(r):
+        behind[j], back[j], moved[j] = 0.0, 0.0, 0.0
+        for i in range(j + 1):
+            add(behind[j], factor[i, j], by[i])
+    for a in range(r):
+        for b in range(r):
+            add(moved[a], root[a * r + b], behind[b])
+    for a in range(r):
+        for b in range(r):
+            add(back[b], moved[a], root[a * r + b])
+            for lane in range(lanes):
+                root[a * r + b, lane] = 2.0 * moved[a, lane] * behind[b, lane]
+    back *= 2.0
+    _unfactor(by, back, held)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _unfactor(by: np.ndarray, back: np.ndarray, held: Lanes) -> None:
+    """Fill ``pairs`` with derivatives by the Hessians of what has those ``by`` x ``back`` by their factors."""
+    factor, slope, whole, share = held.matrix, held.inertia, held.some[0], held.some[1]
+    r, lanes = by.shape
+    whole[:] = 1.0
+    for i in range(r):
+        share[:] = 0.0
+        for j in range(i, r):
+            add(share, factor[i, j], factor[i, j])
+            for lane in range(lanes):
+                slope[i, j, lane] = by[i, lane] * back[j, lane]
+        for lane in range(lanes):
+            if share[lane] > held.pairs[diagonal(i, r), lane] * (1.0 + HELD):
+                whole[lane] = 0.0
+    for j in range(r):
+        for i in range(j + 1):
+            for lane in range(lanes):
+                share[lane] = slope[i, j, lane] / factor[j, j, lane] * (0.5 if i == j else 1.0)
+                held.pairs[diagonal(i, r) + j - i, lane] = whole[lane] * share[lane]
+            if i == j:
+                share *= 2.0
+            else:
+                take(slope[j, j], share, factor[i, j])
+            for k in range(j + 1, r):
+                take(slope[i, k], share, factor[j, k])
+                if i < j:
+                    take(slope[j, k], share, factor[i, k])
+
+
+@nb.njit(cache=True)
+def fill_slopes(tables: Any, held: Lanes) -> None:
+    """Fill ``steep`` with gradients at ``points`` of the roots and elastic Hessians, weighed by ``root`` and ``pairs``."""
+    mixed, values = held.mixed, held.values
+    mixed[:] = 0.0
+    mixed[: tables.stiffness_root.shape[1]] += np.dot(tables.stiffness_root.T, held.root)
+    mixed[: tables.elastic.shape[1]] += np.dot(tables.elastic.T, held.pairs)
+    held.steep[:] = 0.0
+    for k in range(len(mixed) - 1, 0, -1):
+        lower, along = tables.parent[k], tables.variable[k]
+        add(held.steep[along], mixed[k], values[lower])
+        add(mixed[lower], mixed[k], held.points[along])

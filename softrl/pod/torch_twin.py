@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from softrl.artifacts.reduced_model import ReducedModel
-from softrl.pod.kernel import AGAIN, VISCOUS
+from softrl.pod.kernel import AGAIN, LONGEST_STEP, TINY
 from softrl.pod.potential import PIVOT
 from softrl.pod.tables import tables_of
 
@@ -95,21 +95,13 @@ class TorchRom(torch.nn.Module):
         derivatives. ``inner`` is that of ``pod.inside``.
         """
         start, rate = z @ self.inverse.T, velocity @ self.inverse.T
-        mass, turning, couple, own, give = self._inertia(start + dt_s * rate, rate)
-        stiff, drag, tough = self._viscosity(start + VISCOUS * dt_s * rate)
-        free, rub, viscous = self.mass_scale / dt_s**2, self.mass_damping / dt_s, self.stiffness_damping / dt_s
-        ahead, (gives, giving) = start + dt_s * rate, inner.unbind(1)
-        flown = free * (gives + dt_s * giving) + rub * gives
-        moved = free * ahead + rub * start
-        inertia = (free + rub) * mass + viscous * stiff
-        right = load @ self.frame + self.mass_scale * turning + _times(mass, moved) + viscous * _times(stiff, start)
-        right = right + _times(couple, flown) + viscous * _times(drag, gives)
-        pull = (free + rub) * couple + viscous * drag
-        push = _times(own, flown) + viscous * _times(tough, gives)
-        push = push + _times(couple.transpose(1, 2), moved) + viscous * _times(drag.transpose(1, 2), start)
-        apart = torch.linalg.pinv((free + rub) * own + viscous * tough + give, rtol=1e-12, hermitian=True)
-        share = pull @ apart
-        inertia, right = inertia - share @ pull.transpose(1, 2), right - _times(share, push)
+        held = mass, turning, couple, own, give = self._inertia(start + dt_s * rate, rate)
+        gives, ahead = inner[:, 0], start + dt_s * rate
+        outer = load @ self.frame
+        inertia, right, *_ = self._sides(held, self._resistance(start, dt_s * rate), start, rate, inner, outer, dt_s)
+        first = self._direction(ahead, inertia, self._slope(ahead) + _times(inertia, ahead) - right)
+        sides = self._sides(held, self._resistance(start, ahead - first - start), start, rate, inner, outer, dt_s)
+        inertia, right, apart, push, pull = sides
         with torch.no_grad():
             y = self._solve(ahead, inertia, right)
             jacobian = self._curvature(y) + inertia
@@ -128,15 +120,52 @@ class TorchRom(torch.nn.Module):
         given = given * _root_ratio(torch.minimum(bent, now), now)
         return y @ self.frame.T, moved @ self.frame.T, torch.stack([given, giving], dim=1)
 
+    def _sides(
+        self, held: tuple[Tensor, ...], resistance: tuple[Tensor, ...], start: Tensor, rate: Tensor, inner: Tensor,
+        outer: Tensor, dt_s: float,
+    ) -> tuple[Tensor, ...]:
+        """Return what is constant in a step, ``inertia`` y - ``right``, and by what the inside follows from y."""
+        (mass, turning, couple, own, give), (stiff, steep, drag, tough) = held, resistance
+        free, rub, viscous = self.mass_scale / dt_s**2, self.mass_damping / dt_s, self.stiffness_damping / dt_s
+        gives, giving = inner.unbind(1)
+        flown = free * (gives + dt_s * giving) + rub * gives
+        moved = free * (start + dt_s * rate) + rub * start
+        inertia = (free + rub) * mass + viscous * stiff
+        right = outer + self.mass_scale * turning + _times(mass, moved) + viscous * (_times(stiff, start) - steep)
+        right = right + _times(couple, flown) + viscous * _times(drag, gives)
+        pull = (free + rub) * couple + viscous * drag
+        push = _times(own, flown) + viscous * _times(tough, gives)
+        push = push + _times(couple.transpose(1, 2), moved) + viscous * _times(drag.transpose(1, 2), start)
+        apart = torch.linalg.pinv((free + rub) * own + viscous * tough + give, rtol=1e-12, hermitian=True)
+        share = pull @ apart
+        return inertia - share @ pull.transpose(1, 2), right - _times(share, push), apart, push, pull
+
+    def _direction(self, y: Tensor, inertia: Tensor, left: Tensor) -> Tensor:
+        """Return by how much (B, r) an iteration of Newton's takes ``y`` back."""
+        jacobian = self._curvature(y) + inertia
+        _, bad = torch.linalg.cholesky_ex(jacobian)
+        jacobian = jacobian + (bad > 0).to(y.dtype)[:, None, None] * self.quadratic
+        step = torch.linalg.solve(jacobian, left.unsqueeze(-1)).squeeze(-1)
+        return step / (step.abs().amax(1, keepdim=True) / LONGEST_STEP).clamp(min=1.0)
+
+    def _resistance(self, start: Tensor, by: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return viscosity half way of a step ``by`` (B, r), the force (B, r) of its slope, and the inside's viscosities."""
+        half = start + 0.5 * by
+        keep = torch.is_grad_enabled() and half.requires_grad
+        with torch.enable_grad():
+            middle = half if keep else half.detach().requires_grad_()
+            parts = self._viscosity(middle)
+            square = _dot(by, _times(parts[0], by))
+            (steep,) = torch.autograd.grad((square + 0.0 * middle.sum(1)).sum(), middle, create_graph=keep)
+        stiff, drag, tough, square = (part if keep else part.detach() for part in (*parts, square))
+        driven = -0.25 * _dot(steep, by) / square.clamp(min=TINY)
+        return stiff, 0.25 * steep / driven.clamp(min=1.0).unsqueeze(1), drag, tough
+
     def _solve(self, y: Tensor, inertia: Tensor, right: Tensor) -> Tensor:
         """Return the solution of the implicit step, by Newton with halved steps where the slope along them turns."""
         left = self._slope(y) + _times(inertia, y) - right
         for _ in range(NEWTON):
-            jacobian = self._curvature(y) + inertia
-            _, bad = torch.linalg.cholesky_ex(jacobian)
-            jacobian = jacobian + (bad > 0).to(y.dtype)[:, None, None] * self.quadratic
-            step = torch.linalg.solve(jacobian, left.unsqueeze(-1)).squeeze(-1)
-            step = step / (step.abs().amax(1, keepdim=True) / 0.5).clamp(min=1.0)
+            step = self._direction(y, inertia, left)
             before = (left * step).sum(1)
             share = torch.ones_like(before).unsqueeze(1)
             for _ in range(6):

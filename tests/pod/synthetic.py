@@ -7,7 +7,6 @@ import numpy as np
 
 from softrl.artifacts.snapshots import Snapshots
 from softrl.pod.equilibria import per_spin
-from softrl.pod.kernel import VISCOUS
 from softrl.robots.robot import Robot
 
 YOUNG_PA, MASS_KG = 1e6, 0.5
@@ -150,6 +149,11 @@ class Law:
         slope = np.array([(self.mass(z + e) - self.mass(z - e)) / (2.0 * e.sum()) for e in steps])
         return 0.5 * np.einsum("jkl,k,l->j", slope, rate, rate) - np.einsum("kjl,k,l->j", slope, rate, rate)
 
+    def slope_of_square(self, z: np.ndarray, by: np.ndarray) -> np.ndarray:
+        """Return the gradient (n + 3,) by z of ``by' hessian(z) by``."""
+        steps = np.diag(np.r_[np.full(self.chambers, 1e-8), np.full(3, 1e-5)])
+        return np.array([by @ (self.hessian(z + e) - self.hessian(z - e)) @ by / (2.0 * e.sum()) for e in steps])
+
     def centre_of_mass(self, z: np.ndarray) -> np.ndarray:
         """Return its displacement (3,) m: linear, and sinking as the body bends."""
         tip = z[self.chambers :]
@@ -181,24 +185,26 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
 def march(law: Law, loads: np.ndarray, dt: float, mass_damping: float, stiffness_damping: float) -> np.ndarray:
     """Return z (steps, n + 3) by implicit Euler in SI, from rest, the inside's three coordinates solved for with the rest.
 
-    Mass is that a step ahead; the stiffness in the damping is the law's Hessian ``VISCOUS`` of a step ahead.
+    Mass is that a step ahead; the stiffness in the damping is the law's Hessian half way to where one iteration leads.
     """
     r = loads.shape[1]
     z, v, path = np.zeros(r + 3), np.zeros(r + 3), []
     for load in loads:
-        stiffness = law.hessian((z + VISCOUS * dt * v)[:r])
         mass = joint(law.mass((z + dt * v)[:r]), GIVE_COUPLING, GIVE_MASS)
-        viscosity = joint(stiffness, GIVE_DRAG, GIVE)
-        damping = mass_damping * mass + stiffness_damping * viscosity
-        force = np.r_[load + law.turning((z + dt * v)[:r], v[:r]), np.zeros(3)]
-        trial = z + dt * v
-        for _ in range(40):
+        turning = np.r_[load + law.turning((z + dt * v)[:r], v[:r]), np.zeros(3)]
+        trial, by = z + dt * v, dt * v[:r]
+        for iteration in range(40):
+            if iteration < 2:
+                by = by if iteration == 0 else (trial - z)[:r]
+                viscosity = joint(law.hessian(z[:r] + 0.5 * by), GIVE_DRAG, GIVE)
+                damping = mass_damping * mass + stiffness_damping * viscosity
+                force = turning - stiffness_damping / dt * np.r_[0.25 * law.slope_of_square(z[:r] + 0.5 * by, by), np.zeros(3)]
             held = np.r_[law.gradient(trial[:r]), GIVE @ trial[r:]]
             residual = mass @ (trial - z - dt * v) / dt**2 + damping @ (trial - z) / dt + held - force
             matrix = joint(law.hessian(trial[:r]), 0.0 * GIVE, GIVE) + mass / dt**2 + damping / dt
             step = np.linalg.solve(matrix, residual)
             trial = trial - step
-            if np.abs(step[law.chambers : r]).max() < 1e-15:
+            if iteration > 0 and np.abs(step[law.chambers : r]).max() < 1e-15:
                 break
         v, z = (trial - z) / dt, trial
         path.append(z[:r])

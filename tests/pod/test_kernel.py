@@ -8,7 +8,8 @@ import pytest
 
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
-from softrl.pod.kernel import VISCOUS, run_kernel
+from softrl.pod.inside import make_inside
+from softrl.pod.kernel import _fill_viscosity, run_kernel
 from softrl.pod.linear import solve_general
 from softrl.pod.polynomial import basis
 from softrl.pod.potential import fill_elastic_factor, fill_potential, fill_square
@@ -16,7 +17,6 @@ from softrl.pod.rom import no_hooks, roll, static_coordinates
 from softrl.pod.tables import tables_of
 from softrl.robots.robot import Robot
 from tests.pod.mechanics import mechanical_energy
-from tests.pod.synthetic import law_of
 
 Body = tuple[Robot, Snapshots, ReducedModel]
 
@@ -149,20 +149,33 @@ def test_a_long_step_is_the_equilibrium(tripod: Body) -> None:
     np.testing.assert_allclose(settled[3:], static_coordinates(model, load[0, :1])[0, 3:], atol=1e-7)
 
 
-def test_viscosity_is_taken_where_a_step_resists_what_strains_change(tripod: Body) -> None:
-    """That is the derivative by the arrival of half the change squared in the viscosity half way, here a Hessian."""
-    law, rng = law_of(tripod[0]), np.random.default_rng(0)
-    start, change = (tripod[1].coordinate[k] for k in (0, 1))
+@pytest.mark.parametrize("radius", [0.5, 1.4])
+def test_a_step_resists_the_change_of_strain(tripod: Body, radius: float) -> None:
+    """By the derivative by its arrival of half that change squared, in the viscosity half way."""
+    model, rng = tripod[2], np.random.default_rng(0)
+    tables, r = tables_of(model), model.order
+    size = max(tables.elastic.shape[1], tables.stiffness_root.shape[1])
 
-    def resisted(by: np.ndarray) -> float:
-        return 0.5 * float(by @ law.hessian(start + 0.5 * by) @ by)
+    def viscosity(start: np.ndarray, by: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        work = (
+            np.empty(len(tables.parent)), np.empty(r), np.empty((r, r)), np.zeros((r, r)), np.empty(r), np.empty(r * r),
+            np.empty(r**3), np.empty(len(tables.elastic)), np.empty(size),
+        )  # fmt: skip
+        held = (np.empty((r, r)), np.empty((r, r)), np.empty(r), np.empty(r), make_inside(r, ()))
+        _fill_viscosity(start, by, tables, work, held)
+        return held[1], held[3]
 
-    for size in (0.2, 0.1):
-        by = size * change * rng.uniform(0.5, 1.5)
-        steps = 1e-4 * np.diag(np.abs(by))
-        exact = np.array([resisted(by + e) - resisted(by - e) for e in steps]) / (2.0 * np.diag(steps))
-        missed = [np.abs((law.hessian(start + share * by) @ by - exact) * by).max() for share in (0.5, VISCOUS)]
-        assert missed[1] < size * missed[0]
+    start = rng.standard_normal(r)
+    start *= radius / np.linalg.norm(start)
+    by, step = 0.05 * rng.standard_normal(r), 1e-6
+
+    def square(by: np.ndarray) -> float:
+        return 0.5 * float(by @ viscosity(start, by)[0] @ by)
+
+    exact = np.array([square(by + e) - square(by - e) for e in step * np.eye(r)]) / (2.0 * step)
+    stiff, steep = viscosity(start, by)
+    np.testing.assert_allclose(stiff @ by + steep, exact, atol=1e-6 * np.abs(exact).max())
+    assert np.abs(steep).max() > 1e-3 * np.abs(exact).max()
 
 
 def test_masses_are_never_indefinite(tripod: Body) -> None:
