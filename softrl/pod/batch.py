@@ -342,22 +342,21 @@ def run_block(
     kinetic, bent = np.empty(lanes), np.empty(lanes)
     insides, inner = make_inside(r, (lanes,)), np.zeros((2, AXES, lanes))
     to_balls(y, held.points, held.radius)
-    failed, farthest = 0, held.radius.max()
+    failed, farthest, damped = 0, held.radius.max(), tables.scales[2] > 0.0
     _fill_mass(y, velocity, dt, tables, insides, held)
     fill_gives(tables, held.values, insides)
     for step in range(load.shape[1]):
         fill_rows(tables.mass_slope, held.values, held.slope)
         _fill_turning(velocity, held)
         start[:] = y
-        for viscous in range(2 if tables.scales[2] > 0.0 else 1):
-            if tables.scales[2] > 0.0:
-                _fill_viscosity(start, y - start if viscous else dt * velocity, tables, insides, held)
+        for again in range(2 if damped else 1):  # viscosity is that half way to where the first iteration leads
+            if damped:
+                _fill_viscosity(start, y - start if again else dt * velocity, tables, insides, held)
             _begin(start, ahead, velocity, load[:, step].copy(), dt, tables, held)
             begin_insides(inner, ahead, start, dt, tables, insides, held.trial, held.inertia, held.right)
-            if not viscous:
+            if not again:
                 y[:] = ahead
-            first = viscous < 1 and tables.scales[2] > 0.0
-            missed = _converge(y, waiting, progress, tables, held, 1 if first else MAX_ITERATIONS)
+            missed = _converge(y, waiting, progress, tables, held, 1 if damped and not again else MAX_ITERATIONS)
         failed += missed
         path[:, step] = y.T
         _end(y, start, velocity, inner, dt, insides, held, (kinetic, bent))
