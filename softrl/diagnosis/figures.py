@@ -219,8 +219,8 @@ def draw_located(diagnosis: Diagnosis) -> Figure:
         ax.annotate(chance, (row["effect_size"], k), fontsize=7, va="center")
     ax.set_yticks(range(len(labels)), labels, fontsize=8)
     ax.invert_yaxis()
-    ax.set_xlim(0.0, 1.15)
-    ax.set_xlabel("effect size (share of power or correlation) before effects")
+    ax.set_xlim(0.0, 1.25)  # room for what stands beside the longest bar
+    ax.set_xlabel("effect size before effects\n(share of power or correlation)")
     return figure
 
 
