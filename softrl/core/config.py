@@ -83,10 +83,12 @@ def _value(value: Any, hint: Any, path: str, fill: Fill) -> Any:
         return build_target(value, path, fill)
     if isinstance(value, Mapping) and value and all(isinstance(v, Mapping) and TARGET in v for v in value.values()):
         return {key: build_target(inner, f"{path}.{key}", fill) for key, inner in value.items()}
-    if dataclasses.is_dataclass(hint) and isinstance(hint, type) and isinstance(value, Mapping):
-        return build(value, hint, path, fill)
     if isinstance(value, str) and value == "???":
         raise ConfigError(f"{path} is not set; give {path}=<{_readable(hint).removesuffix(' | None')}>")
+    if dataclasses.is_dataclass(hint) and isinstance(hint, type) and not isinstance(value, hint):
+        if isinstance(value, Mapping):
+            return build(value, hint, path, fill)
+        raise ConfigError(f"{path}={value!r} has the wrong type; expected the keys of {_readable(hint)}")
     try:
         return TypeAdapter(hint, config={"arbitrary_types_allowed": True}).validate_python(value)
     except ValidationError as error:

@@ -36,6 +36,7 @@ def test_lists_become_tuples_and_mappings_dataclasses() -> None:
         ({"band_hz": [1.0]}, "stage.band_hz"),
         ({"inner": {"shre": 1.0}}, "stage.inner.shre=1.0 is an unknown key; did you mean share?"),
         ({"inner": {}}, "stage.inner.share is missing"),
+        ({"inner": 3}, "stage.inner=3 has the wrong type; expected the keys of Inner"),
         ({"note": "???"}, "stage.note is not set"),
     ],
 )
