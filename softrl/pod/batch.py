@@ -22,7 +22,7 @@ from softrl.pod.insides import (
     fill_masses,
     shared_energies,
 )
-from softrl.pod.kernel import AGAIN, CLOSE, LONGEST_STEP, MAX_ITERATIONS, TINY, share_of
+from softrl.pod.kernel import AGAIN, CLOSE, LONGEST_STEP, MAX_ITERATIONS, share_of
 from softrl.pod.lanes import (
     Lanes,
     add,
@@ -42,6 +42,7 @@ from softrl.pod.lanes import (
 )
 from softrl.pod.linear import newton_direction
 from softrl.pod.potential import FAST, Tables, fill_potential
+from softrl.pod.viscosity import TINY
 
 LANES = 64  # trajectories in step: many for the matrix products, few enough for the cache
 
@@ -143,7 +144,7 @@ def _fill_turning(velocity: np.ndarray, held: Lanes) -> None:
 
 @nb.njit(cache=True, error_model="numpy")
 def _fill_viscosity(start: np.ndarray, by: np.ndarray, tables: Any, insides: Inside, held: Lanes) -> None:
-    """Fill viscosity, the insides', and the forces of its slope half way of steps ``by`` (r, lanes), as ``pod.kernel``."""
+    """Fill viscosity, the insides', and the forces of its slope half way of steps ``by`` (r, lanes), as ``pod.viscosity``."""
     steep, driven, outward = held.steep, held.some[3], held.some[2]
     wide = max(len(held.mixed), tables.drag_root.shape[1])
     _fill_ahead(start, by, 0.5, held)

@@ -10,7 +10,6 @@ from softrl.pod.inside import (
     AXES,
     begin_inside,
     end_inside,
-    fill_drag,
     fill_give,
     fill_mass,
     make_inside,
@@ -22,23 +21,19 @@ from softrl.pod.ports import add_effects, commit_effects, fill_ports, make_ports
 from softrl.pod.pose import tip_pose
 from softrl.pod.potential import (
     FAST,
-    add_mixture,
-    fill_behind,
-    fill_elastic_factor,
     fill_monomials,
     fill_potential,
     fill_rows,
-    fill_slope,
-    fill_slope_behind,
     fill_square,
+    square_of,
     to_ball,
 )
+from softrl.pod.viscosity import fill_viscosity
 
 TOLERANCE = 1e-9  # change of y: below a nanometre at the tip
 CLOSE = 1e-6  # likewise where the Jacobian is exact: such a step leaves an error that is far below TOLERANCE
 MAX_ITERATIONS = 60
 LONGEST_STEP = 0.5  # of y, in one iteration
-TINY = 1e-300
 AGAIN = 3  # times that a velocity is scaled to its energy, each with the mass where the last leads: enough for 1e-6
 
 
@@ -80,16 +75,6 @@ def _fill_turning(
         for a in range(r):
             total -= root[a * r + j] * changed[a]
         force[j] = total
-
-
-@nb.njit(cache=True, fastmath=FAST)
-def _square_of(matrix: np.ndarray, vector: np.ndarray) -> float:
-    """Return vector' matrix vector."""
-    total = 0.0
-    for i in range(len(vector)):
-        for j in range(len(vector)):
-            total += vector[i] * matrix[i, j] * vector[j]
-    return total
 
 
 @nb.njit(cache=True, fastmath=FAST)
@@ -169,7 +154,7 @@ def end_step(
     for i in range(r):
         velocity[i] = (y[i] - start[i]) / dt
     bent = end_inside(inner, y, dt, inside)
-    kinetic = _square_of(mass, velocity) + shared_energy(velocity, inner, inside)
+    kinetic = square_of(mass, velocity) + shared_energy(velocity, inner, inside)
     for i in range(r):
         kinetic -= 2.0 * dt * turning[i] * velocity[i]
     return max(kinetic, 0.0), bent
@@ -179,47 +164,6 @@ def end_step(
 def share_of(energy: float, now: float) -> float:
     """Return the factor that brings what has the energy ``now`` to ``energy``; 1 for what has none."""
     return math.sqrt(energy / now) if now > 0.0 else 1.0
-
-
-@nb.njit(cache=True)
-def _fill_viscosity(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, held: Any) -> None:
-    """Fill viscosity and the inside's half way of a step from ``start`` by ``by`` (r,), and the force of its slope.
-
-    The full model resists the change of strain from one end of a step to the other: its square is ``by' D by`` with the
-    viscosity D half way, to third order, and its derivative by the arrival, halved, is ``D by`` and a quarter of the
-    gradient of that square. The force is never more than would turn what damps into what drives.
-    """
-    values, point, scratch, factor, middle, root, slope, elastic, mixed = work
-    _, stiff, _, steep, inside = held
-    r = len(by)
-    product, turned = slope[: r * r], slope[r * r : 2 * r * r]
-    for i in range(r):
-        middle[i] = start[i] + 0.5 * by[i]
-    radius = to_ball(middle, point)
-    few = values[: max(len(mixed), tables.drag_root.shape[1])]
-    fill_monomials(point, tables.parent, tables.variable, few)
-    fill_rows(tables.elastic, few, elastic)
-    fill_rows(tables.stiffness_root, few, root)
-    fill_elastic_factor(elastic, tables.elastic[:, 0], factor)
-    fill_behind(root, factor, product)
-    fill_square(product, stiff)
-    fill_drag(product, tables, few, inside)
-    bent = np.empty(len(elastic))
-    fill_slope_behind(root, factor, elastic, by, scratch, turned, bent)
-    mixed[:] = 0.0
-    add_mixture(tables.stiffness_root, turned, mixed)
-    add_mixture(tables.elastic, bent, mixed)
-    fill_slope(mixed, few, point, tables.parent, tables.variable, steep)
-    outward = driven = 0.0
-    for i in range(r):
-        outward += point[i] * steep[i] if radius > 1.0 else 0.0
-    for i in range(r):
-        steep[i] = 0.25 * (steep[i] - point[i] * outward) / max(radius, 1.0)
-        driven -= steep[i] * by[i]
-    share = driven / max(_square_of(stiff, by), TINY)
-    if share > 1.0:
-        for i in range(r):
-            steep[i] /= share
 
 
 @nb.njit(cache=True)
@@ -250,7 +194,7 @@ def _set_out(
         fill_square(root, mass)
         fill_mass(root, tables, few, inside)
         if kinetic >= 0.0:
-            share = share_of(kinetic, _square_of(mass, velocity) + shared_energy(velocity, inner, inside))
+            share = share_of(kinetic, square_of(mass, velocity) + shared_energy(velocity, inner, inside))
             for i in range(len(y)):
                 velocity[i] *= share
             for k in range(AXES):
@@ -262,7 +206,7 @@ def _set_out(
         inner[0, k] *= share
     _fill_turning(beyond, velocity, point, root, slope, scratch, turning)
     if tables.scales[2] > 0.0:
-        _fill_viscosity(y, dt * velocity, tables, work, held)
+        fill_viscosity(y, dt * velocity, tables, work, held)
     return radius
 
 
@@ -283,7 +227,7 @@ def run_kernel(
     """Advance ``y``, ``velocity`` (r,) and ``inner`` (2, 3) by implicit Euler over ``load`` (steps, r) Pa and N.
 
     Mass is that where the velocity leads in a step, and so is the force of inertia by which a turning body leaves the
-    straight way. Viscosity is that half way to where the step's first iteration leads, see ``_fill_viscosity``. After a
+    straight way. Viscosity is that half way to where the step's first iteration leads, see ``pod.viscosity``. After a
     step the velocity is scaled so that neither the force of turning nor the change of mass alters the kinetic energy:
     energy is created nowhere. ``inner``, by which the inside gives to acceleration (``pod.inside``), is scaled down where
     it would gain energy.
@@ -327,7 +271,7 @@ def run_kernel(
         longest = np.inf
         for iteration in range(MAX_ITERATIONS):
             if iteration == 1 and viscous:
-                _fill_viscosity(start, y - start, tables, work, held)
+                fill_viscosity(start, y - start, tables, work, held)
                 begin_step(velocity, inner, load[step], dt, tables, held, start, ahead, inertia, right)
                 progress[0] = -1.0
             fill_potential(y, tables, values, point, gradient, hessian)

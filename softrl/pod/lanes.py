@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 
-from softrl.pod.potential import FAST, HELD, PIVOT, diagonal
+from softrl.pod.potential import FAST, PIVOT, diagonal
+from softrl.pod.viscosity import HELD
 
 
 class Lanes(NamedTuple):
@@ -192,7 +193,7 @@ def fill_behind(root: np.ndarray, factor: np.ndarray, product: np.ndarray) -> No
 
 @nb.njit(cache=True, error_model="numpy")
 def fill_slopes_behind(by: np.ndarray, held: Lanes) -> None:
-    """Fill how ``|R U' by|^2`` changes with the roots R and with the elastic Hessians, as ``pod.potential.fill_slope_behind``.
+    """Fill how ``|R U' by|^2`` changes with the roots R and with the elastic Hessians, as ``pod.viscosity.fill_slope_behind``.
 
     R and U are in ``root`` and ``matrix``, the Hessians in ``pairs``; what they change by takes the place of ``root`` and
     ``pairs``.

@@ -15,7 +15,6 @@ import numpy as np
 
 FAST = {"reassoc", "contract"}  # sums in any order: what lets the compiler use vectors
 PIVOT = 1e-3  # of the elastic Hessian at rest: least pivot of its factor
-HELD = 1e-9  # of a diagonal: a factor whose row's square is larger has its pivot held
 
 
 class Tables(NamedTuple):
@@ -293,79 +292,10 @@ def fill_behind(root: np.ndarray, factor: np.ndarray, product: np.ndarray) -> No
 
 
 @nb.njit(cache=True, fastmath=FAST)
-def fill_slope_behind(
-    root: np.ndarray, factor: np.ndarray, hessian: np.ndarray, along: np.ndarray, scratch: np.ndarray, turned: np.ndarray,
-    bent: np.ndarray,
-) -> None:
-    """Fill how ``|R U' along|^2`` changes with R, ``turned`` (r r,), and with what U was made of, ``bent`` (pairs,).
-
-    ``root`` (r r,) is R row by row, ``factor`` U of ``hessian`` (pairs,), ``scratch`` (r, r). Where a pivot of U is held
-    U counts as constant.
-    """
-    r = len(factor)
-    behind, moved, back = scratch[0], scratch[1], scratch[2]
-    for j in range(r):
-        behind[j] = 0.0
-        for i in range(j + 1):
-            behind[j] += factor[i, j] * along[i]
-    for a in range(r):
-        moved[a] = 0.0
-        for b in range(r):
-            moved[a] += root[a * r + b] * behind[b]
-    for b in range(r):
-        back[b] = 0.0
-        for a in range(r):
-            turned[a * r + b] = 2.0 * moved[a] * behind[b]
-            back[b] += 2.0 * moved[a] * root[a * r + b]
-    _fill_unfactored(factor, hessian, along, back, bent)
-
-
-@nb.njit(cache=True)
-def _fill_unfactored(factor: np.ndarray, hessian: np.ndarray, along: np.ndarray, back: np.ndarray, bent: np.ndarray) -> None:
-    """Fill the derivatives ``bent`` (pairs,) by the Hessian of what has those ``along`` x ``back`` by its factor U.
-
-    The elimination of ``fill_elastic_factor`` backwards.
-    """
-    r = len(factor)
-    slope = np.empty((r, r))
-    for i in range(r):
-        square = 0.0
-        for j in range(i, r):
-            slope[i, j] = along[i] * back[j]
-            square += factor[i, j] * factor[i, j]
-        if square > hessian[diagonal(i, r)] * (1.0 + HELD):  # a pivot is held: the factor is none of the Hessian
-            bent[:] = 0.0
-            return
-    for j in range(r):
-        for i in range(j):
-            share = slope[i, j] / factor[j, j]
-            bent[diagonal(i, r) + j - i] = share
-            slope[j, j] -= share * factor[i, j]
-            for k in range(j + 1, r):
-                slope[i, k] -= share * factor[j, k]
-                slope[j, k] -= share * factor[i, k]
-        share = slope[j, j] / (2.0 * factor[j, j])
-        bent[diagonal(j, r)] = share
-        for k in range(j + 1, r):
-            slope[j, k] -= 2.0 * share * factor[j, k]
-
-
-@nb.njit(cache=True, fastmath=FAST)
-def add_mixture(coefficients: np.ndarray, weights: np.ndarray, mixed: np.ndarray) -> None:
-    """Add to ``mixed`` (k,) the polynomials ``coefficients`` (m, k), weighed by ``weights`` (m,)."""
-    for m in range(len(weights)):
-        weight = weights[m]
-        for k in range(coefficients.shape[1]):
-            mixed[k] += weight * coefficients[m, k]
-
-
-@nb.njit(cache=True)
-def fill_slope(
-    mixed: np.ndarray, values: np.ndarray, point: np.ndarray, parent: np.ndarray, variable: np.ndarray, slope: np.ndarray
-) -> None:
-    """Fill the gradient ``slope`` (r,) at ``point`` of the polynomial ``mixed`` (k,), which is used up."""
-    slope[:] = 0.0
-    for k in range(len(mixed) - 1, 0, -1):
-        lower, along = parent[k], variable[k]
-        slope[along] += mixed[k] * values[lower]
-        mixed[lower] += mixed[k] * point[along]
+def square_of(matrix: np.ndarray, vector: np.ndarray) -> float:
+    """Return vector' matrix vector."""
+    total = 0.0
+    for i in range(len(vector)):
+        for j in range(len(vector)):
+            total += vector[i] * matrix[i, j] * vector[j]
+    return total

@@ -5,9 +5,10 @@ import torch
 from torch import Tensor
 
 from softrl.artifacts.reduced_model import ReducedModel
-from softrl.pod.kernel import AGAIN, LONGEST_STEP, TINY
+from softrl.pod.kernel import AGAIN, LONGEST_STEP
 from softrl.pod.potential import PIVOT
 from softrl.pod.tables import tables_of
+from softrl.pod.viscosity import TINY
 
 NEWTON = 30
 TOLERANCE = 1e-10

@@ -9,12 +9,13 @@ import pytest
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
 from softrl.pod.inside import make_inside
-from softrl.pod.kernel import _fill_viscosity, run_kernel
+from softrl.pod.kernel import run_kernel
 from softrl.pod.linear import solve_general
 from softrl.pod.polynomial import basis
 from softrl.pod.potential import fill_elastic_factor, fill_potential, fill_square
 from softrl.pod.rom import no_hooks, roll, static_coordinates
 from softrl.pod.tables import tables_of
+from softrl.pod.viscosity import fill_viscosity
 from softrl.robots.robot import Robot
 from tests.pod.mechanics import mechanical_energy
 
@@ -162,7 +163,7 @@ def test_a_step_resists_the_change_of_strain(tripod: Body, radius: float) -> Non
             np.empty(r**3), np.empty(len(tables.elastic)), np.empty(size),
         )  # fmt: skip
         held = (np.empty((r, r)), np.empty((r, r)), np.empty(r), np.empty(r), make_inside(r, ()))
-        _fill_viscosity(start, by, tables, work, held)
+        fill_viscosity(start, by, tables, work, held)
         return held[1], held[3]
 
     start = rng.standard_normal(r)
