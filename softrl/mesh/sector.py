@@ -21,7 +21,7 @@ from softrl.robots.symmetry import images_of
 
 log = logging.getLogger(__name__)
 LOPSIDED = 1e-3  # of the volume: what a solid and its image may not share
-DRAWS = 6  # fTetWild draws random numbers; so many sectors take about as long as the whole solid
+DRAWS = 6  # fTetWild draws random numbers; so many sectors take half as long again as the whole sample robot
 STRAY = 1.2  # envelopes from its plane a node of the cut may lie
 FACING = 0.5  # least cosine between a face of the cut and its plane
 CRUSHED = 1e-6  # of the median volume: an element is left with less

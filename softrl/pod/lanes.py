@@ -7,7 +7,6 @@ import numba as nb
 import numpy as np
 
 from softrl.pod.potential import FAST, PIVOT, diagonal
-from softrl.pod.viscosity import HELD
 
 
 class Lanes(NamedTuple):
@@ -107,6 +106,15 @@ def to_balls(y: np.ndarray, points: np.ndarray, radius: np.ndarray) -> None:
 
 
 @nb.njit(cache=True)
+def fill_ahead(y: np.ndarray, velocity: np.ndarray, dt: float, held: Lanes) -> None:
+    """Fill ``points`` and ``radius`` of where ``y`` (r, lanes) is ``dt`` later if nothing turns it."""
+    for i in range(len(y)):
+        for lane in range(y.shape[1]):
+            held.trial[i, lane] = y[i, lane] + dt * velocity[i, lane]
+    to_balls(held.trial, held.points, held.radius)
+
+
+@nb.njit(cache=True)
 def fill_squares(root: np.ndarray, squares: np.ndarray) -> None:
     """Fill ``squares`` (r, r, lanes) with R' R of ``root`` (r r, lanes)."""
     r = len(squares)
@@ -189,73 +197,3 @@ def fill_behind(root: np.ndarray, factor: np.ndarray, product: np.ndarray) -> No
             product[i * r + j] = 0.0
             for k in range(j, r):
                 add(product[i * r + j], root[i * r + k], factor[j, k])
-
-
-@nb.njit(cache=True, error_model="numpy")
-def fill_slopes_behind(by: np.ndarray, held: Lanes) -> None:
-    """Fill how ``|R U' by|^2`` changes with the roots R and with the elastic Hessians, as ``pod.viscosity.fill_slope_behind``.
-
-    R and U are in ``root`` and ``matrix``, the Hessians in ``pairs``; what they change by takes the place of ``root`` and
-    ``pairs``.
-    """
-    behind, moved, back = held.wanted, held.gradient, held.direction
-    root, factor = held.root, held.matrix
-    r, lanes = by.shape
-    for j in range(r):
-        behind[j], back[j], moved[j] = 0.0, 0.0, 0.0
-        for i in range(j + 1):
-            add(behind[j], factor[i, j], by[i])
-    for a in range(r):
-        for b in range(r):
-            add(moved[a], root[a * r + b], behind[b])
-    for a in range(r):
-        for b in range(r):
-            add(back[b], moved[a], root[a * r + b])
-            for lane in range(lanes):
-                root[a * r + b, lane] = 2.0 * moved[a, lane] * behind[b, lane]
-    back *= 2.0
-    _unfactor(by, back, held)
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _unfactor(by: np.ndarray, back: np.ndarray, held: Lanes) -> None:
-    """Fill ``pairs`` with derivatives by the Hessians of what has those ``by`` x ``back`` by their factors."""
-    factor, slope, whole, share = held.matrix, held.inertia, held.some[0], held.some[1]
-    r, lanes = by.shape
-    whole[:] = 1.0
-    for i in range(r):
-        share[:] = 0.0
-        for j in range(i, r):
-            add(share, factor[i, j], factor[i, j])
-            for lane in range(lanes):
-                slope[i, j, lane] = by[i, lane] * back[j, lane]
-        for lane in range(lanes):
-            if share[lane] > held.pairs[diagonal(i, r), lane] * (1.0 + HELD):
-                whole[lane] = 0.0
-    for j in range(r):
-        for i in range(j + 1):
-            for lane in range(lanes):
-                share[lane] = slope[i, j, lane] / factor[j, j, lane] * (0.5 if i == j else 1.0)
-                held.pairs[diagonal(i, r) + j - i, lane] = whole[lane] * share[lane]
-            if i == j:
-                share *= 2.0
-            else:
-                take(slope[j, j], share, factor[i, j])
-            for k in range(j + 1, r):
-                take(slope[i, k], share, factor[j, k])
-                if i < j:
-                    take(slope[j, k], share, factor[i, k])
-
-
-@nb.njit(cache=True)
-def fill_slopes(tables: Any, held: Lanes) -> None:
-    """Fill ``steep`` with gradients at ``points`` of the roots and elastic Hessians, weighed by ``root`` and ``pairs``."""
-    mixed, values = held.mixed, held.values
-    mixed[:] = 0.0
-    mixed[: tables.stiffness_root.shape[1]] += np.dot(tables.stiffness_root.T, held.root)
-    mixed[: tables.elastic.shape[1]] += np.dot(tables.elastic.T, held.pairs)
-    held.steep[:] = 0.0
-    for k in range(len(mixed) - 1, 0, -1):
-        lower, along = tables.parent[k], tables.variable[k]
-        add(held.steep[along], mixed[k], values[lower])
-        add(mixed[lower], mixed[k], held.points[along])

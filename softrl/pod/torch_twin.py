@@ -156,8 +156,8 @@ class TorchRom(torch.nn.Module):
         with torch.enable_grad():
             middle = half if keep else half.detach().requires_grad_()
             parts = self._viscosity(middle)
-            square = _dot(by, _times(parts[0], by))
-            (steep,) = torch.autograd.grad((square + 0.0 * middle.sum(1)).sum(), middle, create_graph=keep)
+            square = _dot(by, _times(parts[0], by)) + 0.0 * middle.sum(1)  # constant maps have a gradient, too
+            (steep,) = torch.autograd.grad(square.sum(), middle, create_graph=keep)
         stiff, drag, tough, square = (part if keep else part.detach() for part in (*parts, square))
         driven = -0.25 * _dot(steep, by) / square.clamp(min=TINY)
         return stiff, 0.25 * steep / driven.clamp(min=1.0).unsqueeze(1), drag, tough

@@ -116,11 +116,16 @@ def test_sample_is_what_its_recipe_makes(sample, configure, robot, tmp_path, mon
     masks = [[mesh.node_region == region for region in regions] for mesh in (sample, *runs)]
     height = np.array([[mesh.points[m, 2].mean() for m in row] for mesh, row in zip((sample, *runs), masks, strict=True)])
     assert np.median(height[1:], axis=0) == pytest.approx(height[0], abs=1e-3)
+    ribs = configure().regions
+    middle = 0.5 * (np.array(ribs.rib_from_m) + ribs.rib_to_m)
+    assert np.abs(height[:, 2:] - middle).max() < 1e-3  # of every rib in every mesh
+    assert np.abs(height[1:, :2] - height[0, :2]).max() < 1e-3
     count = np.array([[m.sum() for m in row] for row in masks])
-    assert (count[1:] > 0.5 * count[0]).all()
+    assert (count[1:] > 0.5 * count[0]).all() and (count[1:] < 2.5 * count[0]).all()
     # the nodes of a rib come in sixes, so that a few meshes tell of all ribs together and not of a single one
     count = np.c_[count[:, :2], count[:, 2:].sum(axis=1)]
     assert np.median(count[1:], axis=0) == pytest.approx(count[0], rel=0.25)
+    assert count[1:] == pytest.approx(np.broadcast_to(count[0], count[1:].shape), rel=0.5)
 
 
 @pytest.mark.slow

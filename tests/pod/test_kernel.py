@@ -176,7 +176,7 @@ def test_a_step_resists_the_change_of_strain(tripod: Body, radius: float) -> Non
     exact = np.array([square(by + e) - square(by - e) for e in step * np.eye(r)]) / (2.0 * step)
     stiff, steep = viscosity(start, by)
     np.testing.assert_allclose(stiff @ by + steep, exact, atol=1e-6 * np.abs(exact).max())
-    assert np.abs(steep).max() > 1e-4 * np.abs(exact).max()  # a hundred times what is tolerated
+    assert np.abs(steep).max() > 1e-3 * np.abs(exact).max()
 
 
 def test_masses_are_never_indefinite(tripod: Body) -> None:
