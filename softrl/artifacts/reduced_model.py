@@ -20,19 +20,19 @@ class ReducedModel(Artifact):
     ----------
     frame : (r, r) m^3 and m, z per y
     energy : (monomials,) J, elastic energy W; none of degree 0 and 1
-    mass_root : (r r, monomials) kg^0.5 m, rows of R with M = R' R in y
-    stiffness_root : (r r, monomials) rows of R with T' K T = U R' R U' in y, U upper triangular with U U' the Hessian of
-        the energy: what stiffness-proportional damping multiplies
-    stiffness_root_by_gravity : (3 r r, monomials) s^2/m, change of ``stiffness_root`` by unit gravity along each axis, to
-        which the body gives
+    mass_root, mass_factor : (r (r + 1) / 2, monomials), the upper triangle of a symmetric S, and (r, r) kg^0.5 m, L, of the
+        mass ``L S'S L'`` in y
+    stiffness_root, stiffness_factor : likewise, (N m)^0.5, of T' K T in y, which stiffness-proportional damping multiplies
+    stiffness_root_by_gravity : (3 r (r + 1) / 2, monomials) s^2/m, change of ``stiffness_root`` by unit gravity along each
+        axis, to which the body gives
     centre_of_mass : (3, monomials) m, displacement of the centre of mass
     rotation : (3, monomials) rad, rotation vector of the tip relative to rest
     give : (9, monomials) kg^0.5 s, rows of R with R' R the change of mass times centre of mass by gravity, volumes and tip
         held
     give_rotation : (9, monomials) rad s^2/m, turn of the tip by gravity, volumes and tip held
     give_root : (3 (r + 3), monomials) kg^0.5 s^2, A (r, 3) and B (3, 3) of the joint mass [R A; 0 B]'[R A; 0 B] of y and
-        the shapes by which the body gives to gravity or acceleration
-    drag_root : (3 (r + 3), monomials) (N/m)^0.5 s^2, likewise of the viscosity, with R U' for R
+        the shapes by which the body gives to gravity or acceleration, R = S L'
+    drag_root : (3 (r + 3), monomials) (N/m)^0.5 s^2, likewise of the viscosity
     rest_tip : (3,) m;  rest_volume : (n,) m^3;  mass : kg
     gravity_m_s2 : (3,) in the base frame, acting unless another is given
     pressure_min_pa, pressure_max_pa : the robot's limits
@@ -49,13 +49,15 @@ class ReducedModel(Artifact):
     ``D = rayleigh_mass M + rayleigh_stiffness B``, B of ``stiffness_root``; beside them moves what the inside gives.
     """
 
-    schema: ClassVar[int] = 7
+    schema: ClassVar[int] = 8
     stage: ClassVar[str] = "pod"
 
     frame: np.ndarray
     energy: np.ndarray
     mass_root: np.ndarray
+    mass_factor: np.ndarray
     stiffness_root: np.ndarray
+    stiffness_factor: np.ndarray
     stiffness_root_by_gravity: np.ndarray
     centre_of_mass: np.ndarray
     rotation: np.ndarray
@@ -96,9 +98,11 @@ class ReducedModel(Artifact):
         if self.frame.shape != (order, order):
             raise ArtifactError(f"ReducedModel.frame has shape {self.frame.shape}; expected {(order, order)}")
         for name, rows in (
-            ("mass_root", order**2),
-            ("stiffness_root", order**2),
-            ("stiffness_root_by_gravity", 3 * order**2),
+            ("mass_root", order * (order + 1) // 2),
+            ("mass_factor", order),
+            ("stiffness_root", order * (order + 1) // 2),
+            ("stiffness_factor", order),
+            ("stiffness_root_by_gravity", 3 * order * (order + 1) // 2),
             ("centre_of_mass", 3),
             ("rotation", 3),
             ("give", 9),

@@ -3,6 +3,7 @@
 The equations are those of ``pod.kernel`` and ``pod.potential``; polynomials of all lanes are matrix products.
 """
 
+import math
 import os
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -12,26 +13,13 @@ import numba as nb
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
+from softrl.pod.chords import fill_inertias, fill_viscosities
 from softrl.pod.inside import AXES, Inside, make_inside
-from softrl.pod.insides import begin_insides, end_insides, fill_gives, fill_masses, shared_energies
-from softrl.pod.kernel import AGAIN, MAX_ITERATIONS, share_of
-from softrl.pod.lanes import (
-    Lanes,
-    add,
-    fill_ahead,
-    fill_monomials,
-    fill_rows,
-    fill_squares,
-    fill_tangent,
-    make_lanes,
-    scale_down,
-    squares_of,
-    take,
-    to_balls,
-)
+from softrl.pod.insides import begin_insides, end_insides, fill_gives, shared_energies
+from softrl.pod.kernel import MAX_ITERATIONS
+from softrl.pod.lanes import Lanes, add, add_times, fill_monomials, make_lanes, scale_down, squares_of, take, to_balls
 from softrl.pod.newtons import converge
 from softrl.pod.potential import FAST, Tables
-from softrl.pod.viscosities import fill_viscosities
 
 LANES = 64  # trajectories in step: many for the matrix products, few enough for the cache
 
@@ -63,86 +51,27 @@ def run_batch(
     return path, sum(failed for failed, _ in ends), max((farthest for _, farthest in ends), default=0.0)
 
 
-@nb.njit(cache=True)
-def _fill_mass(y: np.ndarray, velocity: np.ndarray, dt: float, tables: Any, insides: Inside, held: Lanes) -> None:
-    """Fill roots and masses, those of the insides too, a step ahead of ``y`` (r, lanes), and all monomials there."""
-    fill_ahead(y, velocity, dt, held)
-    wide = max(tables.mass_root.shape[1], tables.give_root.shape[1], tables.give.shape[1])
-    fill_monomials(held.points, tables, held.values[:wide])
-    fill_rows(tables.mass_root, held.values, held.root)
-    fill_squares(held.root, held.mass)
-    fill_masses(held.root, tables, held.values, insides)
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _scale_rates(velocity: np.ndarray, inner: np.ndarray, kinetic: np.ndarray, insides: Inside, held: Lanes) -> None:
-    """Scale all rates to twice the kinetic energies ``kinetic`` (lanes,)."""
-    share = held.some[1]
-    squares_of(held.mass, velocity, held.some[0], share)
-    shared_energies(velocity, inner, insides, held.some[0], held.some[2])
-    for lane in range(len(share)):
-        share[lane] = share_of(kinetic[lane], share[lane] + held.some[2, lane])
-    velocity *= share
-    inner[1] *= share
-
-
-@nb.njit(cache=True)
-def _fill_turning(velocity: np.ndarray, held: Lanes) -> None:
-    """Fill the force of turning from the roots and their gradients, as ``pod.kernel``."""
-    points, force, outward, part, share = held.points, held.turning, held.some[0], held.some[1], held.some[2]
-    moved, changed, along = held.wanted, held.gradient, held.trial
-    r, lanes = velocity.shape
-    outward[:] = 0.0
-    for i in range(r):
-        add(outward, points[i], velocity[i])
-        moved[i], changed[i] = 0.0, 0.0
-        for j in range(r):
-            add(moved[i], held.root[i * r + j], velocity[j])
-    fill_tangent(velocity, outward, held, along)
-    force[:] = 0.0
-    turned, inward = held.direction, held.some[3]
-    inward[:] = 0.0
-    for j in range(r):
-        turned[j] = 0.0
-        for a in range(r):
-            part[:], share[:] = 0.0, 0.0
-            add(share, along[j], moved[a])
-            for i in range(r):
-                row = held.slope[(j * r + a) * r + i]
-                add(part, row, velocity[i])
-                take(force[i], share, row)
-            add(changed[a], along[j], part)
-            add(turned[j], part, moved[a])
-        add(inward, points[j], turned[j])
-    fill_tangent(turned, inward, held, along)
-    for j in range(r):
-        for lane in range(lanes):
-            force[j, lane] += along[j, lane]
-        for a in range(r):
-            take(force[j], held.root[a * r + j], changed[a])
-
-
 @nb.njit(cache=True, fastmath=FAST, error_model="numpy")
 def _begin(
     start: np.ndarray, ahead: np.ndarray, velocity: np.ndarray, load: np.ndarray, dt: float, tables: Any, held: Lanes
 ) -> None:
     """Fill what is constant in a step, and free flight ``ahead``, as ``pod.kernel.begin_step``; ``load`` (lanes, r)."""
     r, lanes = start.shape
-    mass_scale, mass_damping, stiffness_damping = tables.scales[:3]
+    free, drag, late = tables.scales[0] / dt**2, tables.scales[1] / dt, tables.scales[2] / dt
     for i in range(r):
         for lane in range(lanes):
             ahead[i, lane] = start[i, lane] + dt * velocity[i, lane]
     np.dot(tables.frame.T, load.T, held.right)
     for i in range(r):
         for lane in range(lanes):
-            held.right[i, lane] += mass_scale * held.turning[i, lane] - stiffness_damping / dt * held.steep[i, lane]
+            steep = free * (held.slopes[1, i, lane] - 2.0 * held.slopes[0, i, lane])
+            held.right[i, lane] += steep - drag * held.slopes[0, i, lane] - late * held.steep[i, lane]
         for j in range(r):
             for lane in range(lanes):
-                mass = held.mass[i, j, lane]
-                free = mass_scale / dt**2 * mass
-                drag = (mass_damping * mass + stiffness_damping * held.stiff[i, j, lane]) / dt
-                held.inertia[i, j, lane] = free + drag
-                held.right[i, lane] += free * ahead[j, lane] + drag * start[j, lane]
+                mass, back = held.mass[i, j, lane], held.back[i, j, lane]
+                inertia = free * (2.0 * mass - back) + drag * mass + late * held.stiff[i, j, lane]
+                held.inertia[i, j, lane] = inertia
+                held.right[i, lane] += inertia * start[j, lane] + free * back * dt * velocity[j, lane]
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -150,19 +79,68 @@ def _end(
     y: np.ndarray, start: np.ndarray, velocity: np.ndarray, inner: np.ndarray, dt: float, insides: Inside, held: Lanes,
     energies: tuple[np.ndarray, np.ndarray],
 ) -> None:
-    """Bring ``velocity`` and ``inner`` up to date and fill the energies (lanes,), as ``pod.kernel.end_step``."""
-    (r, lanes), (kinetic, bent) = y.shape, energies
-    for i in range(r):
-        for lane in range(lanes):
-            velocity[i, lane] = (y[i, lane] - start[i, lane]) / dt
-    squares_of(held.mass, velocity, held.some[0], kinetic)
+    """Bring ``velocity``, ``inner`` and the energies (lanes,) up to date, as ``pod.kernel.end_step``."""
+    kinetic, bent = energies
+    now, most = held.some[3], held.some[4]
+    former, formerly = velocity.copy(), inner[1].copy()
+    velocity[:] = (y - start) / dt
     end_insides(inner, y, dt, insides, held.some[0], bent)
+    _fill_work(velocity, former, inner[1], formerly, dt, insides, held, most)
+    _fill_kinetic(velocity, inner, insides, held, now)
+    for lane in range(len(now)):
+        most[lane] = max(kinetic[lane] + most[lane], 0.0)
+        kinetic[lane] = min(now[lane], most[lane])
+        most[lane] = math.sqrt(most[lane] / now[lane]) if now[lane] > most[lane] else 1.0
+    velocity *= most
+    inner[1] *= most
+
+
+@nb.njit(cache=True)
+def _set_out(
+    y: np.ndarray, velocity: np.ndarray, inner: np.ndarray, bent: np.ndarray, dt: float, tables: Any, insides: Inside,
+    held: Lanes,
+) -> None:
+    """Fill the insides' stiffnesses and scale them back to the energies ``bent`` (lanes,), as ``pod.kernel``."""
+    to_balls(y + 0.5 * dt * velocity, held.points, held.radius)
+    fill_monomials(held.points, tables, held.values[: tables.give.shape[1]])
+    fill_gives(tables, held.values, insides)
+    scale_down(inner[0], bent, insides.give, held.some)
+
+
+@nb.njit(cache=True)
+def _fill_kinetic(velocity: np.ndarray, inner: np.ndarray, insides: Inside, held: Lanes, kinetic: np.ndarray) -> None:
+    """Fill twice the kinetic energies (lanes,), as ``pod.inertia.kinetic_energy``."""
+    squares_of(held.mass, velocity, held.some[0], kinetic)
     shared_energies(velocity, inner, insides, held.some[0], held.some[1])
     kinetic += held.some[1]
-    for i in range(r):
-        for lane in range(lanes):
-            kinetic[lane] -= 2.0 * dt * held.turning[i, lane] * velocity[i, lane]
-    np.maximum(kinetic, 0.0, kinetic)
+
+
+@nb.njit(cache=True)
+def _fill_work(
+    velocity: np.ndarray, former: np.ndarray, giving: np.ndarray, formerly: np.ndarray, dt: float, insides: Inside,
+    held: Lanes, work: np.ndarray,
+) -> None:
+    """Fill twice the works (lanes,), as ``pod.inertia.work_of_inertia``."""
+    changed, both, twice, force = giving - formerly, velocity + former, 2.0 * velocity, held.some[0]
+    work[:] = 0.0
+    for i in range(len(velocity)):
+        force[:] = 0.0
+        add_times(force, 2.0 / dt, held.slopes[0, i])
+        add_times(force, -1.0 / dt, held.slopes[1, i])
+        for j in range(len(velocity)):
+            add(force, held.mass[i, j], twice[j])
+            take(force, held.back[i, j], both[j])
+        for k in range(AXES):
+            add(force, insides.couple[i, k], changed[k])
+            held.some[1][:] = (velocity[i] - former[i]) * giving[k]
+            add(work, insides.couple[i, k], held.some[1])
+        add(work, force, velocity[i])
+    for j in range(AXES):
+        force[:] = 0.0
+        for k in range(AXES):
+            add(force, insides.own[j, k], changed[k])
+        add(work, force, giving[j])
+    work *= 2.0
 
 
 @nb.njit(cache=True, error_model="numpy", nogil=True)
@@ -173,32 +151,29 @@ def run_block(
     r, lanes = y.shape
     held, start, ahead = make_lanes(r, lanes, tables), np.empty((r, lanes)), np.empty((r, lanes))
     waiting, progress = np.empty(lanes, dtype=np.bool_), np.empty((lanes, 2))
-    kinetic, bent = np.empty(lanes), np.empty(lanes)
+    kinetic, bent = np.empty(lanes), np.full(lanes, np.inf)
     insides, inner = make_inside(r, (lanes,)), np.zeros((2, AXES, lanes))
     to_balls(y, held.points, held.radius)
-    failed, farthest, damped = 0, held.radius.max(), tables.scales[2] > 0.0
-    _fill_mass(y, velocity, dt, tables, insides, held)
-    fill_gives(tables, held.values, insides)
+    failed, farthest = 0, held.radius.max()
+    fill_inertias(y - dt * velocity, y - 2.0 * dt * velocity, dt * velocity, tables, insides, held)
+    _fill_kinetic(velocity, inner, insides, held, kinetic)
+    _set_out(y, velocity, inner, bent, dt, tables, insides, held)
     for step in range(load.shape[1]):
-        fill_rows(tables.mass_slope, held.values, held.slope)
-        _fill_turning(velocity, held)
         start[:] = y
-        for again in range(2 if damped else 1):  # viscosity is that half way to where the first iteration leads
-            if damped:
-                fill_viscosities(start, y - start if again else dt * velocity, tables, insides, held)
+        for again in range(2):  # mass and viscosity are those half way to where the first iteration leads
+            by = y - start if again else dt * velocity
+            fill_inertias(start, start - dt * velocity, by, tables, insides, held)
+            if tables.scales[2] > 0.0:
+                fill_viscosities(start, by, tables, insides, held)
             _begin(start, ahead, velocity, load[:, step].copy(), dt, tables, held)
             begin_insides(inner, ahead, start, dt, tables, insides, held.trial, held.inertia, held.right)
             if not again:
                 y[:] = ahead
-            missed = converge(y, waiting, progress, tables, held, 1 if damped and not again else MAX_ITERATIONS)
+            missed = converge(y, waiting, progress, tables, held, MAX_ITERATIONS if again else 1)
         failed += missed
         path[:, step] = y.T
         _end(y, start, velocity, inner, dt, insides, held, (kinetic, bent))
+        _set_out(y, velocity, inner, bent, dt, tables, insides, held)
         to_balls(y, held.points, held.radius)
         farthest = max(farthest, held.radius.max())
-        for _ in range(AGAIN):  # the mass ahead hangs on the scaled velocity
-            _fill_mass(y, velocity, dt, tables, insides, held)
-            _scale_rates(velocity, inner, kinetic, insides, held)
-        fill_gives(tables, held.values, insides)
-        scale_down(inner[0], bent, insides.give, held.some)
     return failed, farthest

@@ -118,12 +118,15 @@ def linear_model(model: ReducedModel) -> ReducedModel:
 def _draft(robot: Robot, snapshots: Snapshots, samples: Equilibria, pod: PodBasis, frame: np.ndarray) -> ReducedModel:
     """Return the model before its maps are fitted."""
     r = len(frame)
+    pairs = r * (r + 1) // 2
     return ReducedModel(
         frame=frame,
         energy=np.zeros(1 + r),
-        mass_root=np.eye(r).reshape(-1, 1),
-        stiffness_root=np.zeros((r * r, 1)),
-        stiffness_root_by_gravity=np.zeros((3 * r * r, 1)),
+        mass_root=np.zeros((pairs, 1)),
+        mass_factor=np.eye(r),
+        stiffness_root=np.zeros((pairs, 1)),
+        stiffness_factor=np.eye(r),
+        stiffness_root_by_gravity=np.zeros((3 * pairs, 1)),
         centre_of_mass=np.zeros((3, 1 + r)),
         rotation=np.zeros((3, 1)),
         give=np.zeros((9, 1)),

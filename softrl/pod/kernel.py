@@ -6,75 +6,18 @@ from typing import Any
 import numba as nb
 import numpy as np
 
-from softrl.pod.inside import (
-    AXES,
-    begin_inside,
-    end_inside,
-    fill_give,
-    fill_mass,
-    make_inside,
-    shared_energy,
-    stored_in,
-)
+from softrl.pod.inertia import fill_inertia, kinetic_energy, work_of_inertia
+from softrl.pod.inside import begin_inside, end_inside, fill_give, make_inside, stored_in
 from softrl.pod.linear import newton_direction
 from softrl.pod.ports import add_effects, commit_effects, fill_ports, make_ports
 from softrl.pod.pose import tip_pose
-from softrl.pod.potential import (
-    FAST,
-    fill_monomials,
-    fill_potential,
-    fill_rows,
-    fill_square,
-    square_of,
-    to_ball,
-)
+from softrl.pod.potential import FAST, fill_monomials, fill_potential, to_ball
 from softrl.pod.viscosity import fill_viscosity
 
 TOLERANCE = 1e-9  # change of y: below a nanometre at the tip
 CLOSE = 1e-6  # likewise where the Jacobian is exact: such a step leaves an error that is far below TOLERANCE
 MAX_ITERATIONS = 60
 LONGEST_STEP = 0.5  # of y, in one iteration
-AGAIN = 3  # times that a velocity is scaled to its energy, each with the mass where the last leads: enough for 1e-6
-
-
-@nb.njit(cache=True, fastmath=FAST)
-def _fill_turning(
-    radius: float, velocity: np.ndarray, point: np.ndarray, root: np.ndarray, slope: np.ndarray, scratch: np.ndarray,
-    force: np.ndarray,
-) -> None:
-    """Fill ``force`` (r,) with that of inertia at constant ``velocity``: grad(v'M v) / 2 - M' v, M = R'R.
-
-    ``root`` (r r,) and ``slope`` (r r r,) are R and its gradient at ``point``, the image in the unit ball of a state at
-    ``radius``.
-    """
-    r = len(velocity)
-    beyond = radius > 1.0
-    moved, changed, turned, along = scratch[0], scratch[1], scratch[2], scratch[3]
-    outward = inward = 0.0
-    for i in range(r):
-        outward += point[i] * velocity[i] if beyond else 0.0
-    for a in range(r):
-        total = 0.0
-        for i in range(r):
-            total += root[a * r + i] * velocity[i]
-        moved[a], changed[a], force[a] = total, 0.0, 0.0
-        along[a] = (velocity[a] - point[a] * outward) / radius if beyond else velocity[a]
-    for j in range(r):
-        turn = 0.0
-        for a in range(r):
-            total, row, share = 0.0, (j * r + a) * r, along[j] * moved[a]
-            for i in range(r):
-                total += slope[row + i] * velocity[i]
-                force[i] -= share * slope[row + i]
-            changed[a] += along[j] * total
-            turn += total * moved[a]
-        turned[j] = turn
-        inward += point[j] * turn if beyond else 0.0
-    for j in range(r):
-        total = force[j] + ((turned[j] - point[j] * inward) / radius if beyond else turned[j])
-        for a in range(r):
-            total -= root[a * r + j] * changed[a]
-        force[j] = total
 
 
 @nb.njit(cache=True, fastmath=FAST)
@@ -84,21 +27,22 @@ def begin_step(
 ) -> None:
     """Fill what is constant in a step from ``start``: ``inertia`` (r, r) y - ``right`` (r,), and free flight ``ahead``.
 
-    ``held`` are mass and viscosity (r, r), the forces of turning and of viscosity's slope (r,), and the ``pod.inside``.
+    ``held`` are the masses half way of this step and of it and the last (r, r), the forces of their slopes (2, r), viscosity
+    (r, r) and the force of its slope (r,), and the ``pod.inside``.
     """
-    mass, stiff, turning, steep, inside = held
-    r, mass_scale = len(start), tables.scales[0]
-    free, drag, late = mass_scale / dt**2, tables.scales[1] / dt, tables.scales[2] / dt
+    mass, back, slopes, stiff, steep, inside = held
+    r, free = len(start), tables.scales[0] / dt**2
+    drag, late = tables.scales[1] / dt, tables.scales[2] / dt
     for i in range(r):
         ahead[i] = start[i] + dt * velocity[i]
     for i in range(r):
-        total = mass_scale * turning[i] - late * steep[i]
+        total = free * (slopes[1, i] - 2.0 * slopes[0, i]) - drag * slopes[0, i] - late * steep[i]
         for k in range(r):
             total += tables.frame[k, i] * load[k]
         for j in range(r):
             damping = drag * mass[i, j] + late * stiff[i, j]
-            inertia[i, j] = free * mass[i, j] + damping
-            total += free * mass[i, j] * ahead[j] + damping * start[j]
+            inertia[i, j] = free * (2.0 * mass[i, j] - back[i, j]) + damping
+            total += inertia[i, j] * start[j] + free * back[i, j] * dt * velocity[j]
         right[i] = total
     begin_inside(inner, ahead, start, dt, tables, inside, inertia, right)
 
@@ -142,72 +86,48 @@ def iterate(
 
 @nb.njit(cache=True)
 def end_step(
-    y: np.ndarray, velocity: np.ndarray, inner: np.ndarray, dt: float, tables: Any, held: Any, start: np.ndarray
+    y: np.ndarray, velocity: np.ndarray, inner: np.ndarray, dt: float, held: Any, start: np.ndarray, kinetic: float
 ) -> tuple[float, float]:
-    """Bring ``velocity`` and ``inner`` up to date; return the energies by which ``_set_out`` scales them.
+    """Bring ``velocity`` and ``inner`` up to date; return twice the kinetic energy and twice what the inside stores.
 
-    They are twice the kinetic energy and twice what the inside stores. Neither the force of turning nor the change of mass
-    may alter the first; nor may the second grow as stiffness changes.
+    ``kinetic`` was the former before the step. The rates are scaled down where it would grow by more than the work of the
+    forces.
     """
-    mass, _, turning, _, inside = held
-    r = len(y)
-    for i in range(r):
+    former, formerly = velocity.copy(), inner[1].copy()
+    for i in range(len(y)):
         velocity[i] = (y[i] - start[i]) / dt
-    bent = end_inside(inner, y, dt, inside)
-    kinetic = square_of(mass, velocity) + shared_energy(velocity, inner, inside)
-    for i in range(r):
-        kinetic -= 2.0 * dt * turning[i] * velocity[i]
-    return max(kinetic, 0.0), bent
+    bent = end_inside(inner, y, dt, held[5])
+    most = max(kinetic + work_of_inertia(velocity, former, inner[1], formerly, dt, held), 0.0)
+    now = kinetic_energy(velocity, inner, held)
+    if now > most:
+        share = math.sqrt(most / now)
+        velocity *= share
+        inner[1] *= share
+    return min(now, most), bent
 
 
 @nb.njit(cache=True)
-def share_of(energy: float, now: float) -> float:
-    """Return the factor that brings what has the energy ``now`` to ``energy``; 1 for what has none."""
-    return math.sqrt(energy / now) if now > 0.0 else 1.0
+def _fill_resistance(
+    start: np.ndarray, velocity: np.ndarray, by: np.ndarray, dt: float, tables: Any, work: Any, held: Any
+) -> None:
+    """Fill inertia and viscosity of a step ``by`` (r,) from ``start``, where ``velocity`` led."""
+    fill_inertia(start, start - dt * velocity, by, tables, work, held)
+    if tables.scales[2] > 0.0:
+        fill_viscosity(start, by, tables, work, held)
 
 
 @nb.njit(cache=True)
 def _set_out(
-    y: np.ndarray, velocity: np.ndarray, inner: np.ndarray, dt: float, energies: tuple[float, float], tables: Any,
-    work: Any, held: Any,
-) -> float:
-    """Fill what is held during the step from ``y``, and scale what moves to its energies; return ``|y|``.
-
-    Parameters
-    ----------
-    energies : twice the kinetic energy that the rates are scaled to, negative to leave them; the inside is scaled down
-        where it would store more than the other
-    work : monomials, point (r,), two matrices (r, r), a vector (r,), rows (r r,), (r r r,), (pairs,), a polynomial
-    held : as for ``begin_step``
-    """
-    values, point, scratch, _, ahead, root, slope, _, _ = work
-    mass, _, turning, _, inside = held
-    kinetic, bent = energies
-    radius = to_ball(y, point)
-    few, beyond = values[: max(tables.mass_root.shape[1], tables.give_root.shape[1], tables.give.shape[1])], 0.0
-    for _ in range(AGAIN if kinetic >= 0.0 else 1):  # the mass ahead hangs on the scaled velocity
-        for i in range(len(y)):
-            ahead[i] = y[i] + dt * velocity[i]
-        beyond = to_ball(ahead, point)
-        fill_monomials(point, tables.parent, tables.variable, few)
-        fill_rows(tables.mass_root, few, root)
-        fill_square(root, mass)
-        fill_mass(root, tables, few, inside)
-        if kinetic >= 0.0:
-            share = share_of(kinetic, square_of(mass, velocity) + shared_energy(velocity, inner, inside))
-            for i in range(len(y)):
-                velocity[i] *= share
-            for k in range(AXES):
-                inner[1, k] *= share
-    fill_rows(tables.mass_slope, few, slope)
-    fill_give(tables, few, inside)
-    share = min(1.0, share_of(bent, stored_in(inner[0], inside.give)))
-    for k in range(AXES):
-        inner[0, k] *= share
-    _fill_turning(beyond, velocity, point, root, slope, scratch, turning)
-    if tables.scales[2] > 0.0:
-        fill_viscosity(y, dt * velocity, tables, work, held)
-    return radius
+    y: np.ndarray, velocity: np.ndarray, inner: np.ndarray, bent: float, dt: float, tables: Any, work: Any, inside: Any
+) -> None:
+    """Fill the inside's stiffness half way of free flight; scale it back where it would store more than ``bent`` twice."""
+    values, point = work[0], work[1]
+    to_ball(y + 0.5 * dt * velocity, point)
+    fill_monomials(point, tables.parent, tables.variable, values[: tables.give.shape[1]])
+    fill_give(tables, values, inside)
+    now = stored_in(inner[0], inside.give)
+    if now > bent:
+        inner[0] *= math.sqrt(bent / now)
 
 
 @nb.njit(cache=True)
@@ -226,11 +146,10 @@ def run_kernel(
 ) -> tuple[int, float]:
     """Advance ``y``, ``velocity`` (r,) and ``inner`` (2, 3) by implicit Euler over ``load`` (steps, r) Pa and N.
 
-    Mass is that where the velocity leads in a step, and so is the force of inertia by which a turning body leaves the
-    straight way. Viscosity is that half way to where the step's first iteration leads, see ``pod.viscosity``. After a
-    step the velocity is scaled so that neither the force of turning nor the change of mass alters the kinetic energy:
-    energy is created nowhere. ``inner``, by which the inside gives to acceleration (``pod.inside``), is scaled down where
-    it would gain energy.
+    Mass and viscosity are those half way to where the step's first iteration leads, see ``pod.inertia`` and
+    ``pod.viscosity``. ``velocity`` is the last step's way by ``dt``; after a step it is scaled down where the kinetic energy
+    would grow by more than the forces' work. ``inner``, by which the inside gives to acceleration (``pod.inside``), is scaled
+    down where it would gain energy.
 
     Parameters
     ----------
@@ -244,34 +163,36 @@ def run_kernel(
     farthest : largest ``|y|``; above 1 the model has no samples
     """
     r, n = len(y), len(y) - 3
-    values, point = np.empty(len(tables.parent)), np.empty(r)
-    mass, stiff, factor = np.zeros((r, r)), np.zeros((r, r)), np.zeros((r, r))
+    values, point, scratch = np.empty(len(tables.parent)), np.empty(r), np.empty((r, r))
     inertia, right, start, ahead = np.empty((r, r)), np.empty(r), np.empty(r), np.empty(r)
-    gradient, hessian, jacobian, scratch = np.empty(r), np.empty((r, r)), np.empty((r, r)), np.empty((r, r))
+    gradient, hessian, jacobian = np.empty(r), np.empty((r, r)), np.empty((r, r))
     direction, trial, progress = np.empty(r), np.empty(r), np.empty(2)
-    rows = np.empty(r * r), np.empty(r * r * r), np.empty(len(tables.elastic))
-    mixed = np.empty(max(tables.elastic.shape[1], tables.stiffness_root.shape[1]))
+    pairs = r * (r + 1) // 2
+    work = (values, point, scratch, direction, np.empty(r * r), np.empty(pairs), np.empty(pairs), np.empty(len(values)))
+    held = (np.empty((r, r)), np.empty((r, r)), np.empty((2, r)), np.zeros((r, r)), np.zeros(r), make_inside(r, ()))
     ports, bare = make_ports(n), np.empty(r)
     with_effects = len(hooks[0]) + len(hooks[3]) > 0
-    close, viscous = TOLERANCE if with_effects else CLOSE, tables.scales[2] > 0.0
+    close = TOLERANCE if with_effects else CLOSE
     failed = 0
     if with_effects:
         fill_potential(y, tables, values, point, gradient, hessian)
         fill_ports(y, rest, gradient, hessian, dt, load[0, :n], tables, ports, True)
         ports.strains[0], ports.tips[0] = ports.strains[1], ports.tips[1]
-    work = (values, point, scratch, factor, direction, rows[0], rows[1], rows[2], mixed)
-    held = (mass, stiff, np.empty(r), np.zeros(r), make_inside(r, ()))
-    farthest = _set_out(y, velocity, inner, dt, (-1.0, np.inf), tables, work, held)
+    farthest = to_ball(y, point)
+    fill_inertia(y - dt * velocity, y - 2.0 * dt * velocity, dt * velocity, tables, work, held)
+    kinetic = kinetic_energy(velocity, inner, held)
+    _set_out(y, velocity, inner, np.inf, dt, tables, work, held[5])
     for step in range(len(load)):
         pressure = load[step, :n]
         start[:] = y
+        _fill_resistance(start, velocity, dt * velocity, dt, tables, work, held)
         begin_step(velocity, inner, load[step], dt, tables, held, start, ahead, inertia, right)
         y[:] = ahead
         progress[0] = -1.0
         longest = np.inf
         for iteration in range(MAX_ITERATIONS):
-            if iteration == 1 and viscous:
-                fill_viscosity(start, y - start, tables, work, held)
+            if iteration == 1:
+                _fill_resistance(start, velocity, y - start, dt, tables, work, held)
                 begin_step(velocity, inner, load[step], dt, tables, held, start, ahead, inertia, right)
                 progress[0] = -1.0
             fill_potential(y, tables, values, point, gradient, hessian)
@@ -286,14 +207,15 @@ def run_kernel(
             longest = iterate(
                 y, gradient, jacobian, inertia, right, tables, not with_effects, scratch, direction, trial, progress
             )
-            if longest < close and (iteration > 0 or not viscous):
+            if longest < close and iteration > 0:
                 break
         if longest >= close:
             failed += 1
         if with_effects:  # the potential's derivatives are those a last, negligible step ago
             commit_effects(y, rest, bare, hessian, dt, pressure, tables, hooks, ports)
-        energies = end_step(y, velocity, inner, dt, tables, held, start)
-        farthest = max(farthest, _set_out(y, velocity, inner, dt, energies, tables, work, held))
+        kinetic, bent = end_step(y, velocity, inner, dt, held, start, kinetic)
+        _set_out(y, velocity, inner, bent, dt, tables, work, held[5])
+        farthest = max(farthest, to_ball(y, point))
         if len(path) > 0:
             path[step] = y
         if len(position) > 0:

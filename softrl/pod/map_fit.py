@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softrl.pod.equilibria import Answers, Equilibria, slopes_of
-from softrl.pod.maps import Seen, best_form, elastic_factors, equations, symmetric_roots
+from softrl.pod.maps import Seen, best_form, equations, symmetric_roots
 from softrl.pod.settings import FitSettings
 from softrl.pod.symmetry import reflected, weight_to_trust
 from softrl.robots.robot import Robot
@@ -34,20 +34,20 @@ def fit_maps(
     images, kinds = images_of(robot), _kinds(settings)
     everything = reflected(samples, [*symmetries(robot.chamber_direction)[:1], *images])
     largest = np.abs(everything.load).max(axis=0)
-    terms = Terms(frame, _mean_factor(everything, frame))
+    terms = Terms(frame, *(_mean_factor(everything, frame, name) for name in ("mass", "stiffness")))
     goals = _goals(everything, terms, largest)
     goals["stiffness_root_by_gravity"] = _stiffness_root_by_gravity(everything.answers, terms)
     seen = Seen(
         np.linalg.solve(frame, everything.coordinate.T).T, np.linalg.solve(frame, everything.compliance) * largest
     )
-    weights = {"mass_root": _coordinate_weights(everything, frame)}
+    weights = {"mass_root": _entry_weights(everything, terms)}
     folds = np.tile(fold, 1 + len(images))
     own = slice(0, len(fold))
-    maps: dict[str, Any] = {}
+    maps: dict[str, Any] = {"mass_factor": terms.mass_factor, "stiffness_factor": terms.stiffness_factor}
     for name, kind in kinds.items():
         parts = {weight: _part(weight, seen, goals[name], len(fold)) for weight in settings.image_weights_of(robot)}
         forms = {
-            weight: best_form(here, values / weights.get(name, 1.0), each, folds[: len(each)], own, *kind, RIDGES)
+            weight: best_form(here, values * weights.get(name, 1.0), each, folds[: len(each)], own, *kind, RIDGES)
             for weight, (here, values, each) in parts.items()
         }
         trusted = weight_to_trust({weight: np.sqrt(form.error) for weight, form in forms.items()})
@@ -66,21 +66,23 @@ def _part(image_weight: float, seen: Seen, goal: np.ndarray, own: int) -> tuple[
 
 
 def _kinds(settings: FitSettings) -> dict[str, Kind]:
-    tough, root = Kind(settings.viscosity_degree_max, False), Kind(settings.root_degree_max, False)
     exact = {
         "centre_of_mass": Kind(settings.energy_degree_max, True),
         "rotation": Kind(settings.map_degree_max, True),
         "give_rotation": Kind(settings.root_degree_max, False),
+        "mass_root": Kind(settings.mass_degree_max, False),
+        "stiffness_root": Kind(settings.viscosity_degree_max, False),
     }
-    roots = dict.fromkeys(("mass_root", "give_root", "drag_root", "give", "stiffness_root_by_gravity"), root)
-    return roots | {"stiffness_root": tough} | exact
+    roots = ("give_root", "drag_root", "give", "stiffness_root_by_gravity")
+    return dict.fromkeys(roots, Kind(settings.root_degree_max, False)) | exact
 
 
 class Terms(NamedTuple):
-    """In what terms maps are seen: the frame, and a factor of the mean mass."""
+    """In what terms maps are seen: the frame, and factors L with L L' the mean mass and the mean viscosity."""
 
     frame: np.ndarray
     mass_factor: np.ndarray
+    stiffness_factor: np.ndarray
 
 
 def _goals(images: Equilibria, terms: Terms, largest: np.ndarray) -> dict[str, np.ndarray]:
@@ -96,46 +98,43 @@ def _goals(images: Equilibria, terms: Terms, largest: np.ndarray) -> dict[str, n
     }
 
 
-class Roots(NamedTuple):
-    """Roots (S, r, r) of mass and of viscosity, the latter beside the elastic factor.
-
-    Beside the elastic Hessian, which viscosity equals at rest and whose stiff directions it shares wherever they turn, low
-    degrees predict it three times better.
-    """
-
-    mass: np.ndarray
-    viscous: np.ndarray
-    elastic_factor: np.ndarray
+def _roots(answers: Answers, terms: Terms) -> tuple[np.ndarray, np.ndarray]:
+    """Return symmetric S (S, r, r) with ``L S S L'`` the mass and the viscosity."""
+    parts = (("mass", terms.mass_factor), ("stiffness", terms.stiffness_factor))
+    mass, viscous = (symmetric_roots(_apart(factor, terms.frame.T @ answers[name] @ terms.frame)) for name, factor in parts)
+    return mass, viscous
 
 
-def _roots(answers: Answers, terms: Terms) -> Roots:
-    frame, factor = terms.frame, terms.mass_factor
-    viscous, mass = (frame.T @ answers[name] @ frame for name in ("stiffness", "mass"))
+def _apart(factor: np.ndarray, matrices: np.ndarray) -> np.ndarray:
+    """Return L^-1 ``matrices`` L^-T of ``factor`` L."""
     inverse = np.linalg.inv(factor)
-    elastic_factor = elastic_factors(frame.T @ np.linalg.inv(answers["compliance"]) @ frame)
-    apart = np.linalg.inv(elastic_factor)
-    beside = symmetric_roots(apart @ viscous @ apart.transpose(0, 2, 1))
-    return Roots(symmetric_roots(inverse @ mass @ inverse.T) @ factor.T, beside, elastic_factor)
+    return inverse @ matrices @ inverse.T
 
 
 def _stiffness_root_by_gravity(answers: Answers, terms: Terms) -> np.ndarray:
-    """Return the changes (S, 1, 3 r r) of the root of viscosity by unit gravity along each axis."""
-    roots = _roots(answers, terms)
-    apart = np.linalg.inv(roots.elastic_factor)[:, None]
-    change = apart @ (terms.frame.T @ answers["viscosity_by_gravity"] @ terms.frame) @ apart.transpose(0, 1, 3, 2)
-    return 0.5 * np.linalg.solve(roots.viscous[:, None], change).reshape(len(change), 1, -1)
+    """Return the changes (S, 1, 3 pairs) of the root of viscosity by unit gravity along each axis."""
+    values, vectors = np.linalg.eigh(_roots(answers, terms)[1])
+    vectors = vectors[:, None]
+    change = _apart(terms.stiffness_factor, terms.frame.T @ answers["viscosity_by_gravity"] @ terms.frame)
+    turned = vectors.transpose(0, 1, 3, 2) @ change @ vectors / (values[:, :, None] + values[:, None])[:, None]
+    return _pairs(vectors @ turned @ vectors.transpose(0, 1, 3, 2)).reshape(len(values), 1, -1)
+
+
+def _pairs(matrices: np.ndarray) -> np.ndarray:
+    """Return the upper triangles (..., pairs) of ``matrices`` (..., r, r)."""
+    rows, columns = np.triu_indices(matrices.shape[-1])
+    return matrices[..., rows, columns]
 
 
 def _values(answers: Answers, terms: Terms) -> Answers:
     """Return the values (S, columns) of every map whose slopes are known."""
-    frame, roots = terms.frame, _roots(answers, terms)
+    frame, (mass, viscous) = terms.frame, _roots(answers, terms)
     drag_across, give_across = answers["give_drag"] @ frame, answers["give_coupling"] @ frame
-    viscous_root = roots.viscous @ roots.elastic_factor.transpose(0, 2, 1)
     values = {
-        "mass_root": roots.mass,
-        "stiffness_root": roots.viscous,
-        "give_root": _rows_beside(roots.mass, give_across, answers["give_mass"]),
-        "drag_root": _rows_beside(viscous_root, drag_across, answers["give_viscosity"]),
+        "mass_root": _pairs(mass),
+        "stiffness_root": _pairs(viscous),
+        "give_root": _rows_beside(mass @ terms.mass_factor.T, give_across, answers["give_mass"]),
+        "drag_root": _rows_beside(viscous @ terms.stiffness_factor.T, drag_across, answers["give_viscosity"]),
         "give": symmetric_roots(answers["give"]),
         "centre_of_mass": answers["centre_of_mass"],
         "rotation": answers["rotation"],
@@ -150,12 +149,14 @@ def _rows_beside(root: np.ndarray, across: np.ndarray, own: np.ndarray) -> np.nd
     return np.concatenate([above, symmetric_roots(own - above.transpose(0, 2, 1) @ above)], axis=1)
 
 
-def _mean_factor(samples: Equilibria, frame: np.ndarray) -> np.ndarray:
-    """Return the lower triangular factor of the mean mass per ``frame``."""
-    return np.linalg.cholesky((frame.T @ samples.answers["mass"] @ frame).mean(axis=0))
+def _mean_factor(samples: Equilibria, frame: np.ndarray, name: str) -> np.ndarray:
+    """Return the lower triangular factor of the mean of the answer ``name`` per ``frame``."""
+    return np.linalg.cholesky((frame.T @ samples.answers[name] @ frame).mean(axis=0))
 
 
-def _coordinate_weights(samples: Equilibria, frame: np.ndarray) -> np.ndarray:
-    """Return for each entry (r r,) of a root how stiff its column's coordinate is, for the choice of a degree."""
+def _entry_weights(samples: Equilibria, terms: Terms) -> np.ndarray:
+    """Return what each entry (pairs,) of the root of mass counts in the choice of a degree: least on stiff coordinates."""
+    frame = terms.frame
     stiff = frame.T @ (np.linalg.inv(samples.compliance) + samples.answers["stiffness"]) @ frame
-    return np.tile(np.sqrt(np.diag(stiff.mean(axis=0))), len(frame))
+    column = (terms.mass_factor**2 / np.diag(stiff.mean(axis=0))[:, None]).sum(axis=0)
+    return np.sqrt(_pairs(column[:, None] + column - np.diag(column)))

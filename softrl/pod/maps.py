@@ -95,8 +95,3 @@ def symmetric_roots(matrices: np.ndarray) -> np.ndarray:
     """Return the symmetric roots (S, r, r) of symmetric ``matrices``, negative parts left out; smooth near identity."""
     values, vectors = np.linalg.eigh(matrices)
     return np.einsum("sik,sk,sjk->sij", vectors, np.sqrt(values.clip(min=0.0)), vectors)
-
-
-def elastic_factors(hessian: np.ndarray) -> np.ndarray:
-    """Return upper triangular U (S, r, r) with U U' the ``hessian``, as ``pod.potential.fill_elastic_factor`` does."""
-    return np.linalg.cholesky(hessian[..., ::-1, ::-1])[..., ::-1, ::-1]

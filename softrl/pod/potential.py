@@ -14,7 +14,6 @@ import numba as nb
 import numpy as np
 
 FAST = {"reassoc", "contract"}  # sums in any order: what lets the compiler use vectors
-PIVOT = 1e-3  # of the elastic Hessian at rest: least pivot of its factor
 
 
 class Tables(NamedTuple):
@@ -26,9 +25,8 @@ class Tables(NamedTuple):
     parent, variable, degrees : (k,) how monomials are made;  shares : (k,) 1 / (degree + 1)
     gradient : (r, k), hessian : (pairs, k) J, of elastic energy and weight together
     quadratic : (r, r) J, elastic Hessian at rest: what makes an indefinite Newton matrix definite
-    mass_root, stiffness_root : (r r, k) of mass and viscosity, the latter beside the factor of ``elastic``
-    mass_slope : (r r r, k) gradient of ``mass_root`` by y, the first axis by which coordinate
-    elastic : (pairs, k) J, Hessian of the elastic energy alone at scale 1
+    mass_root, stiffness_root : (pairs, k) entries of S, and mass_factor, stiffness_factor : (r, r) L, of mass and of
+        viscosity ``L S'S L'``, see ``pod.chord``
     weight : (3, r, k) N/(m/s^2) m, mass times the gradient of the centre of mass by y
     rotation : (3, k) rad, with what weight turns
     give : (9, k) kg^0.5 s;  give_rotation : (9, k) rad s^2/m;  give_root, drag_root : (3 (r + 3), k), see ``pod.inside``
@@ -48,9 +46,9 @@ class Tables(NamedTuple):
     hessian: np.ndarray
     quadratic: np.ndarray
     mass_root: np.ndarray
+    mass_factor: np.ndarray
     stiffness_root: np.ndarray
-    mass_slope: np.ndarray
-    elastic: np.ndarray
+    stiffness_factor: np.ndarray
     weight: np.ndarray
     rotation: np.ndarray
     give: np.ndarray
@@ -240,55 +238,6 @@ def fill_square(root: np.ndarray, square: np.ndarray) -> None:
                 total += root[k * r + i] * root[k * r + j]
             square[i, j] = total
             square[j, i] = total
-
-
-@nb.njit(cache=True)
-def fill_elastic_factor(hessian: np.ndarray, rest: np.ndarray, factor: np.ndarray) -> None:
-    """Fill ``factor`` (r, r), upper triangular, with U U' the elastic ``hessian`` (pairs,), made positive.
-
-    Columns are eliminated from the last: the soft coordinates of the tip before the stiff ones of the volumes. Pivots
-    are held above a share of the diagonal of ``rest`` (pairs,), the Hessian at rest, and so large that no entry
-    exceeds the root of its row's diagonal, here or at rest: where the Hessian is positive it never does, where not it
-    would run away.
-    """
-    r = len(factor)
-    pair = 0
-    for i in range(r):
-        for j in range(i, r):
-            factor[i, j] = hessian[pair]
-            pair += 1
-    for j in range(r - 1, -1, -1):
-        pivot, least = factor[j, j], PIVOT * rest[diagonal(j, r)]
-        for k in range(j + 1, r):
-            pivot -= factor[j, k] * factor[j, k]
-        for i in range(j):
-            entry = factor[i, j]
-            for k in range(j + 1, r):
-                entry -= factor[i, k] * factor[j, k]
-            factor[i, j] = entry
-            row = diagonal(i, r)
-            least = max(least, entry * entry / max(hessian[row], rest[row]))
-        factor[j, j] = math.sqrt(max(pivot, least))
-        for i in range(j):
-            factor[i, j] /= factor[j, j]
-
-
-@nb.njit(cache=True)
-def diagonal(i: int, r: int) -> int:
-    """Return the position of entry (i, i) among the pairs of ``r`` rows."""
-    return i * r - i * (i - 1) // 2
-
-
-@nb.njit(cache=True, fastmath=FAST)
-def fill_behind(root: np.ndarray, factor: np.ndarray, product: np.ndarray) -> None:
-    """Fill ``product`` (r r,) with R U', R row by row in ``root`` (r r,), U the upper triangle of ``factor``."""
-    r = len(factor)
-    for i in range(r):
-        for j in range(r):
-            total = 0.0
-            for k in range(j, r):
-                total += root[i * r + k] * factor[j, k]
-            product[i * r + j] = total
 
 
 @nb.njit(cache=True, fastmath=FAST)

@@ -15,8 +15,9 @@ class FitSettings:
     Attributes
     ----------
     energy_degree_max : highest degree tried for the condensed energy
-    map_degree_max : likewise for the rotation;  root_degree_max : for the roots of mass and of what the inside gives
-    viscosity_degree_max : for the roots of viscosity, which cost a step little
+    map_degree_max : likewise for the rotation
+    mass_degree_max, viscosity_degree_max : for the roots of mass and of viscosity
+    root_degree_max : for the roots of what the inside gives
     ridges : tried for the energy, relative
     image_weights : tried for the samples' images under the robot's symmetries, beside the samples' own weight of 1
     anchor_weights : tried for the equilibria of a lower degree to which a higher one is held beyond the samples, all of
@@ -28,8 +29,9 @@ class FitSettings:
 
     energy_degree_max: int
     map_degree_max: int
-    root_degree_max: int
+    mass_degree_max: int
     viscosity_degree_max: int
+    root_degree_max: int
     ridges: tuple[float, ...]
     image_weights: tuple[float, ...]
     anchor_weights: tuple[float, ...]
@@ -40,8 +42,8 @@ class FitSettings:
 
     def __post_init__(self) -> None:
         for name, least in {
-            "energy_degree_max": 2, "map_degree_max": 1, "root_degree_max": 0, "viscosity_degree_max": 0, "value_weight": 0,
-            "hessian_weight": 0, "third_weight": 0, "folds": 2,
+            "energy_degree_max": 2, "map_degree_max": 1, "mass_degree_max": 0, "viscosity_degree_max": 0,
+            "root_degree_max": 0, "value_weight": 0, "hessian_weight": 0, "third_weight": 0, "folds": 2,
         }.items():  # fmt: skip
             if getattr(self, name) < least:
                 raise ConfigError(f"stage.{name}={getattr(self, name):g} must be at least {least}")

@@ -15,7 +15,7 @@ from softrl.pod.kernel import run_kernel
 from softrl.pod.polynomial import basis, degree_of
 from softrl.pod.potential import Tables, fill_potential
 from softrl.pod.rom import EMPTY, STILL, no_hooks, static_points
-from softrl.pod.tables import elastic_hessian_at_rest, gradient_of, tables_of
+from softrl.pod.tables import elastic_hessian_at_rest, gradient_of, mass_at_rest, tables_of
 from softrl.robots.robot import Robot
 
 LOST = 0.1  # of the mean motion: a body that rests farther off was caught by a well
@@ -34,8 +34,7 @@ def settles(model: ReducedModel, loads: np.ndarray, thrown: bool) -> bool:
     if not stands(model):
         return False
     root = np.linalg.inv(np.linalg.cholesky(elastic_hessian_at_rest(model)))
-    mass = model.mass_root[:, 0].reshape(model.order, model.order)
-    slowest = 1.0 / np.sqrt(np.linalg.eigvalsh(root @ mass.T @ mass @ root.T)[-1])
+    slowest = 1.0 / np.sqrt(np.linalg.eigvalsh(root @ mass_at_rest(model) @ root.T)[-1])
     points, lost = static_points(tables_of(model), loads)
     if lost.any() or _least_stiffness(tables_of(model), points) <= 0.0:
         return False

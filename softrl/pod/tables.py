@@ -42,9 +42,8 @@ def tables_of(
     potential[: len(settling)] -= settling
     gradient, hessian = basis(r, degree).derivative(potential), basis(r, degree).hessian(potential)
     by_gravity = model.stiffness_root_by_gravity
-    weighed = np.einsum("j,jik->ik", more * gravity, by_gravity.reshape(3, r * r, by_gravity.shape[1]))
+    weighed = np.einsum("j,jik->ik", more * gravity, by_gravity.reshape(3, -1, by_gravity.shape[1]))
     stiffness_root = _sum(model.stiffness_root, weighed)
-    turning = gradient_of(model.mass_root, r)
     rotation = _sum(model.rotation, turn)
     maps = (gradient, weight, rotation, stiffness_root, give, give_rotation, *(getattr(model, name) for name in MAPS))
     full = basis(r, max(degree_of(r, table.shape[-1]) for table in maps if table.shape[-1]))
@@ -65,9 +64,9 @@ def tables_of(
                 hessian,
                 quadratic,
                 model.mass_root,
+                model.mass_factor,
                 stiffness_root,
-                turning.reshape(r**3, turning.shape[-1]),
-                elastic_hessian(model),
+                model.stiffness_factor,
                 mass * weight.transpose(1, 0, 2),
                 rotation,
                 give,
@@ -104,16 +103,18 @@ def gradient_of(coefficients: np.ndarray, order: int) -> np.ndarray:
     return basis(order, degree_of(order, coefficients.shape[-1])).derivative(coefficients)
 
 
-def elastic_hessian(model: ReducedModel) -> np.ndarray:
-    """Return the Hessian of the elastic energy by y as polynomials (pairs, k) J."""
-    r = model.order
-    table = basis(r, max(degree_of(r, len(model.energy)), 2))
-    return table.hessian(np.pad(model.energy, (0, table.monomials - len(model.energy))))
-
-
 def elastic_hessian_at_rest(model: ReducedModel) -> np.ndarray:
     """Return the Hessian (r, r) of the elastic energy by y at rest, J."""
     r = model.order
     full = np.zeros((r, r))
-    full[np.triu_indices(r)] = elastic_hessian(model)[:, 0]
-    return full + np.triu(full, 1).T
+    quadratic = model.energy[1 + r : 1 + r + r * (r + 1) // 2]
+    full[np.triu_indices(r)] = np.pad(quadratic, (0, r * (r + 1) // 2 - len(quadratic)))
+    return full + full.T
+
+
+def mass_at_rest(model: ReducedModel) -> np.ndarray:
+    """Return the mass (r, r) kg m^2 in y at rest."""
+    upper = np.zeros((model.order, model.order))
+    upper[np.triu_indices(model.order)] = model.mass_root[:, 0]
+    root = (upper + np.triu(upper, 1).T) @ model.mass_factor.T
+    return np.asarray(root.T @ root)

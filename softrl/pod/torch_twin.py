@@ -5,9 +5,8 @@ import torch
 from torch import Tensor
 
 from softrl.artifacts.reduced_model import ReducedModel
-from softrl.pod.kernel import AGAIN, LONGEST_STEP
-from softrl.pod.potential import PIVOT
-from softrl.pod.tables import tables_of
+from softrl.pod.kernel import LONGEST_STEP
+from softrl.pod.tables import gradient_of, tables_of
 from softrl.pod.viscosity import TINY
 
 NEWTON = 30
@@ -34,12 +33,13 @@ class TorchRom(torch.nn.Module):
     gradient: Tensor
     hessian: Tensor
     mass_root: Tensor
+    mass_factor: Tensor
     stiffness_root: Tensor
+    stiffness_factor: Tensor
     mass_slope: Tensor
     give: Tensor
     give_root: Tensor
     drag_root: Tensor
-    elastic: Tensor
     degrees: Tensor
     quadratic: Tensor
 
@@ -56,19 +56,22 @@ class TorchRom(torch.nn.Module):
         tables = tables_of(model, gravity_m_s2, youngs_modulus_scale, damping_scale, mass_scale)
         self.order = r = model.order
         for name in (
-            "frame", "inverse", "gradient", "mass_root", "stiffness_root", "mass_slope", "degrees", "quadratic",
+            "frame", "inverse", "gradient", "mass_factor", "stiffness_factor", "degrees", "quadratic",
             "give", "give_root", "drag_root",
         ):  # fmt: skip
             self.register_buffer(name, torch.tensor(getattr(tables, name), dtype=dtype))
         pairs = np.zeros((r, r), dtype=int)
         pairs[np.triu_indices(r)] = np.arange(r * (r + 1) // 2)
         pairs = pairs + np.triu(pairs, 1).T
-        for name in ("hessian", "elastic"):
+        for name in ("hessian", "mass_root", "stiffness_root"):
             self.register_buffer(name, torch.tensor(getattr(tables, name)[pairs.ravel()], dtype=dtype))
+        slope = gradient_of(tables.mass_root[pairs.ravel()], r)
+        self.register_buffer("mass_slope", torch.tensor(slope.reshape(r**3, slope.shape[-1]), dtype=dtype))
         scales = [float(scale) for scale in tables.scales]
         self.mass_scale, self.mass_damping, self.stiffness_damping, self.wall = scales
         roots = tables.mass_root, tables.stiffness_root, tables.give, tables.give_root, tables.drag_root
-        most = max(tables.gradient.shape[1], tables.elastic.shape[1], *(root.shape[1] for root in roots))
+        self._few = max(root.shape[1] for root in roots)
+        most = max(tables.gradient.shape[1], self._few)
         self._levels: list[tuple[Tensor, Tensor]] = []
         for degree in range(1, int(tables.degrees[most - 1]) + 1):
             level = np.flatnonzero(tables.degrees == degree)
@@ -81,10 +84,11 @@ class TorchRom(torch.nn.Module):
         That the body's inside gives to acceleration, a few per cent of inertia in a fast motion, is left out.
         """
         y, rate, change = z @ self.inverse.T, velocity @ self.inverse.T, acceleration @ self.inverse.T
-        mass, turning, *_ = self._inertia(y, rate)
-        stiff, *_ = self._viscosity(y)
+        values = self._monomials(self._ball(y)[0], max(self.mass_root.shape[1], self.stiffness_root.shape[1]))
+        mass = _square(self._root("mass", values))
+        stiff = _square(self._root("stiffness", values))
         viscous = _times(self.stiffness_damping * stiff + self.mass_damping * mass, rate)
-        inside = _times(self.mass_scale * mass, change) - self.mass_scale * turning + viscous + self._slope(y)
+        inside = self.mass_scale * (_times(mass, change) - self._turning(y, rate)) + viscous + self._slope(y)
         return inside @ self.inverse - load
 
     def step(
@@ -96,43 +100,43 @@ class TorchRom(torch.nn.Module):
         derivatives. ``inner`` is that of ``pod.inside``.
         """
         start, rate = z @ self.inverse.T, velocity @ self.inverse.T
-        held = mass, turning, couple, own, give = self._inertia(start + dt_s * rate, rate)
-        gives, ahead = inner[:, 0], start + dt_s * rate
-        outer = load @ self.frame
-        inertia, right, *_ = self._sides(held, self._resistance(start, dt_s * rate), start, rate, inner, outer, dt_s)
-        first = self._direction(ahead, inertia, self._slope(ahead) + _times(inertia, ahead) - right)
-        sides = self._sides(held, self._resistance(start, ahead - first - start), start, rate, inner, outer, dt_s)
-        inertia, right, apart, push, pull = sides
+        gives, giving = inner.unbind(1)
+        before, ahead, outer = start - dt_s * rate, start + dt_s * rate, load @ self.frame
+        give = self._give(start + 0.5 * dt_s * rate)
+        mass, _, _, _, couple, own = self._inertia(before, before - dt_s * rate, dt_s * rate)
+        kinetic = _kinetic(rate, giving, mass, couple, own)
+        held = *self._inertia(start, before, dt_s * rate), *self._resistance(start, dt_s * rate), give
+        inertia, right, *_ = self._sides(held, start, rate, inner, outer, dt_s)
+        first = ahead - self._direction(ahead, inertia, self._slope(ahead) + _times(inertia, ahead) - right)
+        held = *self._inertia(start, before, first - start), *self._resistance(start, first - start), give
+        inertia, right, apart, push, pull = self._sides(held, start, rate, inner, outer, dt_s)
         with torch.no_grad():
             y = self._solve(ahead, inertia, right)
             jacobian = self._curvature(y) + inertia
         left = self._slope(y) + _times(inertia, y) - right
         y = y - torch.linalg.solve(jacobian, left.unsqueeze(-1)).squeeze(-1)
         given = _times(apart, push - _times(pull.transpose(1, 2), y))
-        moved, giving = (y - start) / dt_s, (given - gives) / dt_s
-        spared = _dot(moved, _times(mass, moved)) + _shared(moved, giving, couple, own) - 2.0 * dt_s * _dot(turning, moved)
-        bent = _dot(given, _times(give, given))
-        for _ in range(AGAIN):
-            later, _, couple, own, give = self._inertia(y + dt_s * moved, moved)
-            now = _dot(moved, _times(later, moved)) + _shared(moved, giving, couple, own)
-            ratio = _root_ratio(spared.clamp(min=0.0), now)
-            moved, giving = moved * ratio, giving * ratio
-        now = _dot(given, _times(give, given))
-        given = given * _root_ratio(torch.minimum(bent, now), now)
-        return y @ self.frame.T, moved @ self.frame.T, torch.stack([given, giving], dim=1)
+        moved, given_by = (y - start) / dt_s, (given - gives) / dt_s
+        most = kinetic + _work(moved, rate, given_by, giving, held, dt_s)
+        mass, _, _, _, couple, own, *_ = held
+        share = _share_of(most, _kinetic(moved, given_by, mass, couple, own))
+        moved, given_by = share * moved, share * given_by
+        after = self._give(y + 0.5 * dt_s * moved)
+        given = given * _share_of(_dot(given, _times(give, given)), _dot(given, _times(after, given)))
+        return y @ self.frame.T, moved @ self.frame.T, torch.stack([given, given_by], dim=1)
 
     def _sides(
-        self, held: tuple[Tensor, ...], resistance: tuple[Tensor, ...], start: Tensor, rate: Tensor, inner: Tensor,
-        outer: Tensor, dt_s: float,
+        self, held: tuple[Tensor, ...], start: Tensor, rate: Tensor, inner: Tensor, outer: Tensor, dt_s: float
     ) -> tuple[Tensor, ...]:
         """Return what is constant in a step, ``inertia`` y - ``right``, and by what the inside follows from y."""
-        (mass, turning, couple, own, give), (stiff, steep, drag, tough) = held, resistance
+        mass, back, slope, behind, couple, own, stiff, steep, drag, tough, give = held
         free, rub, viscous = self.mass_scale / dt_s**2, self.mass_damping / dt_s, self.stiffness_damping / dt_s
         gives, giving = inner.unbind(1)
         flown = free * (gives + dt_s * giving) + rub * gives
         moved = free * (start + dt_s * rate) + rub * start
-        inertia = (free + rub) * mass + viscous * stiff
-        right = outer + self.mass_scale * turning + _times(mass, moved) + viscous * (_times(stiff, start) - steep)
+        inertia = free * (2.0 * mass - back) + rub * mass + viscous * stiff
+        right = outer + free * (behind - 2.0 * slope) - rub * slope - viscous * steep
+        right = right + _times(inertia, start) + free * dt_s * _times(back, rate)
         right = right + _times(couple, flown) + viscous * _times(drag, gives)
         pull = (free + rub) * couple + viscous * drag
         push = _times(own, flown) + viscous * _times(tough, gives)
@@ -149,18 +153,44 @@ class TorchRom(torch.nn.Module):
         step = torch.linalg.solve(jacobian, left.unsqueeze(-1)).squeeze(-1)
         return step / (step.abs().amax(1, keepdim=True) / LONGEST_STEP).clamp(min=1.0)
 
-    def _resistance(self, start: Tensor, by: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def _inertia(self, start: Tensor, before: Tensor, by: Tensor) -> tuple[Tensor, ...]:
+        """Return masses half way of a step ``by`` from ``start`` and of that from ``before``, then their slopes (B, r) alike.
+
+        After them come the inside's mass with the coordinates (B, r, 3) and its own (B, 3, 3).
+        """
+        back, behind, *_ = self._chord("mass", 0.5 * (before + start + by), start - before + by)
+        mass, slope, root, values = self._chord("mass", start + 0.5 * by, by)
+        return mass, back, slope, behind, *_beside(root, values[:, : self.give_root.shape[1]] @ self.give_root.T)
+
+    def _resistance(self, start: Tensor, by: Tensor) -> tuple[Tensor, ...]:
         """Return viscosity half way of a step ``by`` (B, r), the force (B, r) of its slope, and the inside's viscosities."""
-        half = start + 0.5 * by
+        stiff, steep, root, values = self._chord("stiffness", start + 0.5 * by, by)
+        driven = -_dot(steep, by) / _dot(by, _times(stiff, by)).clamp(min=TINY)
+        drag = _beside(root, values[:, : self.drag_root.shape[1]] @ self.drag_root.T)
+        return stiff, steep / driven.clamp(min=1.0).unsqueeze(1), *drag
+
+    def _chord(self, name: str, half: Tensor, by: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return a matrix ``half`` way of a step ``by``, what ``pod.chord`` adds, its root and the monomials there."""
         keep = torch.is_grad_enabled() and half.requires_grad
         with torch.enable_grad():
             middle = half if keep else half.detach().requires_grad_()
-            parts = self._viscosity(middle)
-            square = _dot(by, _times(parts[0], by)) + 0.0 * middle.sum(1)  # constant maps have a gradient, too
-            (steep,) = torch.autograd.grad(square.sum(), middle, create_graph=keep)
-        stiff, drag, tough, square = (part if keep else part.detach() for part in (*parts, square))
-        driven = -0.25 * _dot(steep, by) / square.clamp(min=TINY)
-        return stiff, 0.25 * steep / driven.clamp(min=1.0).unsqueeze(1), drag, tough
+            values = self._monomials(self._ball(middle)[0], self._few)
+            root = self._root(name, values)
+            moved = _times(root, by)
+            square = _dot(moved, moved) + 0.0 * middle.sum(1)  # constant maps have a gradient, too
+            (slope,) = torch.autograd.grad(square.sum(), middle, create_graph=keep)
+        root, values = (part if keep else part.detach() for part in (root, values))
+        return _square(root), 0.25 * slope, root, values
+
+    def _root(self, name: str, values: Tensor) -> Tensor:
+        """Return S L' (B, r, r) of mass or stiffness at monomials ``values``."""
+        entries, factor = getattr(self, f"{name}_root"), getattr(self, f"{name}_factor")
+        return (values[:, : entries.shape[1]] @ entries.T).reshape(-1, self.order, self.order) @ factor.T
+
+    def _give(self, y: Tensor) -> Tensor:
+        """Return the inside's stiffness (B, 3, 3)."""
+        values = self._monomials(self._ball(y)[0], self.give.shape[1])
+        return _square((values @ self.give.T).reshape(-1, 3, 3))
 
     def _solve(self, y: Tensor, inertia: Tensor, right: Tensor) -> Tensor:
         """Return the solution of the implicit step, by Newton with halved steps where the slope along them turns."""
@@ -227,17 +257,13 @@ class TorchRom(torch.nn.Module):
         bending = bending + 6.0 * self.wall * beyond
         return inner + cross + cross.transpose(1, 2) + (bending - along) * outer + along * identity
 
-    def _inertia(self, y: Tensor, rate: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """Return mass (B, r, r) in y, and the force (B, r) of inertia at constant ``rate``, both at scale 1.
-
-        After them come the inside's mass with the coordinates (B, r, 3), its own (B, 3, 3) and its stiffness (B, 3, 3).
-        """
+    def _turning(self, y: Tensor, rate: Tensor) -> Tensor:
+        """Return the force (B, r) of inertia at constant ``rate``, at scale 1: grad(v'M v) / 2 - M' v."""
         u, radius = self._ball(y)
-        maps = self.mass_root, self.give_root, self.give
-        values, r = self._monomials(u, max(part.shape[1] for part in maps)), self.order
-        root, rows, give = (values[:, : part.shape[1]] @ part.T for part in maps)
-        root, give = root.reshape(-1, r, r), give.reshape(-1, 3, 3)
+        values, r = self._monomials(u, self.mass_root.shape[1]), self.order
+        root = self._root("mass", values)
         slope = (values[:, : self.mass_slope.shape[1]] @ self.mass_slope.T).reshape(-1, r, r, r)  # by, row, column
+        slope = slope @ self.mass_factor.T
 
         def tangent(x: Tensor) -> Tensor:
             return torch.where(radius > 1.0, x - u * _dot(u, x).unsqueeze(1), x) / radius
@@ -245,36 +271,8 @@ class TorchRom(torch.nn.Module):
         moved, turned = _times(root, rate), torch.einsum("bjai,bi->bja", slope, rate)
         along = tangent(rate)
         changed = torch.einsum("bja,bj->ba", turned, along)
-        force = tangent(_times(turned, moved))
-        force = force - torch.einsum("bjai,bj,ba->bi", slope, along, moved) - _times(root.transpose(1, 2), changed)
-        couple, own = _beside(root, rows)
-        return root.transpose(1, 2) @ root, force, couple, own, _square(give)
-
-    def _viscosity(self, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return viscosity (B, r, r) in y, the inside's with the coordinates (B, r, 3) and its own (B, 3, 3)."""
-        u, _ = self._ball(y)
-        roots = self.stiffness_root, self.drag_root
-        values = self._monomials(u, max(self.elastic.shape[1], *(root.shape[1] for root in roots)))
-        behind = self._elastic_factor(values).transpose(1, 2)
-        stiff, rows = (values[:, : root.shape[1]] @ root.T for root in roots)
-        stiff = stiff.reshape(-1, self.order, self.order) @ behind
-        return _square(stiff), *_beside(stiff, rows)
-
-    def _elastic_factor(self, values: Tensor) -> Tensor:
-        """Return U (B, r, r) of ``pod.potential.fill_elastic_factor``."""
-        r = self.order
-        hessian = (values[:, : self.elastic.shape[1]] @ self.elastic.T).reshape(-1, r, r)
-        columns: dict[int, Tensor] = {}
-        rest = self.elastic[:: r + 1, 0]
-        size = torch.maximum(hessian.diagonal(dim1=1, dim2=2), rest)
-        for j in range(r - 1, -1, -1):
-            column = hessian[:, : j + 1, j]
-            for k in range(j + 1, r):
-                column = column - columns[k][:, : j + 1] * columns[k][:, j : j + 1]
-            least = torch.cat([column[:, :j] ** 2 / size[:, :j], PIVOT * rest[j].expand(len(column), 1)], dim=1)
-            pivot = torch.maximum(column[:, j : j + 1], least.amax(1, keepdim=True)).sqrt()
-            columns[j] = torch.cat([column[:, :j] / pivot, pivot, torch.zeros_like(hessian[:, j + 1 :, j])], dim=1)
-        return torch.stack([columns[j] for j in range(r)], dim=2)
+        force = tangent(_times(turned, moved)) - _times(root.transpose(1, 2), changed)
+        return force - torch.einsum("bjai,bj,ba->bi", slope, along, moved)
 
 
 def _ray(degree: Tensor, radius: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -291,22 +289,33 @@ def _dot(left: Tensor, right: Tensor) -> Tensor:
     return (left * right).sum(1)
 
 
-def _root_ratio(goal: Tensor, now: Tensor) -> Tensor:
-    """Return the factors (B, 1) whose squares bring ``now`` to ``goal``; 1 where there is nothing to scale."""
-    still = now <= 0.0
-    ratio = torch.where(still, torch.ones_like(now), goal) / torch.where(still, torch.ones_like(now), now)
+def _share_of(goal: Tensor, now: Tensor) -> Tensor:
+    """Return the factors (B, 1), at most 1, whose squares bring what has the energy ``now`` down to ``goal``."""
+    more = now > goal.clamp(min=0.0)
+    ratio = torch.where(more, goal.clamp(min=0.0), torch.ones_like(now)) / torch.where(more, now, torch.ones_like(now))
     return ratio.clamp(min=1e-30).sqrt().unsqueeze(1)
+
+
+def _kinetic(rate: Tensor, giving: Tensor, mass: Tensor, couple: Tensor, own: Tensor) -> Tensor:
+    """Return twice the kinetic energies (B,), those of the inside in them."""
+    return _dot(rate, _times(mass, rate) + 2.0 * _times(couple, giving)) + _dot(giving, _times(own, giving))
+
+
+def _work(
+    rate: Tensor, former: Tensor, giving: Tensor, formerly: Tensor, held: tuple[Tensor, ...], dt_s: float
+) -> Tensor:
+    """Return twice the works (B,) of ``pod.inertia.work_of_inertia``."""
+    mass, back, slope, behind, couple, own, *_ = held
+    force = (2.0 * slope - behind) / dt_s + _times(2.0 * mass - back, rate) - _times(back, former)
+    force = force + _times(couple, giving - formerly)
+    inner = _times(own, giving - formerly) + _times(couple.transpose(1, 2), rate - former)
+    return 2.0 * (_dot(force, rate) + _dot(inner, giving))
 
 
 def _beside(root: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
     """Return R'A (B, r, 3) and A'A + B'B (B, 3, 3) of ``root`` R (B, r, r) and ``rows``, A above B."""
     rows = rows.reshape(len(rows), -1, 3)
     return root.transpose(1, 2) @ rows[:, : root.shape[1]], rows.transpose(1, 2) @ rows
-
-
-def _shared(moved: Tensor, giving: Tensor, couple: Tensor, own: Tensor) -> Tensor:
-    """Return twice the kinetic energy (B,) of the inside and of what it shares with the coordinates."""
-    return _dot(giving, _times(own, giving)) + 2.0 * _dot(moved, _times(couple, giving))
 
 
 def _square(root: Tensor) -> Tensor:

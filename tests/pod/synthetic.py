@@ -105,7 +105,7 @@ class Law:
         compliance = np.linalg.inv(stiffness)
         return {
             "compliance": 0.5 * (compliance + compliance.T),
-            "tangent_stiffness": compliance @ stiffness @ compliance,
+            "tangent_stiffness": compliance @ self.viscosity(z) @ compliance,
             "tangent_mass": compliance @ self.mass(z) @ compliance,
             "give": GIVE,
             "give_spin": np.zeros((3, 3)),
@@ -143,16 +143,19 @@ class Law:
         root[n:, n:] += np.outer([1.0, 1.0, 0.0], [1.0, 1.0, 0.0]) * 0.0 + np.eye(3) * 2.0 * z[n + 2]
         return root.T @ root
 
-    def turning(self, z: np.ndarray, rate: np.ndarray) -> np.ndarray:
-        """Return the force (n + 3,) of inertia at constant ``rate``, by differences that are exact for this mass."""
-        steps = np.diag(np.r_[np.full(self.chambers, 1e-6), np.full(3, 1e-3)])
-        slope = np.array([(self.mass(z + e) - self.mass(z - e)) / (2.0 * e.sum()) for e in steps])
-        return 0.5 * np.einsum("jkl,k,l->j", slope, rate, rate) - np.einsum("kjl,k,l->j", slope, rate, rate)
+    def viscosity(self, z: np.ndarray) -> np.ndarray:
+        """Return what stiffness-proportional damping multiplies (n + 3, n + 3): more of it where the body is longer."""
+        return (1.0 + 4.0 * z[-1]) ** 2 * self.hessian(np.zeros_like(z))
 
-    def slope_of_square(self, z: np.ndarray, by: np.ndarray) -> np.ndarray:
-        """Return the gradient (n + 3,) by z of ``by' hessian(z) by``."""
-        steps = np.diag(np.r_[np.full(self.chambers, 1e-8), np.full(3, 1e-5)])
-        return np.array([by @ (self.hessian(z + e) - self.hessian(z - e)) @ by / (2.0 * e.sum()) for e in steps])
+    def half_slope(self, metric: Callable[[np.ndarray], np.ndarray], start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """Return half the derivative by ``end`` (n + 3,) of ``by' metric by``, the metric half way, by differences."""
+
+        def half_square(end: np.ndarray) -> float:
+            by = end - start
+            return float(0.5 * by @ metric(0.5 * (start + end)) @ by)
+
+        steps = np.diag(np.r_[np.full(self.chambers, 1e-7), np.full(3, 1e-4)])
+        return np.array([(half_square(end + e) - half_square(end - e)) / (2.0 * e.sum()) for e in steps])
 
     def centre_of_mass(self, z: np.ndarray) -> np.ndarray:
         """Return its displacement (3,) m: linear, and sinking as the body bends."""
@@ -185,30 +188,31 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
 def march(law: Law, loads: np.ndarray, dt: float, mass_damping: float, stiffness_damping: float) -> np.ndarray:
     """Return z (steps, n + 3) by implicit Euler in SI, from rest, the inside's three coordinates solved for with the rest.
 
-    Mass is that a step ahead; the stiffness in the damping is the law's Hessian half way to where one iteration leads.
+    Forces of inertia and viscosity are derivatives of squared distances between states.
     """
     r = loads.shape[1]
-    z, v, path = np.zeros(r + 3), np.zeros(r + 3), []
+    path = [np.zeros(r + 3)] * 2
     for load in loads:
-        mass = joint(law.mass((z + dt * v)[:r]), GIVE_COUPLING, GIVE_MASS)
-        turning = np.r_[load + law.turning((z + dt * v)[:r], v[:r]), np.zeros(3)]
-        trial, by = z + dt * v, dt * v[:r]
-        for iteration in range(40):
-            if iteration < 2:
-                by = by if iteration == 0 else (trial - z)[:r]
-                viscosity = joint(law.hessian(z[:r] + 0.5 * by), GIVE_DRAG, GIVE)
-                damping = mass_damping * mass + stiffness_damping * viscosity
-                force = turning - stiffness_damping / dt * np.r_[0.25 * law.slope_of_square(z[:r] + 0.5 * by, by), np.zeros(3)]
-            held = np.r_[law.gradient(trial[:r]), GIVE @ trial[r:]]
-            residual = mass @ (trial - z - dt * v) / dt**2 + damping @ (trial - z) / dt + held - force
-            matrix = joint(law.hessian(trial[:r]), 0.0 * GIVE, GIVE) + mass / dt**2 + damping / dt
-            step = np.linalg.solve(matrix, residual)
+        (before, now), trial = path[-2:], 2.0 * path[-1] - path[-2]
+        mass, viscosity = (joint(m, c, g) for m, c, g in (
+            (law.mass(now[:r]), GIVE_COUPLING, GIVE_MASS), (law.viscosity(now[:r]), GIVE_DRAG, GIVE),
+        ))  # fmt: skip
+        damping = mass_damping / dt * mass + stiffness_damping / dt * viscosity
+        for _ in range(60):
+            long, short, strain = (law.half_slope(metric, start[:r], trial[:r]) for metric, start in (
+                (law.mass, before), (law.mass, now), (law.viscosity, now),
+            ))  # fmt: skip
+            beside = joint(np.zeros((r, r)), GIVE_COUPLING, GIVE_MASS) @ (trial - 2.0 * now + before) / dt**2
+            beside += mass_damping / dt * joint(np.zeros((r, r)), GIVE_COUPLING, GIVE_MASS) @ (trial - now)
+            beside += stiffness_damping / dt * joint(np.zeros((r, r)), GIVE_DRAG, GIVE) @ (trial - now)
+            force = (2.0 * short - long) / dt**2 + mass_damping / dt * short + stiffness_damping / dt * strain
+            residual = beside + np.r_[force + law.gradient(trial[:r]) - load, GIVE @ trial[r:]]
+            step = np.linalg.solve(joint(law.hessian(trial[:r]), 0.0 * GIVE, GIVE) + mass / dt**2 + damping, residual)
             trial = trial - step
-            if iteration > 0 and np.abs(step[law.chambers : r]).max() < 1e-15:
+            if np.abs(step[law.chambers : r]).max() < 1e-10:
                 break
-        v, z = (trial - z) / dt, trial
-        path.append(z[:r])
-    return np.array(path)
+        path.append(trial)
+    return np.array(path[2:])[:, :r]
 
 
 def joint(matrix: np.ndarray, with_tip: np.ndarray, own: np.ndarray) -> np.ndarray:

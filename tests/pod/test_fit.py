@@ -47,9 +47,8 @@ def test_unseen_motion_is_recovered(body: Body) -> None:
     _, snapshots, model = body
     prediction = motions(model, snapshots)
     travel = np.linalg.norm(prediction.full[..., -3:], axis=-1).max()
-    # the law's own march does not keep the balance of kinetic energy in each step; ours does: thousandths of the travel
-    assert prediction.tip_errors().max() < 5e-3 * travel
-    assert prediction.tip_errors()[:, 0].max() < 1e-3 * travel
+    # half way of a step is that of its first iteration, where the law's own march takes the last
+    assert prediction.tip_errors().max() < 1e-3 * travel
     assert motions(linear_model(model), snapshots).tip_errors().max() > 5.0 * prediction.tip_errors().max()
 
 
@@ -61,8 +60,10 @@ def test_viscosity_is_that_under_the_weight(tripod: Body) -> None:
     model = replace(model, **fit_maps(SETTINGS, robot, equilibria(seen), model.frame, fold))
     values = basis(6, 4).values(np.linalg.solve(model.frame, snapshots.coordinate[:5].T).T)
     tables = [tables_of(model, np.array([1.0, 2.0, g])).stiffness_root for g in (0.0, 3.0)]
-    roots = [(values[:, : table.shape[1]] @ table.T).reshape(-1, 6, 6) for table in tables]
-    light, heavy = (root.transpose(0, 2, 1) @ root for root in roots)
+    root = np.zeros((2, 5, 6, 6))
+    root[..., *np.triu_indices(6)] = [values[:, : table.shape[1]] @ table.T for table in tables]
+    root += np.triu(root, 1).swapaxes(-1, -2)
+    light, heavy = root @ root
     np.testing.assert_allclose(heavy, 1.03 * light, atol=2e-3 * np.abs(light).max())
 
 

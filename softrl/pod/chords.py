@@ -1,0 +1,106 @@
+"""The squares of many trajectories' steps, as ``pod.chord``, and what is made of them: the last axis is the lane."""
+
+from typing import Any
+
+import numba as nb
+import numpy as np
+
+from softrl.pod.inside import Inside
+from softrl.pod.insides import fill_drags, fill_masses
+from softrl.pod.lanes import Lanes, add, add_times, fill_monomials, fill_rows, fill_squares, squares_of, take, to_balls
+from softrl.pod.viscosity import TINY
+
+
+@nb.njit(cache=True)
+def fill_inertias(
+    start: np.ndarray, before: np.ndarray, by: np.ndarray, tables: Any, insides: Inside, held: Lanes
+) -> None:
+    """Fill masses and the forces of their slopes for steps ``by`` (r, lanes), as ``pod.inertia.fill_inertia``."""
+    metric = tables.mass_root, tables.mass_factor
+    _fill_chords(metric, 0.5 * (start + before + by), start - before + by, 0, tables, held, held.back, held.slopes[1])
+    _fill_chords(metric, start + 0.5 * by, by, tables.give_root.shape[1], tables, held, held.mass, held.slopes[0])
+    fill_masses(held.root, tables, held.values, insides)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def fill_viscosities(start: np.ndarray, by: np.ndarray, tables: Any, insides: Inside, held: Lanes) -> None:
+    """Fill viscosities and the forces of their slopes for steps ``by`` (r, lanes), as ``pod.viscosity.fill_viscosity``."""
+    metric, driven = (tables.stiffness_root, tables.stiffness_factor), held.some[3]
+    _fill_chords(metric, start + 0.5 * by, by, tables.drag_root.shape[1], tables, held, held.stiff, held.steep)
+    fill_drags(held.root, tables, held.values, insides)
+    driven[:] = 0.0
+    for i in range(len(by)):
+        take(driven, held.steep[i], by[i])
+    squares_of(held.stiff, by, held.some[0], held.some[1])
+    for lane in range(by.shape[1]):
+        share = max(1.0, driven[lane] / max(held.some[1, lane], TINY))
+        for i in range(len(by)):
+            held.steep[i, lane] /= share
+
+
+@nb.njit(cache=True)
+def _fill_chords(
+    metric: Any, middle: np.ndarray, by: np.ndarray, least: int, tables: Any, held: Lanes, matrix: np.ndarray,
+    slope: np.ndarray,
+) -> None:
+    """Fill ``matrix`` (r, r, lanes) and ``slope`` (r, lanes), as ``pod.chord.fill_chord``; ``pairs`` are used up."""
+    entries, factor = metric
+    to_balls(middle, held.points, held.radius)
+    fill_monomials(held.points, tables, held.values[: max(least, entries.shape[1])])
+    fill_rows(entries, held.values, held.pairs)
+    _fill_roots(factor, held)
+    fill_squares(held.root, matrix)
+    _fill_weights(factor, by, held)
+    np.dot(entries.T, held.pairs, held.mixed[: entries.shape[1]])
+    _fill_slopes(entries.shape[1], tables, held, slope)
+
+
+@nb.njit(cache=True)
+def _fill_roots(factor: np.ndarray, held: Lanes) -> None:
+    """Fill ``root`` from the entries in ``pairs`` and the lower triangular ``factor``."""
+    r, pair = len(factor), 0
+    held.root[:] = 0.0
+    for a in range(r):
+        for c in range(a, r):
+            for b in range(a, r):
+                if b >= c:
+                    add_times(held.root[a * r + b], factor[b, c], held.pairs[pair])
+                if c > a:
+                    add_times(held.root[c * r + b], factor[b, a], held.pairs[pair])
+            pair += 1
+
+
+@nb.njit(cache=True)
+def _fill_weights(factor: np.ndarray, by: np.ndarray, held: Lanes) -> None:
+    """Fill ``pairs`` with the derivatives of the squares of ``by`` by the entries of the roots."""
+    moved, led = held.gradient, held.wanted
+    r, pair = len(by), 0
+    for a in range(r):
+        moved[a], led[a] = 0.0, 0.0
+        for b in range(r):
+            add(moved[a], held.root[a * r + b], by[b])
+            add_times(led[a], 2.0 * factor[b, a], by[b])
+    for a in range(r):
+        for c in range(a, r):
+            held.pairs[pair] = 0.0
+            add(held.pairs[pair], moved[a], led[c])
+            if c > a:
+                add(held.pairs[pair], moved[c], led[a])
+            pair += 1
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _fill_slopes(count: int, tables: Any, held: Lanes, slope: np.ndarray) -> None:
+    """Fill ``slope`` with a quarter of the gradients of the first ``count`` monomials weighed by ``mixed``."""
+    outward = held.some[2]
+    slope[:], outward[:] = 0.0, 0.0
+    for k in range(count - 1, 0, -1):
+        lower, along = tables.parent[k], tables.variable[k]
+        add(slope[along], held.mixed[k], held.values[lower])
+        add(held.mixed[lower], held.mixed[k], held.points[along])
+    for i in range(len(slope)):
+        add(outward, held.points[i], slope[i])
+    for i in range(len(slope)):
+        for lane in range(len(outward)):
+            lost = held.points[i, lane] * outward[lane] if held.radius[lane] > 1.0 else 0.0
+            slope[i, lane] = 0.25 * (slope[i, lane] - lost) / max(held.radius[lane], 1.0)
