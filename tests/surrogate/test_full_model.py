@@ -15,6 +15,7 @@ from softrl.surrogate.springs import Springs, springs_of, stiffness_matrix
 from softrl.surrogate.stiffness import Compliance, Couple, chain_turn, fit_springs, turn_between
 from softrl.surrogate.twin import chain_compliance
 from tests.fem.bodies import bar, box_robot, model_of
+from tests.surrogate.conftest import SOFTNESS_M_PER_N
 from tests.surrogate.test_twin import bent_springs
 
 SIDE_M, LENGTH_M, YOUNG_PA = 0.01, 0.1, 1e6
@@ -88,3 +89,9 @@ def errors_at_rest(surrogate: Surrogate, full: Yielding) -> dict[str, float]:
 def test_one_that_yields_as_the_other_does_not_differ(surrogate: Surrogate) -> None:
     found = errors_at_rest(surrogate, bullet_yielding(surrogate, np.zeros((1, surrogate.chambers))))
     assert max(map(abs, found.values())) < 1e-6
+
+
+def test_the_tip_is_as_stiff_in_pybullet_as_the_body_within_5_percent(surrogate: Surrogate) -> None:
+    pressure = np.vstack([np.zeros((1, surrogate.chambers)), surrogate.sample_pressure[surrogate.heldout][:3]])
+    found = np.einsum("sii->si", bullet_yielding(surrogate, pressure).yields[:, :3, :3])
+    np.testing.assert_allclose(1.0 / found, np.tile(1.0 / SOFTNESS_M_PER_N, (len(pressure), 1)), rtol=0.05)
