@@ -161,10 +161,11 @@ class Assembly:
 
         A policy is looked for among those trained with the same effects first; f_RS is that of the nominal simulator.
         """
-        wanted = {Policy: (self._effects_mark(), NOMINAL), Calibration: (NOMINAL,)}.get(kind)
         tags = self._tags_of(kind)
-        if wanted is None:
+        if kind not in (Policy, Calibration):
             return self.store.find(tags)
+        # the mark of a diagnosis asks for the latest one: it is made where it is needed only
+        wanted = (self._effects_mark(), NOMINAL) if kind is Policy else (NOMINAL,)
         return next(filter(None, (self.store.find(tags | {"effects": mark}) for mark in wanted)), None)
 
     def _effects_mark(self) -> str:

@@ -1,7 +1,9 @@
 """`stage=paper`: the stages behind the paper's tables for several seeds, and their rows as ``paper.json``."""
 
+import functools
 import json
 import logging
+import operator
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -52,7 +54,7 @@ class Config:
 
 
 class Step(NamedTuple):
-    """One run: its name in the rows, its overrides, and the steps that it stands on."""
+    """One run: its name in the rows, its overrides, and the steps that it stands on, whose artifacts it takes."""
 
     name: str
     seed: int
@@ -178,7 +180,7 @@ def corrected_steps(seed: int, tasks: Sequence[str]) -> list[Step]:
     """Return the steps that diagnose the rollouts, and learn and calibrate anew in the simulator that this corrects.
 
     Of the tasks on a surface, which no policy learns in motion, the commands are planned through it; their policies are
-    those of before, taken up again.
+    those of before.
     """
     words = ("effect=identified", "task=track")
     steps = [
@@ -187,22 +189,26 @@ def corrected_steps(seed: int, tasks: Sequence[str]) -> list[Step]:
         Step("sim2real:corrected", seed, ("rl:corrected",), words),
     ]
     for task in (task for task in tasks if task != "track"):
-        steps.append(Step(f"rl:{task}:again", seed, ("diagnosis",), (f"task={task}",)))
-        steps.append(Step(f"sim2real:corrected_{task}", seed, (f"rl:{task}:again",), (words[0], f"task={task}")))
+        steps.append(Step(f"sim2real:corrected_{task}", seed, ("diagnosis", f"rl:{task}"), (words[0], f"task={task}")))
     return [*steps, Step("calibration:corrected", seed, ("diagnosis",), words[:1])]  # last: rollouts take the nominal f_RS
 
 
 def follow(
     steps: Sequence[Step], do: Callable[[Step, Made], str | None], made: Made, failed: set[str]
 ) -> list[Step]:
-    """Do the steps in order and return those done; ``made`` and ``failed`` grow, what stands on a failed one is left out."""
-    done = []
+    """Do the steps in order and return those done; ``made`` and ``failed`` grow, what stands on a failed one is left out.
+
+    Of several artifacts of a kind a step takes that of a step it stands on, else the one made last.
+    """
+    done, by_step = [], dict[str, Made]()
     for step in steps:
-        run_id = None if failed & set(step.needs) else do(step, made)
+        own = [by_step[name] for name in step.needs if name in by_step]
+        run_id = None if failed & set(step.needs) else do(step, functools.reduce(operator.or_, own, dict(made)))
         if run_id is None:
             failed.add(step.name)
         else:
-            made |= {kind: f"run:{run_id}" for kind in outputs(step.stage)}
+            by_step[step.name] = {kind: f"run:{run_id}" for kind in outputs(step.stage)}
+            made |= by_step[step.name]
             done.append(step)
     return done
 

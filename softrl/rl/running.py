@@ -1,6 +1,7 @@
 """A simulator with its effects in motion, one request after the other: what a policy acts on where the plant has a memory."""
 
 from copy import deepcopy
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +13,16 @@ from softrl.rl.inversion import Route
 
 FAST = RomSimulator | PccSimulator  # they go over many steps in one call
 SETTLE_S = 5.0  # in which a robot that carries something comes to rest before it is switched on
+
+
+class _Moment(NamedTuple):
+    """All that a run goes on from."""
+
+    state: Any
+    sent: np.ndarray
+    tip: np.ndarray
+    average: MovingAverage
+    memories: list[np.ndarray]
 
 
 class Run:
@@ -37,29 +48,58 @@ class Run:
             self._hooks = self._chain.hooks("body"), self._hooks[1]
         self._force = None if tip_force is None else np.asarray(tip_force, dtype=float)
         self.tip = self._held(np.tile(self._sent, (route.hold, 1)))
+        self._before: tuple[_Moment, np.ndarray] | None = None
 
-    def advance(self, request: np.ndarray) -> np.ndarray:
-        """Return the tip (3,) m at the end of the period of ``request`` (n,) Pa."""
+    def advance(self, request: np.ndarray, measured: np.ndarray | None = None) -> np.ndarray:
+        """Return the tip (3,) m at the end of the period of ``request`` (n,) Pa.
+
+        ``measured`` (hold, n) Pa stands behind the valves of those chambers where it is a number, whatever they are told.
+        """
+        self._before = self._moment(), request
         command = self._route.sent(self._sent, self._average.advance(request))
         self._sent = command[-1]
-        self.tip = self._held(command)
+        self.tip = self._held(command, measured)
         return self.tip
+
+    def amend(self, measured: np.ndarray) -> np.ndarray:
+        """Return the tip (3,) m after the last period, had ``measured`` (hold, n) Pa stood behind the valves in it."""
+        if self._before is None:
+            return self.tip
+        before, request = self._before
+        self._resume(before)
+        return self.advance(request, measured)
 
     def foresee(self, requests: np.ndarray) -> np.ndarray:
         """Return the tips (steps, 3) m at the ends of the periods of ``requests`` (steps, n) Pa, and stay where it is."""
-        advanced = [f.memory for f in (self._valve, self._chamber, self._sensor)]
-        advanced += [hook.state for hooks in self._hooks for hook in hooks]
-        kept, plain = [memory.copy() for memory in advanced], (self._state, self._sent, self.tip, deepcopy(self._average))
+        kept, last = self._moment(), self._before
         tips = np.stack([self.advance(request) for request in requests])
-        for memory, before in zip(advanced, kept, strict=True):
-            memory[:] = before
-        self._state, self._sent, self.tip, self._average = plain
+        self._resume(kept)
+        self._before = last
         return tips
 
-    def _held(self, command: np.ndarray) -> np.ndarray:
-        """Return the tip (3,) m after the setpoints (hold, n) Pa."""
+    def _memories(self) -> list[np.ndarray]:
+        """Return the arrays in which the effects remember, which go on from what is written there."""
+        filters = [f.memory for f in (self._valve, self._chamber, self._sensor)]
+        return filters + [hook.state for hooks in self._hooks for hook in hooks]
+
+    def _moment(self) -> "_Moment":
+        return _Moment(
+            self._state, self._sent, self.tip, deepcopy(self._average), [memory.copy() for memory in self._memories()]
+        )
+
+    def _resume(self, moment: "_Moment") -> None:
+        self._state, self._sent, self.tip = moment.state, moment.sent, moment.tip
+        self._average = deepcopy(moment.average)
+        for memory, before in zip(self._memories(), moment.memories, strict=True):
+            memory[:] = before
+
+    def _held(self, command: np.ndarray, measured: np.ndarray | None = None) -> np.ndarray:
+        """Return the tip (3,) m after the setpoints (hold, n) Pa, or what is ``measured`` behind the valves."""
         step_s = self._route.step_s
-        acting = self._chamber.advance(self._valve.advance(command, step_s), step_s)
+        supplied = self._valve.advance(command, step_s)
+        if measured is not None:
+            supplied = np.where(np.isfinite(measured), measured, supplied)
+        acting = self._chamber.advance(supplied, step_s)
         if not self._sensed:
             self._state = self._go(acting)
             return np.asarray(self._body.observe(self._state)[0])

@@ -8,6 +8,7 @@ import numpy as np
 
 from softrl.artifacts.calibration import Calibration
 from softrl.artifacts.policy import Policy
+from softrl.calibration.pressure_map import PressureMap
 from softrl.effects.chain import EffectChain, Plant
 from softrl.rl.inversion import Plan, Route, plan
 from softrl.rl.tasks.task import Task
@@ -125,7 +126,8 @@ def controllers(models: Models, planning: Planning, pace: Pace, course: Course, 
     route = route_of(models, planning, pace, course)
 
     def planned(settings: Planning) -> Controller:
-        made = PlannedController(prepared, pace.approach_steps, settings, route, course)
+        simulated = None if models.corrected else PressureMap(models.calibration).real_to_sim
+        made = PlannedController(prepared, pace.approach_steps, settings, route, course, simulated)
         return made if models.corrected else Calibrated(made, models.calibration)
 
     return {

@@ -10,6 +10,7 @@ from softrl.sim2real.rollout import Rollout
 
 BACK = 1.5  # an error of this many times the one before counts as recovered
 QUIET_STEPS = 3  # it has to stay so for this many commands
+NEAR_MM = 2.0  # counts as back whichever controller it is: what the one that errs most leaves without a fault
 
 
 @dataclass(frozen=True)
@@ -60,21 +61,34 @@ class Recovery(NamedTuple):
     Attributes
     ----------
     before_mm : rms error before it;  worst_mm : largest error from the cut on
-    back_s : from the reconnection until the error is at most 1.5 times that before and stays so; infinite if never
+    back_s : from the reconnection until the rms error of three commands in a row is at most 1.5 times that before
+    each_s : until each of the three is
+    near_s : until each of the three is at most 2 mm, the same for every controller
+
+    Notes
+    -----
+    A time that was never reached is infinite. Single readings carry the camera's noise: of a controller that leaves hardly
+    more than that, one reading in twelve exceeds 1.5 times the rms whether or not a line was off, and ``each_s`` then tells
+    when there happened to be three quiet ones.
     """
 
     before_mm: float
     worst_mm: float
     back_s: float
+    each_s: float
+    near_s: float
 
 
 def recovery(rollout: Rollout, cut: int, back: int, period_s: float) -> Recovery:
     """Return how a rollout came through a line that was off from step ``cut`` to step ``back``."""
     error = 1e3 * rollout.course.position_error(rollout.reached)
     before = float(np.sqrt(np.mean(error[:cut] ** 2)))
-    calm = error[back:] <= BACK * before
-    for first in range(len(calm) - QUIET_STEPS + 1):
-        if calm[first : first + QUIET_STEPS].all():
-            # the error of a step is that at the end of its period
-            return Recovery(before, float(error[cut:].max()), (first + 1) * period_s)
-    return Recovery(before, float(error[cut:].max()), float("inf"))
+    window = np.lib.stride_tricks.sliding_window_view(error[back:], QUIET_STEPS)
+    judged = (np.sqrt(np.mean(window**2, axis=1)) <= BACK * before, window.max(axis=1) <= BACK * before,
+              window.max(axis=1) <= NEAR_MM)  # fmt: skip
+    return Recovery(before, float(error[cut:].max()), *(_first_s(quiet, period_s) for quiet in judged))
+
+
+def _first_s(quiet: np.ndarray, period_s: float) -> float:
+    """Return the end in s of the first period that is ``quiet`` (windows,): the error of a step is that at its period's end."""
+    return (int(np.argmax(quiet)) + 1) * period_s if quiet.any() else float("inf")

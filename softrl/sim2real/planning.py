@@ -1,7 +1,7 @@
 """Planned commands on a robot: feedback takes away what the simulation does not know."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -50,22 +50,28 @@ class PlannedController:
     helps, since a surface may hold the tip back or let it go on the way.
 
     While an air line is broken, and until the tip has forgotten it, the misfit learnt before is kept: commands that make up
-    for a line that is off would throw the tip far out once it is back on. What the fault leaves behind, in walls that creep
-    and remember, has nothing to do with the misfit before: the first readings after it are taken as lasting wholly.
+    for a line that is off would throw the tip far out once it is back on. The simulation goes on with what the pressure
+    sensors tell of that line, so that it knows what the fault leaves behind in walls that creep and remember. What it does
+    not know of that has nothing to do with the misfit before: the first readings after it are taken as lasting wholly.
 
     Parameters
     ----------
     prepared : the plan, whose first ``approach`` steps come before step 0
     route : from requests to the simulation's readings
     course : what is followed
+    simulated : from measured pressures (steps, n) Pa to those of the simulation; the same unless given
     """
 
-    def __init__(self, prepared: Plan, approach: int, settings: Planning, route: Route, course: Course) -> None:
+    def __init__(
+        self, prepared: Plan, approach: int, settings: Planning, route: Route, course: Course,
+        simulated: Callable[[np.ndarray], np.ndarray] | None = None,
+    ) -> None:
         self._plan, self._approach, self._settings, self._route, self._course = prepared, approach, settings, route, course
         self._shadow = Run(route) if settings.feedback > 0.0 else None
         self._change = np.zeros(prepared.request.shape[1])
         self._lasting = np.zeros(3)
-        self._lines = LineWatch(settings.watch)
+        self._lines, self._simulated = LineWatch(settings.watch), simulated
+        self._off = np.zeros(prepared.request.shape[1], dtype=bool)
         self._afresh = 0
 
     def watch(self, arrived: Sequence[Sample], step: int) -> None:
@@ -77,6 +83,9 @@ class PlannedController:
         if self._lines.trusted and not trusted:
             log.info("step %d: all air lines are on again", step)
             self._afresh = self._settings.watch.afresh_steps
+        odd, self._off = self._lines.off | self._off, self._lines.off  # one that is on again has yet to fill
+        if self._shadow is not None and odd.any():
+            self._shadow.amend(self._measured(arrived, odd))
 
     def pressure(self, position: np.ndarray, step: int, tip_force: np.ndarray | None = None) -> np.ndarray:
         """Return (n,) Pa for the target of ``step`` (negative in the approach), the tip being at ``position`` (3,) m."""
@@ -90,6 +99,16 @@ class PlannedController:
             self._change = self._corrected(at, self._shadow)
         self._shadow.advance(planned + self._change)
         return np.asarray(planned + self._change)
+
+    def _measured(self, arrived: Sequence[Sample], off: np.ndarray) -> np.ndarray:
+        """Return what stood behind the lines that were ``off`` (hold, n) Pa in the last period, not a number elsewhere."""
+        route, pressure = self._route, np.stack([sample.pressure for sample in arrived])
+        if self._simulated is not None:
+            pressure = self._simulated(pressure)
+        age = arrived[-1].time_s - np.array([sample.time_s for sample in arrived])
+        at = route.step_s * np.arange(route.hold - 1, -1, -1)  # before the end of the period
+        held = np.stack([np.interp(-at, -age, column) for column in pressure.T], axis=1)
+        return np.where(off, held, np.nan)
 
     def _observe(self, reading: np.ndarray, shadow: Run) -> None:
         share = 1.0 if self._afresh > 0 else self._settings.feedback

@@ -41,9 +41,10 @@ def report_recovery(
         name = "recovery" if controller == "policy" else f"recovery_{controller}"
         tracker.metric(f"{name}_before_mm", found.before_mm)
         tracker.metric(f"{name}_worst_mm", found.worst_mm)
-        if np.isfinite(found.back_s):
-            tracker.metric(f"{name}_s", found.back_s)
-        else:
+        for label, seconds in (("", found.back_s), ("_each", found.each_s), ("_near", found.near_s)):
+            if np.isfinite(seconds):
+                tracker.metric(f"{name}{label}_s", seconds)
+        if not np.isfinite(found.back_s):
             log.warning("%s: the error did not come back after the air line was put back on", controller)
 
 

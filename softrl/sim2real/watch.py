@@ -39,7 +39,13 @@ class Watch:
 
 
 class LineWatch:
-    """The running judgement of one robot's lines."""
+    """The running judgement of one robot's lines.
+
+    Attributes
+    ----------
+    trusted : whether all lines are whole, and the tip has forgotten that they were not
+    off : (n,) bool, lines that did not do what they were told in the last period
+    """
 
     def __init__(self, settings: Watch) -> None:
         self._settings = settings
@@ -47,6 +53,7 @@ class LineWatch:
         self._usual = 0.0
         self._broken_s = -np.inf
         self.trusted = True
+        self.off = np.zeros(1, dtype=bool)
 
     def advance(self, arrived: Sequence[Sample], healthy: bool = False) -> None:
         """Judge by the samples of one period.
@@ -64,9 +71,10 @@ class LineWatch:
         pressure = np.median([sample.pressure for sample in arrived[len(arrived) // 2 :]], axis=0)
         beyond = np.maximum(pressure - told.max(axis=0), told.min(axis=0) - pressure)
         # a robot without pressure sensors reports none: nothing speaks against its lines
-        departure = float(np.nan_to_num(beyond).max())
+        departure = np.nan_to_num(beyond)
         if healthy:
-            self._usual = max(self._usual, departure)
-        elif departure > self._usual + 1e3 * settings.fault_kpa:
+            self._usual = max(self._usual, float(departure.max()))
+        self.off = departure > self._usual + 1e3 * settings.fault_kpa
+        if self.off.any():
             self._broken_s = now
         self.trusted = now - self._broken_s > settings.after_s

@@ -16,7 +16,10 @@ DIFFERENCE = 1e-4  # of the joints' range: PyBullet's poses are too coarse for S
 def settle(
     world: World, theta: np.ndarray, force: np.ndarray | None = None, seconds: float = SETTLE_S
 ) -> SurrogateState:
-    """Return where PyBullet comes to rest under the grouped command ``theta`` (3,) and a tip force (3,) N."""
+    """Return where PyBullet comes to rest under the grouped command ``theta`` (3,) and a tip force (3,) N.
+
+    A ``force`` of (6,) N and N m is one with a moment.
+    """
     start = np.tile(theta, len(world.joints) // 3)
     state = SurrogateState(start, np.zeros_like(start))
     for _ in range(round(seconds / TICK_S)):

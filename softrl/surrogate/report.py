@@ -155,10 +155,14 @@ def _bending_error(s: Surrogate, joints: np.ndarray, springs: Springs, turn: np.
     return 100.0 * float(np.sqrt(np.mean((size / along - 1.0) ** 2)))
 
 
-def report_full_model(s: Surrogate, snapshots: Snapshots, pose_of: Statics, tracker: Tracker) -> None:
+def report_full_model(
+    s: Surrogate, snapshots: Snapshots, pose_of: Statics, pushed_n: float, tracker: Tracker
+) -> None:
     """Log how the loaded surrogate compares with the full model's equilibria under pressures and forces together.
 
-    ``pose_of`` tells the body's tips under the same pressures alone.
+    ``pose_of`` tells the body's tips under the same pressures alone. Stiffness is that of the loaded tips; a force stiffens the
+    body, while the chain's springs know the pressures only: they part the more the larger it is, and forces of up to
+    ``pushed_n`` stand apart.
     """
     twin, n = Twin(s), s.chambers
     force = snapshots.loads[:, n:]
@@ -166,15 +170,28 @@ def report_full_model(s: Surrogate, snapshots: Snapshots, pose_of: Statics, trac
     theta = twin.joints_for_tip(free_tip)
     tip = snapshots.coordinate[:, n:] + snapshots.rest_tip
     moved = twin.solve(theta, force).tip
-    tracker.metric("full_model/loaded_tip_mm", _rms(1e3 * (moved - tip)))
-    tracker.metric("full_model/unloaded_tip_mm", _rms(1e3 * (free_tip - tip)))
+    size = np.linalg.norm(force, axis=1)
     stiff = 1.0 / np.einsum("sii->si", snapshots.compliance[:, n:, n:])
-    for axis, name in enumerate("xyz"):
-        push = FORCE_STEP_N * np.eye(3)[axis]
-        ahead, behind = (twin.solve(theta, force + sign * push).tip[:, axis] for sign in (1.0, -1.0))
-        error = 2.0 * FORCE_STEP_N / (ahead - behind) / stiff[:, axis] - 1.0
-        tracker.metric(f"full_model/tip_stiffness_{name}_pct", 100.0 * float(np.sqrt(np.mean(error**2))))
+    for label, rows in (("loaded_", np.ones(len(size), dtype=bool)), ("pushed_", size <= pushed_n)):
+        tracker.metric(f"full_model/{label}count", rows.sum())
+        if not rows.any():
+            continue
+        tracker.metric(f"full_model/{label}tip_mm", _rms(1e3 * (moved - tip)[rows]))
+        tracker.metric(f"full_model/{label}force_n", _rms(size[rows]))
+        error = _loaded_stiffness(twin, theta[rows], force[rows]) / stiff[rows] - 1.0
+        for axis, name in enumerate("xyz"):
+            tracker.metric(f"full_model/{label}tip_stiffness_{name}_pct", 100.0 * _rms(error[:, axis]))
+    tracker.metric("full_model/unloaded_tip_mm", _rms(1e3 * (free_tip - tip)))
     tracker.figure("workspace_loaded", draw_loaded(tip, moved, s.robot_name))
+
+
+def _loaded_stiffness(twin: Twin, theta: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Return the tips' stiffness (S, 3) N/m along x, y and z under commands (S, 3) and forces (S, 3) N."""
+    stiff = np.empty((len(theta), 3))
+    for axis, push in enumerate(FORCE_STEP_N * np.eye(3)):
+        ahead, behind = (twin.solve(theta, force + sign * push).tip[:, axis] for sign in (1.0, -1.0))
+        stiff[:, axis] = 2.0 * FORCE_STEP_N / (ahead - behind)
+    return stiff
 
 
 def _fit_comparison(s: Surrogate, count: int) -> dict[str, float]:

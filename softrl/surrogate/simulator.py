@@ -120,7 +120,7 @@ class World:
     def advance(
         self, state: SurrogateState, theta: np.ndarray, dt_s: float, force: np.ndarray | None
     ) -> SurrogateState:
-        """Return the state after ``dt_s`` under the grouped command ``theta`` (3,) and a tip force (3,) N."""
+        """Return the state after ``dt_s`` under the grouped command ``theta`` (3,) and a tip ``force``, see ``_push``."""
         client, body, joints = self._client, self.body, self.joints
         steps = max(1, math.ceil(dt_s * self.rate_hz - 1e-9))
         step_s = dt_s / steps
@@ -145,10 +145,7 @@ class World:
                 body, joints, bullet.TORQUE_CONTROL, forces=torque.tolist(), physicsClientId=client
             )
             if force is not None:
-                at = bullet.getLinkState(body, self.tip, computeForwardKinematics=1, physicsClientId=client)[4]
-                bullet.applyExternalForce(
-                    body, self.tip, list(map(float, force)), at, bullet.WORLD_FRAME, physicsClientId=client
-                )
+                self._push(np.asarray(force, dtype=float))
             bullet.stepSimulation(physicsClientId=client)
             read = bullet.getJointStates(body, joints, physicsClientId=client)
             before, q, velocity = velocity, np.array([r[0] for r in read]), np.array([r[1] for r in read])
@@ -158,6 +155,18 @@ class World:
                 f"simulator surrogate diverged at {1 / step_s:.0f} Hz; a smaller dt_s or softer joints help"
             )
         return SurrogateState(q, velocity, outside)
+
+    def _push(self, force: np.ndarray) -> None:
+        """Let ``force`` (3,) N, or (6,) N and N m, act on the tip in the next step; a moment does as couples a metre wide."""
+        at = np.array(bullet.getLinkState(self.body, self.tip, computeForwardKinematics=1, physicsClientId=self._client)[4])
+        pushes = [(force[:3], at)]
+        for axis, moment in zip(np.eye(3), force[3:], strict=False):
+            arm, side = np.roll(axis, 1), np.roll(axis, 2)  # axis = arm x side
+            pushes += [(0.5 * moment * side, at + arm), (-0.5 * moment * side, at - arm)]
+        for push, where in pushes:
+            bullet.applyExternalForce(
+                self.body, self.tip, push.tolist(), where.tolist(), bullet.WORLD_FRAME, physicsClientId=self._client
+            )
 
     def pose(self, state: SurrogateState) -> tuple[np.ndarray, np.ndarray]:
         """Return tip (3,) m and quaternion (4,) w x y z at ``state``."""

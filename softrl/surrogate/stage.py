@@ -21,11 +21,12 @@ from softrl.pod.rom import static_coordinates, tip_poses
 from softrl.robots.robot import Robot
 from softrl.surrogate.dimensions import Dimensions, dimensions_of
 from softrl.surrogate.fit import fit_joints
+from softrl.surrogate.full_model import report_yielding, sampled_yielding
 from softrl.surrogate.kinematics import Chain, chain_from
 from softrl.surrogate.mlp import train_network
 from softrl.surrogate.report import Judged, report, report_full_model, report_workspace
 from softrl.surrogate.springs import Springs, softness_at
-from softrl.surrogate.stiffness import Compliance, Poses, Statics, body_compliance, fit_springs
+from softrl.surrogate.stiffness import Compliance, Couple, Poses, Statics, body_compliance, fit_springs
 from softrl.surrogate.twin import Twin
 from softrl.surrogate.urdf import write_urdf
 
@@ -52,6 +53,7 @@ class Config:
     tip_radius_m : sphere with which the tip touches surfaces
     contact_stiffness_n_per_m, contact_damping_n_s_per_m : of that touch
     compared_fits : samples that L-BFGS-B fits too, for comparison;  parity_samples : commands that PyBullet repeats
+    full_checks : pressures besides rest at which the full model is solved anew, to judge the stiffness by
     """
 
     links: int
@@ -71,6 +73,7 @@ class Config:
     contact_damping_n_s_per_m: float
     compared_fits: int
     parity_samples: int
+    full_checks: int
     seed: int
 
     def __post_init__(self) -> None:
@@ -80,7 +83,7 @@ class Config:
         for name in positive:
             if getattr(self, name) <= 0:
                 raise ConfigError(f"stage.{name}={getattr(self, name):g} must be positive")
-        for name in ("limit_margin_share", "contact_damping_n_s_per_m"):
+        for name in ("limit_margin_share", "contact_damping_n_s_per_m", "full_checks"):
             if getattr(self, name) < 0:
                 raise ConfigError(f"stage.{name}={getattr(self, name):g} must not be negative")
         if not 0.0 < self.heldout_share < 1.0:
@@ -117,14 +120,21 @@ def run(
 ) -> Surrogate:
     """Return the surrogate fitted to the reduced model's equilibria, judged against the full model's under loads too.
 
-    Where a calibration is there, the tips at which the robot settled are laid over the workspace.
+    What a moment turns at rest is the full model's own, where its mesh is there; its stiffness elsewhere judges only. Where
+    a calibration is there, the tips at which the robot settled are laid over the workspace.
     """
+    full = None if mesh is None else sampled_yielding(robot, mesh, snapshots, config.full_checks, config.seed)
     surrogate = build_surrogate(
-        config, robot, mesh, partial(model_poses, reduced_model), float(reduced_model.rest_tip[2]), tracker
+        config, robot, mesh, partial(model_poses, reduced_model), float(reduced_model.rest_tip[2]), tracker,
+        None if full is None else full.yields[0, 3:, 3:],
     )
+    if full is not None:
+        report_yielding(surrogate, full, tracker)
     # the full model's equilibria are without weight: the chain that is compared with them is one without as well
     weightless = partial(model_poses, reduced_model, gravity_m_s2=np.zeros(3))
-    report_full_model(_refitted(config, surrogate, weightless), snapshots, weightless, tracker)
+    report_full_model(
+        _refitted(config, surrogate, weightless), snapshots, weightless, robot.tip_force_max_n, tracker
+    )
     report_workspace(surrogate, snapshots, np.empty((0, 3)) if calibration is None else calibration.settled_tip, tracker)
     return surrogate
 
@@ -151,15 +161,19 @@ def model_poses(reduced_model: ReducedModel, loads: np.ndarray, gravity_m_s2: np
 
 
 def build_surrogate(
-    config: Config, robot: Robot, mesh: Mesh | None, pose_of: Statics, tip_height: float, tracker: Tracker
-) -> Surrogate:
-    """Return the surrogate of any body that ``pose_of`` describes."""
+    config: Config, robot: Robot, mesh: Mesh | None, pose_of: Statics, tip_height: float, tracker: Tracker,
+    rest_turn: np.ndarray | None = None,
+) -> Surrogate:  # fmt: skip
+    """Return the surrogate of any body that ``pose_of`` describes.
+
+    ``rest_turn`` (3, 3) rad per N m is what moments on the tip turn at rest, where that is known.
+    """
     rng = np.random.default_rng(config.seed)
     dimensions = dimensions_of(robot, mesh, tip_height, config.links)
     chain = chain_from(dimensions.joint_height, dimensions.plane_height, dimensions.tip_height)
     samples = _sample(config, robot, dimensions, chain, pose_of, rng)
     low, high = _limits(config, samples)
-    springs, judged = _springs(config, samples, chain, pose_of, low, high)
+    springs, judged = _springs(config, samples, chain, pose_of, low, high, rest_turn)
     surrogate = _assemble(config, robot, dimensions, samples, springs)
     return report(surrogate, judged, config.compared_fits, config.parity_samples, tracker)
 
@@ -215,8 +229,9 @@ def _limits(config: Config, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _springs(
-    config: Config, samples: Samples, chain: Chain, pose_of: Statics, low: np.ndarray, high: np.ndarray
-) -> tuple[Springs, Judged]:
+    config: Config, samples: Samples, chain: Chain, pose_of: Statics, low: np.ndarray, high: np.ndarray,
+    rest_turn: np.ndarray | None,
+) -> tuple[Springs, Judged]:  # fmt: skip
     """Return the joints' springs, and what they are to be judged by: the body at the held-out pressures."""
     known = np.flatnonzero(samples.sampled)
     if len(known) < 2:
@@ -235,7 +250,11 @@ def _springs(
     fit = partial(
         fit_springs, joints[::2], chain, every_second(0), low, high, config.spring_iterations, config.spring_ridge
     )
-    return fit(), Judged(samples.residual, samples.quaternion, joints[1::2], every_second(1), fit(alike=True))
+    couple = None
+    if rest_turn is not None:
+        rest_tip = pose_of(np.zeros((1, samples.pressure.shape[1] + 3))).tip
+        couple = Couple(fit_joints(chain, rest_tip, low, high).theta[0], rest_turn)
+    return fit(couple=couple), Judged(samples.residual, samples.quaternion, joints[1::2], every_second(1), fit(alike=True))
 
 
 def _assemble(config: Config, robot: Robot, dimensions: Dimensions, samples: Samples, springs: Springs) -> Surrogate:

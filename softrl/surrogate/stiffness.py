@@ -32,6 +32,16 @@ class Compliance(NamedTuple):
     turn: np.ndarray | None
 
 
+class Couple(NamedTuple):
+    """What a body's tip turns under moments, which a body that is known by loads alone does not tell, in one pose.
+
+    ``theta`` (3,) is the chain's command there, ``turn`` (3, 3) rad per N m.
+    """
+
+    theta: np.ndarray
+    turn: np.ndarray
+
+
 Statics = Callable[[np.ndarray], Poses]  # loads (S, n + 3) Pa and N -> poses at equilibrium
 
 
@@ -44,13 +54,13 @@ def body_compliance(pose_of: Statics, pressure: np.ndarray, force: float) -> Com
         ahead, behind = pose_of(np.hstack([pressure, push])), pose_of(np.hstack([pressure, -push]))
         moved.append((ahead.tip - behind.tip) / (2.0 * force))
         if ahead.quaternion is not None and behind.quaternion is not None:
-            turned.append(_turn_between(behind.quaternion, ahead.quaternion) / (2.0 * force))
+            turned.append(turn_between(behind.quaternion, ahead.quaternion) / (2.0 * force))
     tip = np.stack(moved, axis=2)
     # a conservative body yields symmetrically; what differs is the differences' own error
     return Compliance(0.5 * (tip + np.swapaxes(tip, 1, 2)), np.stack(turned, axis=2) if turned else None)
 
 
-def _turn_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def turn_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return the small rotation vectors (S, 3) rad that turn one orientation (S, 4) w x y z into the other."""
     w, v = first[:, :1], -first[:, 1:]
     scalar = second[:, :1] * w - np.sum(second[:, 1:] * v, axis=1, keepdims=True)
@@ -79,10 +89,11 @@ def _gap_slopes(theta: np.ndarray, chain: Chain) -> tuple[np.ndarray, np.ndarray
 
 
 def fit_springs(theta: np.ndarray, chain: Chain, compliance: Compliance, low: np.ndarray, high: np.ndarray,
-                iterations: int, ridge: float, alike: bool = False) -> Springs:  # fmt: skip
+                iterations: int, ridge: float, alike: bool = False, couple: Couple | None = None) -> Springs:  # fmt: skip
     """Return the springs, for commands in ``low`` .. ``high`` (3,), that explain ``compliance`` at ``theta`` (S, 3).
 
-    With ``alike`` they are the same in every pose and gap, and the joints of a gap do not act on each other.
+    They explain ``couple`` besides, which tells how the chain's give is spread over its height. With ``alike`` they are the
+    same in every pose and gap, and the joints of a gap do not act on each other.
 
     Notes
     -----
@@ -105,6 +116,7 @@ def fit_springs(theta: np.ndarray, chain: Chain, compliance: Compliance, low: np
     height = torch.linspace(-1.0, 1.0, gaps, dtype=torch.float64)
     shape = torch.zeros(terms.shape[1], 6, dtype=torch.float64, requires_grad=True)
     tapered = bend is not None and not alike
+    by_couple = None if couple is None or not tapered else _couple_terms(couple, chain, low, high, count)
     taper = torch.zeros(2, dtype=torch.float64, requires_grad=tapered)
     free = [shape, taper] if tapered else [shape]
     kept = torch.zeros_like(shape, requires_grad=False)
@@ -124,6 +136,10 @@ def fit_springs(theta: np.ndarray, chain: Chain, compliance: Compliance, low: np
         if bend is not None:
             error = torch.einsum("saki,sij,sbkj,k->sab", turns, softness, slopes, share) - bend
             loss = loss + BENDING * error.pow(2).sum() / bend.pow(2).sum()
+        if by_couple is not None:
+            row, axes, wanted = by_couple
+            error = torch.einsum("aki,ij,bkj,k->ab", axes, _softness((row @ (kept * shape))[None], size)[0], axes, share) - wanted
+            loss = loss + BENDING * error.pow(2).sum() / wanted.pow(2).sum()
         loss.backward()
         return loss
 
@@ -134,6 +150,19 @@ def fit_springs(theta: np.ndarray, chain: Chain, compliance: Compliance, low: np
     coefficients[0, :3] += np.log(size.numpy())
     coefficients[:, 3:] *= size.numpy()[[1, 2, 2]]
     return Springs(coefficients, _share(taper, height).detach().numpy().copy(), low, high)
+
+
+def _couple_terms(
+    couple: Couple, chain: Chain, low: np.ndarray, high: np.ndarray, count: int
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return the monomials (count,), d orientation / d joints across the tip (3, gaps, 3) and the body's turn there (3, 3)."""
+    _, turned, axis = _gap_slopes(couple.theta[None], chain)
+    across = np.eye(3) - np.outer(axis[0], axis[0])
+    row = monomials(np.ascontiguousarray(couple.theta, dtype=float), low, high)[:count]
+    return (
+        torch.tensor(row), torch.tensor(np.einsum("ab,bki->aki", across, turned[0])),
+        torch.tensor(across @ couple.turn @ across),
+    )  # fmt: skip
 
 
 def _uniform_softness(moved: np.ndarray, compliance: np.ndarray) -> np.ndarray:

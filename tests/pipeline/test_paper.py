@@ -113,11 +113,13 @@ def test_what_follows_from_a_diagnosis_leaves_the_nominal_alone(monkeypatch: pyt
     paper.run_paper(settings(seeds=[0], corrected=True), ["stage=paper"], tmp_path, lambda w: w)
     stages = [stage for stage, _, _ in ran]
     again = stages.index("diagnosis") + 1
-    assert stages[again:] == ["rl", "sim2real", "rl", "sim2real", "calibration"]  # the second two of task hybrid
+    assert stages[again:] == ["rl", "sim2real", "sim2real", "calibration"]  # the second rollouts of task hybrid
+    learned = next(i + 1 for i, (stage, words, _) in enumerate(ran) if stage == "rl" and "task=hybrid" in words)
+    assert ran[again + 2][2]["policy"] == f"run:rl-{learned}", "its policy is the one of before, not trained again"
+    assert ran[again + 1][2]["policy"] == f"run:rl-{again + 1}"
     assert not any(made.get("calibration") == f"run:calibration-{len(ran)}" for _, _, made in ran)  # last
-    for stage, words, made in ran[again:]:
-        taken_up = stage == "rl" and "task=track" not in words
-        assert ("effect=identified" in words) is not taken_up and made["diagnosis"] == f"run:diagnosis-{again}"
+    for _, words, made in ran[again:]:
+        assert "effect=identified" in words and made["diagnosis"] == f"run:diagnosis-{again}"
     assert not any("effect=identified" in words for _, words, _ in ran[:again])
     assert ran[again + 1][2]["calibration"].startswith("run:calibration-") and "policy" in ran[again + 1][2]
     assert ran[again + 1][2]["calibration"] != f"run:calibration-{len(ran)}", "f_RS of the nominal simulator"

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import hydra
 import pytest
 
+from softrl.artifacts.diagnosis import Diagnosis
 from softrl.artifacts.policy import Policy
 from softrl.assembly import Assembly
 from softrl.core.errors import ArtifactError, ConfigError
@@ -53,6 +54,14 @@ def test_the_latest_policy_is_that_of_the_task() -> None:
     with pytest.raises(ArtifactError, match=r"there is one with another task; run stage=rl task=force"):
         assembly._locate(Policy, "policy")
     assert asked[0]["task"] == "force"
+
+
+def test_the_latest_diagnosis_is_found_where_its_effects_are_asked_for() -> None:
+    found = SimpleNamespace(info=SimpleNamespace(run_id="7"), data=SimpleNamespace(tags={}))
+    store = SimpleNamespace(find=lambda tags: found, folder=lambda run, name: Path(name))
+    assembly = Assembly(store, composed("stage=rl", "effect=identified"), {})
+    assert assembly._latest(Diagnosis) is found
+    assert assembly._latest(Policy) is found, "the mark of its effects asks for the diagnosis"
 
 
 def test_out_touches_no_folder_of_another_kind(tmp_path: Path) -> None:

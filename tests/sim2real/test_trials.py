@@ -69,7 +69,19 @@ def test_recovery_counts_from_the_reconnection_to_the_end_of_the_first_quiet_ste
     found = recovery(rollout_with([1, 1, 1, 9, 9, 4, 1.2, 5, 1.4, 1, 1, 1], recorded), 3, 5, 0.5)
     assert (found.before_mm, found.worst_mm) == pytest.approx((1.0, 9.0))
     assert found.back_s == pytest.approx(2.0), "a step that is near by chance does not count"
-    assert recovery(rollout_with([1, 1, 9, 9, 9, 9], recorded), 2, 3, 0.5).back_s == np.inf
+    assert found.each_s == pytest.approx(2.0) and found.near_s == pytest.approx(2.0)
+    assert recovery(rollout_with([1, 1, 9, 9, 9, 9, 9], recorded), 2, 3, 0.5)[2:] == (np.inf, np.inf, np.inf)
+
+
+def test_noise_does_not_pass_for_a_robot_that_is_not_back(recorded: Recording) -> None:
+    found, cut, back = [], 40, 50
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        noise = np.linalg.norm(rng.normal(size=(100, 3)), axis=1)
+        noise[cut:back] += 90.0
+        found.append(recovery(rollout_with(list(noise), recorded), cut, back, 0.5))
+    late = {name: np.mean([getattr(f, name) > 0.5 for f in found]) for name in ("back_s", "each_s")}
+    assert late["back_s"] < 0.05 < 0.1 < late["each_s"], f"a robot that is back at once counts as late in {late}"
 
 
 def test_a_line_that_comes_back_too_late_is_refused() -> None:

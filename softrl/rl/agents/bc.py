@@ -11,7 +11,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.sac.policies import SACPolicy
 
 from softrl.core.errors import ConfigError
-from softrl.core.scaling import Scaler
+from softrl.core.whitening import Whitener
 from softrl.rl.actor import Actor, act_scaled
 from softrl.rl.agents.agent import Agent, Best, Lesson, Practice, actor_from
 from softrl.rl.evaluate import static_expert
@@ -80,7 +80,8 @@ def clone(bc: Bc, layers: list[torch.nn.Module], squash: str, env: TwinVecEnv, p
     The map from targets to commands is almost linear and wanted to a thousandth. A network with a linear path reaches
     that by L-BFGS in double precision where SB3's own shape, trained from its random start, stays ten times above; it is
     then folded into SB3's shape, the linear path carried by three units in the linear range of tanh. It sees the
-    columns that the expert looks at; the others get no weight. An actor squashed by tanh must bend its answers back by
+    columns that the expert looks at, or these whitened, because friction goes by where the target lies from the tip, a small
+    difference of both; the others get no weight. An actor squashed by tanh must bend its answers back by
     arctanh first, which costs it a factor of four in error. A robot in motion is another matter, see ``_in_motion``; an
     actor squashed by tanh is there a clone all the same, and acts itself in the rounds after the first (DAgger).
     """
@@ -92,28 +93,32 @@ def clone(bc: Bc, layers: list[torch.nn.Module], squash: str, env: TwinVecEnv, p
         return best.lesson()
     seen, told = _collect(bc, env, None, rng)
     for number in range(1, practice.rounds):
-        _fit(bc, layers, squash, env, (seen, told), bc.iterations // practice.rounds, seed)
-        actor = actor_from(layers, squash)
-        best.consider(actor, number)
-        more = _collect(bc, env, actor, rng)
+        _fit(bc, layers, squash, env, (seen, told), bc.iterations // practice.rounds, seed, best, number)
+        more = _collect(bc, env, actor_from(layers, squash), rng)
         seen, told = np.concatenate([seen, more[0]]), np.concatenate([told, more[1]])
-    _fit(bc, layers, squash, env, (seen, told), bc.iterations // practice.rounds, seed)
-    best.consider(actor_from(layers, squash), bc.iterations)
+    _fit(bc, layers, squash, env, (seen, told), bc.iterations // practice.rounds, seed, best, bc.iterations)
     return best.lesson()
 
 
 def _fit(
     bc: Bc, layers: list[torch.nn.Module], squash: str, env: TwinVecEnv, rows: tuple[np.ndarray, np.ndarray],
-    iterations: int, seed: int,
-) -> None:
-    """Fit the ``layers`` to observations (rows, k) and actions (rows, 3); without iterations by a linear map."""
+    iterations: int, seed: int, best: Best, number: int,
+) -> None:  # fmt: skip
+    """Fit the ``layers`` to observations (rows, k) and actions (rows, 3); without iterations by a linear map.
+
+    Where nothing sticks a map of whitened columns is the worse one, so both are tried and the unseen curves choose.
+    """
     observation, action = rows
     wanted = np.arctanh(np.clip(action, -EDGE, EDGE)) if squash == "tanh" else action
     columns = env.batch.expert_columns
     columns = columns[np.ptp(observation[:, columns], axis=0) > 0.0]
-    scaler = Scaler.fit(observation[:, columns])
-    fitted = train_network(scaler.scale(observation[:, columns]), wanted, bc.hidden - CARRIERS, iterations, seed)
-    _put(layers, _fold(_unscaled(fitted, scaler, columns, observation.shape[1])))
+    found = []
+    for whitener in (Whitener.scaling(observation[:, columns]), Whitener.fit(observation[:, columns])):
+        fitted = train_network(whitener.whiten(observation[:, columns]), wanted, bc.hidden - CARRIERS, iterations, seed)
+        plain = _fold(_of_observations(fitted, whitener, columns, observation.shape[1]))
+        _put(layers, plain)
+        found.append((best.consider(actor_from(layers, squash), number), plain))
+    _put(layers, max(found, key=lambda trial: np.nan_to_num(trial[0], nan=-np.inf))[1])
 
 
 def _in_motion(
@@ -169,12 +174,14 @@ def _put(layers: list[torch.nn.Module], plain: list[tuple[np.ndarray, np.ndarray
         layer.bias.data = torch.tensor(bias, dtype=torch.float32)
 
 
-def _unscaled(weights: dict[str, np.ndarray], scaler: Scaler, columns: np.ndarray, size: int) -> dict[str, np.ndarray]:
-    """Return the network that reads whole observations (size,) as ``weights`` read their scaled ``columns``."""
+def _of_observations(
+    weights: dict[str, np.ndarray], whitener: Whitener, columns: np.ndarray, size: int
+) -> dict[str, np.ndarray]:
+    """Return the network that reads whole observations (size,) as ``weights`` read their whitened ``columns``."""
     w = dict(weights)
     for name, bias in (("skip", f"bias_{len(w) // 2 - 1}"), ("weight_0", "bias_0")):
-        by_column = weights[name] / scaler.spread[:, None]
-        w[bias] = w[bias] - scaler.mean @ by_column
+        by_column = whitener.turn @ weights[name]
+        w[bias] = w[bias] - whitener.mean @ by_column
         w[name] = np.zeros((size, by_column.shape[1]))
         w[name][columns] = by_column
     return w
