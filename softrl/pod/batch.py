@@ -6,13 +6,12 @@ The equations are those of ``pod.kernel`` and ``pod.potential``; polynomials of 
 import math
 import os
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
 from typing import Any
 
 import numba as nb
 import numpy as np
-from threadpoolctl import ThreadpoolController
 
+from softrl.core.threads import one_thread
 from softrl.pod.chords import fill_inertias, fill_viscosities
 from softrl.pod.inside import AXES, Inside, make_inside
 from softrl.pod.insides import begin_insides, end_insides, fill_gives, shared_energies
@@ -22,12 +21,6 @@ from softrl.pod.newtons import converge
 from softrl.pod.potential import FAST, Tables
 
 LANES = 64  # trajectories in step: many for the matrix products, few enough for the cache
-
-
-@cache
-def _libraries() -> ThreadpoolController:
-    """Return what holds the threads of libraries; it takes milliseconds to find them."""
-    return ThreadpoolController()
 
 
 def run_batch(
@@ -46,7 +39,7 @@ def run_batch(
         return run_block(*moving, dt_s, load[block], tables, path[block])
 
     threads = ThreadPoolExecutor(min(len(blocks), len(os.sched_getaffinity(0))) or 1)
-    with _libraries().limit(limits=1, user_api="blas"), threads:  # threads of linear algebra would wait for these, and spin
+    with one_thread(), threads:
         ends = list(threads.map(run, blocks))
     return path, sum(failed for failed, _ in ends), max((farthest for _, farthest in ends), default=0.0)
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softrl.pod.equilibria import Answers, Equilibria, slopes_of
-from softrl.pod.maps import Seen, best_form, equations, symmetric_roots
+from softrl.pod.maps import Seen, best_forms, equations, symmetric_roots
 from softrl.pod.settings import FitSettings
 from softrl.pod.symmetry import reflected, weight_to_trust
 from softrl.robots.robot import Robot
@@ -16,11 +16,11 @@ log = logging.getLogger(__name__)
 RIDGES = (1e-10, 1e-8, 1e-7, 1e-6, 1e-5)  # tried for every map
 
 
-class Kind(NamedTuple):
-    """How a map is fitted: the highest degree tried, and whether it vanishes at rest."""
-
-    degree_max: int
-    through_origin: bool
+ALIKE = (  # maps that are fitted together: those that vanish at rest, the others, and those whose slopes are not known
+    ("centre_of_mass", "rotation"),
+    ("mass_root", "stiffness_root", "give_root", "drag_root", "give", "give_rotation"),
+    ("stiffness_root_by_gravity",),
+)
 
 
 def fit_maps(
@@ -31,7 +31,7 @@ def fit_maps(
     A map is fitted to its values at the equilibria and, where that is known, to how it changes under the largest load of
     each kind.
     """
-    images, kinds = images_of(robot), _kinds(settings)
+    images = images_of(robot)
     everything = reflected(samples, [*symmetries(robot.chamber_direction)[:1], *images])
     largest = np.abs(everything.load).max(axis=0)
     terms = Terms(frame, *(_mean_factor(everything, frame, name) for name in ("mass", "stiffness")))
@@ -40,41 +40,50 @@ def fit_maps(
     seen = Seen(
         np.linalg.solve(frame, everything.coordinate.T).T, np.linalg.solve(frame, everything.compliance) * largest
     )
-    weights = {"mass_root": _entry_weights(everything, terms)}
-    folds = np.tile(fold, 1 + len(images))
-    own = slice(0, len(fold))
+    counts = {"mass_root": _entry_weights(everything, terms)}
+    folds, own = np.tile(fold, 1 + len(images)), slice(0, len(fold))
     maps: dict[str, Any] = {"mass_factor": terms.mass_factor, "stiffness_factor": terms.stiffness_factor}
-    for name, kind in kinds.items():
-        parts = {weight: _part(weight, seen, goals[name], len(fold)) for weight in settings.image_weights_of(robot)}
-        forms = {
-            weight: best_form(here, values * weights.get(name, 1.0), each, folds[: len(each)], own, *kind, RIDGES)
-            for weight, (here, values, each) in parts.items()
+    for names in ALIKE:
+        degrees, at_origin = {name: _degree_max(name, settings) for name in names}, names == ALIKE[0]
+        parts = {
+            weight: _part(weight, seen, {name: goals[name] for name in names}, len(fold))
+            for weight in settings.image_weights_of(robot)
         }
-        trusted = weight_to_trust({weight: np.sqrt(form.error) for weight, form in forms.items()})
-        form = forms[trusted]
-        maps[name] = equations(*parts[trusted], form.degree, kind.through_origin).solve(form.ridge)
-        log.debug("%s of degree %d, ridge %g, images of weight %g", name, form.degree, form.ridge, trusted)
+        forms = {
+            weight: best_forms(
+                here, {name: value * counts.get(name, 1.0) for name, value in values.items()}, each, folds[: len(each)], own,
+                degrees, at_origin, RIDGES,
+            )
+            for weight, (here, values, each) in parts.items()
+        }  # fmt: skip
+        for name in names:
+            trusted = weight_to_trust({weight: np.sqrt(form[name].error) for weight, form in forms.items()})
+            form, (here, values, each) = forms[trusted][name], parts[trusted]
+            maps[name] = equations(here, values[name], each, form.degree, at_origin).solve(form.ridge)
+            log.debug("%s of degree %d, ridge %g, images of weight %g", name, form.degree, form.ridge, trusted)
     return maps
 
 
-def _part(image_weight: float, seen: Seen, goal: np.ndarray, own: int) -> tuple[Seen, np.ndarray, np.ndarray]:
-    """Return where, what and with which weight (S,) a map is seen: ``own`` samples, and unless they weigh nothing images."""
+def _part(
+    image_weight: float, seen: Seen, goals: dict[str, np.ndarray], own: int
+) -> tuple[Seen, dict[str, np.ndarray], np.ndarray]:
+    """Return where, what and with which weight (S,) maps are seen: ``own`` samples, and unless they weigh nothing images."""
+    goal = next(iter(goals.values()))
     rows = slice(0, len(goal) if image_weight else own)
     weight = np.where(np.arange(len(goal)) < own, 1.0, image_weight)[rows]
-    values = goal[rows]
-    return Seen(seen.points[rows], seen.moves[rows, :, : values.shape[1] - 1]), values, weight
+    values = {name: value[rows] for name, value in goals.items()}
+    return Seen(seen.points[rows], seen.moves[rows, :, : goal.shape[1] - 1]), values, weight
 
 
-def _kinds(settings: FitSettings) -> dict[str, Kind]:
-    exact = {
-        "centre_of_mass": Kind(settings.energy_degree_max, True),
-        "rotation": Kind(settings.map_degree_max, True),
-        "give_rotation": Kind(settings.root_degree_max, False),
-        "mass_root": Kind(settings.mass_degree_max, False),
-        "stiffness_root": Kind(settings.viscosity_degree_max, False),
+def _degree_max(name: str, settings: FitSettings) -> int:
+    """Return the highest degree that is tried for a map."""
+    own = {
+        "centre_of_mass": max(settings.energy_degree_max - 1, 2),  # weight is less than elasticity, and costs as much
+        "rotation": settings.map_degree_max,
+        "mass_root": settings.mass_degree_max,
+        "stiffness_root": settings.viscosity_degree_max,
     }
-    roots = ("give_root", "drag_root", "give", "stiffness_root_by_gravity")
-    return dict.fromkeys(roots, Kind(settings.root_degree_max, False)) | exact
+    return own.get(name, settings.root_degree_max)
 
 
 class Terms(NamedTuple):

@@ -1,9 +1,10 @@
 """Polynomial maps of the reduced coordinates: roots of mass and stiffness, centre of mass, rotation of the tip."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from softrl.pod.polynomial import basis, count, multinomials
 
@@ -40,8 +41,8 @@ class Normal(NamedTuple):
     def solve(self, ridge: float) -> np.ndarray:
         """Return the coefficients (columns, monomials); ``ridge`` is relative to the sum of the weights."""
         matrix = self.matrix + ridge * self.total_weight * np.eye(len(self.matrix))
-        found = np.linalg.solve(matrix, self.right) * self.scale[:, None]
-        return np.pad(found.T, ((0, 0), (self.skip, 0)))
+        found = cho_solve(cho_factor(matrix, overwrite_a=True, check_finite=False), self.right, check_finite=False)
+        return np.pad((found * self.scale[:, None]).T, ((0, 0), (self.skip, 0)))
 
 
 def equations(seen: Seen, targets: np.ndarray, weight: np.ndarray, degree: int, through_origin: bool) -> Normal:
@@ -66,29 +67,43 @@ class Form(NamedTuple):
     error: float
 
 
-def best_form(
-    seen: Seen, targets: np.ndarray, weight: np.ndarray, fold: np.ndarray, judged: slice, degree_max: int,
-    through_origin: bool, ridges: Sequence[float],
-) -> Form:
-    """Return the degree up to ``degree_max`` and the ridge whose error over folds that the fit did not see is smallest.
+def best_forms(
+    seen: Seen, targets: Mapping[str, np.ndarray], weight: np.ndarray, fold: np.ndarray, judged: slice,
+    degree_max: Mapping[str, int], through_origin: bool, ridges: Sequence[float],
+) -> dict[str, Form]:
+    """Return for each map the degree up to its largest and the ridge whose error over folds that the fit did not see is least.
 
     ``weight`` (S,) is that of each sample in the fits, ``fold`` (S,) numbers its part; the error is that of the rows
-    ``judged``. A degree with more monomials than equations is not tried.
+    ``judged``. A degree with more monomials than equations is not tried. All maps are fitted at once.
     """
-    tried: list[Form] = []
-    for degree in range(1 if through_origin else 0, degree_max + 1):
-        if tried and count(seen.points.shape[1], degree) > 0.7 * targets.shape[0] * targets.shape[1]:
+    best: dict[str, Form] = {}
+    samples, equal = next(iter(targets.values())).shape[:2]
+    for degree in range(1 if through_origin else 0, max(degree_max.values()) + 1):
+        if best and count(seen.points.shape[1], degree) > 0.7 * samples * equal:
             break
-        left = np.empty((len(ridges), *targets.shape))
-        for part in np.unique(fold):
-            inside = fold != part
-            normal = equations(seen.rows(inside), targets[inside], weight[inside], degree, through_origin)
-            design = seen.rows(~inside).design(degree)
-            for k, ridge in enumerate(ridges):
-                left[k, ~inside] = design @ normal.solve(ridge).T
-        errors = ((left - targets)[:, judged] ** 2).mean(axis=(1, 2, 3))
-        tried += [Form(degree, ridge, float(error)) for ridge, error in zip(ridges, errors, strict=True)]
-    return min(tried, key=lambda form: form.error)
+        names = [name for name in targets if degree <= degree_max[name]]
+        goal = np.concatenate([targets[name] for name in names], axis=2)
+        for ridge, squares in zip(ridges, _squares(seen, goal, weight, fold, degree, through_origin, ridges), strict=True):
+            edges = np.cumsum([targets[name].shape[2] for name in names])[:-1]
+            for name, part in zip(names, np.split(squares[judged], edges, axis=2), strict=True):
+                form = Form(degree, ridge, float(part.mean()))
+                best[name] = min(best.get(name, form), form, key=lambda tried: tried.error)
+    return best
+
+
+def _squares(
+    seen: Seen, goal: np.ndarray, weight: np.ndarray, fold: np.ndarray, degree: int, through_origin: bool,
+    ridges: Sequence[float],
+) -> np.ndarray:
+    """Return the squared errors (ridges, S, 1 + k, columns) of ``goal`` where the fit did not see it."""
+    left = np.empty((len(ridges), *goal.shape))
+    for part in np.unique(fold):
+        inside = fold != part
+        normal = equations(seen.rows(inside), goal[inside], weight[inside], degree, through_origin)
+        design = seen.rows(~inside).design(degree)
+        for k, ridge in enumerate(ridges):
+            left[k, ~inside] = design @ normal.solve(ridge).T
+    return np.asarray((left - goal) ** 2)
 
 
 def symmetric_roots(matrices: np.ndarray) -> np.ndarray:

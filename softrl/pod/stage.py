@@ -8,6 +8,7 @@ import numpy as np
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ArtifactError, ConfigError
+from softrl.core.threads import one_thread
 from softrl.core.tracking import Tracker
 from softrl.pod.basis import PodBasis, pod_basis, projection_errors
 from softrl.pod.convergence import by_equilibria, report_coordinates, report_equilibria
@@ -54,6 +55,11 @@ class Config(FitSettings):
 def run(config: Config, robot: Robot, snapshots: Snapshots, *, tracker: Tracker) -> ReducedModel:
     """Return the reduced model of the body that ``snapshots`` show."""
     _refuse_other(robot, snapshots)
+    with one_thread():
+        return _reduced(config, robot, snapshots, tracker)
+
+
+def _reduced(config: Config, robot: Robot, snapshots: Snapshots, tracker: Tracker) -> ReducedModel:
     rng = np.random.default_rng(config.seed)
     seen, heldout = _split(config, len(snapshots.loads), rng)
     pod = pod_basis(snapshots.displacement[seen], snapshots.nodal_mass, config.pod_energy, config.modes_max)

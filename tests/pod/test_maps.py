@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from softrl.pod.maps import Seen, best_form, equations
+from softrl.pod.maps import Seen, best_forms, equations
 from softrl.pod.polynomial import basis, count
 
 ORDER, DEGREE = 6, 3
@@ -45,7 +45,10 @@ def test_the_form_is_that_of_the_law() -> None:
     seen = Seen(points, np.zeros((len(points), ORDER, 0)))
     ridges, fold = (1e-10, 1e-3), np.arange(len(points)) % 4
     forms = [
-        best_form(seen, exact + noise * rng.standard_normal(exact.shape), np.ones(80), fold, slice(None), 3, False, ridges)
+        best_forms(
+            seen, {"map": exact + noise * rng.standard_normal(exact.shape)}, np.ones(80), fold, slice(None), {"map": 3}, False,
+            ridges,
+        )["map"]
         for noise in (0.0, 1.0)
     ]
     assert forms[0].degree == 2 and forms[0].ridge == 1e-10 and forms[0].error < 1e-12
