@@ -8,10 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from softrl.diagnosis.hypothesis import Choice
-from softrl.diagnosis.hypothesise import Path, forward
+from softrl.diagnosis.hypothesise import forward
 from softrl.diagnosis.intervals import Interval, by_effect, intervals
 from softrl.diagnosis.judge import Gap, Judge, Thresholds
 from softrl.diagnosis.leftover import Offer, explained_by, heldout_residual, offer_of, reasons_of
+from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem, Residual
 from softrl.diagnosis.trial import Search, Trial, columns_of, drop, fit_trials, join, raced
 from softrl.recordings.recording import Recording

@@ -2,15 +2,16 @@
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from softrl.diagnosis.flexible import pressures
-from softrl.diagnosis.hypothesis import GATES, Choice, Hypothesis, effect_axes, gated, may_be_pinned, starts
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes, gated, starts
 from softrl.diagnosis.judge import SHOWN, Judge
+from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.rank import Lead, rank
+from softrl.diagnosis.slim import slim
 from softrl.diagnosis.trial import Search, Trial, columns_of, drop, fit_trials, join, raced
 from softrl.effects.library import effect_class
 
@@ -22,27 +23,6 @@ PLAIN = 2.5  # times what counts: what is left, before effects are asked where a
 SOME = 1.8  # the same where one was found: what it leaves may be that it acts there alone
 BESIDE = 0.5  # of what must show: what saves less of the squared error beside an effect does not stand in its place
 REFORMED = 2  # fits of a round, the best, in which older effects are tried in their other forms
-SILENT = 1e-6  # of the largest column: a parameter with less influence on the residual has none
-
-
-@dataclass
-class Path:
-    """What a search found.
-
-    Attributes
-    ----------
-    best : the hypothesis that pays
-    retuned : the one without effects
-    screened : the leads of every round
-    tried : for each named effect the alternatives fitted in its place, best first, with their points
-    fitted : fits of hypotheses with less than others, by where they began
-    """
-
-    best: Trial
-    retuned: Trial
-    screened: list[list[Lead]] = field(default_factory=list)
-    tried: dict[Choice, list[tuple[Choice, np.ndarray]]] = field(default_factory=dict)
-    fitted: dict[tuple[Hypothesis, bytes], Trial | None] = field(default_factory=dict)
 
 
 def forward(
@@ -139,7 +119,7 @@ def _replace(
     trial = path.best
     if not choices:
         return
-    less = _fitted(fitting, [(trial.hypothesis.without(old), drop(trial, old))], search, path)
+    less = path.fit(fitting, [(trial.hypothesis.without(old), drop(trial, old))], search)
     instead = _addition(fitting, judge, less[0], choices, search, path) if less else None
     if instead is not None and judge.shows(trial.squares, instead.squares):
         path.best = slim(fitting, judge, instead, search, path)
@@ -155,18 +135,6 @@ def _gated(choices: Sequence[Choice], problem: Problem) -> list[Choice]:
 def _not_taken(choices: Sequence[Choice], trial: Trial) -> list[Choice]:
     """Return the ``choices`` whose effect ``trial`` does not have yet."""
     return [choice for choice in choices if choice.name not in trial.hypothesis.names]
-
-
-def _fitted(
-    fitting: Problem, tasks: Sequence[tuple[Hypothesis, np.ndarray]], search: Search, path: Path
-) -> list[Trial]:
-    """Return what ``fit_trials`` returns for one start each; none is fitted twice from the same start."""
-    keys = [(hypothesis, point.tobytes()) for hypothesis, point in tasks]
-    fresh = {key: task for key, task in zip(keys, tasks, strict=True) if key not in path.fitted}
-    found = fit_trials(fitting, None, [(hypothesis, [point]) for hypothesis, point in fresh.values()], search)
-    by_hypothesis = {trial.hypothesis: trial for trial in found}
-    path.fitted |= {key: by_hypothesis.get(key[0]) for key in fresh}
-    return [trial for key in keys if (trial := path.fitted[key]) is not None]
 
 
 def _addition(
@@ -210,7 +178,7 @@ def _swap(fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice
     """
     for name in trial.hypothesis.names[:-1]:
         old = trial.hypothesis.named(name)  # what took another's place may have changed its form
-        less = _fitted(fitting, [(trial.hypothesis.without(old), drop(trial, old))], search, path) if old else []
+        less = path.fit(fitting, [(trial.hypothesis.without(old), drop(trial, old))], search) if old else []
         if old is None or not less:
             continue
         instead = _addition(fitting, judge, less[0], choices, search, path)
@@ -297,50 +265,8 @@ def starting_points(current: Trial, lead: Lead, count: int) -> list[np.ndarray]:
 def _prune(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Path) -> Trial:
     """Return ``trial`` without the effects, other than the last, that no longer pay."""
     for choice in trial.hypothesis.effects[:-1]:
-        fewer = _fitted(fitting, [(trial.hypothesis.without(choice), drop(trial, choice))], search, path)
+        fewer = path.fit(fitting, [(trial.hypothesis.without(choice), drop(trial, choice))], search)
         if fewer and not judge.pays(fewer[0].squares, trial.squares):
             log.info("%s no longer pays and is dropped", choice.label())
             trial = fewer[0]
-    return trial
-
-
-def slim(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Path) -> Trial:
-    """Return ``trial`` without the parameters that do not pay: each is pinned at its neutral value and the rest refitted."""
-    again = True
-    while again:
-        again = False
-        for choice in trial.hypothesis.effects:
-            forms = [_pinned(trial, choice, name) for name in may_be_pinned(choice)]
-            forms = [form for form in forms if effect_axes(form[0].effects[form[2]])]
-            fitted = _fitted(fitting, [(hypothesis, point) for hypothesis, point, _ in forms], search, path)
-            as_good = [t for t in fitted if not judge.tells(t.squares, trial.squares)]
-            if as_good:
-                slimmer = min(as_good, key=lambda t: t.mean_square)
-                place = trial.hypothesis.effects.index(choice)
-                path.tried[slimmer.hypothesis.effects[place]] = path.tried.pop(choice, [])
-                trial, again = _without_silent(fitting, slimmer, search, path), True
-                break
-    return trial
-
-
-def _pinned(trial: Trial, choice: Choice, name: str) -> tuple[Hypothesis, np.ndarray, int]:
-    """Return (hypothesis, point, place of the effect) with one more parameter of ``choice`` held at neutral, or no gate."""
-    place = trial.hypothesis.effects.index(choice)
-    less = choice._replace(gate=None) if name in GATES else choice._replace(pinned=(*choice.pinned, name))
-    effects = tuple(less if effect == choice else effect for effect in trial.hypothesis.effects)
-    column = columns_of(trial, choice)[[axis.name for axis in effect_axes(choice)].index(name)]
-    return Hypothesis(effects, trial.hypothesis.tuned), np.delete(trial.fit.point, column), place
-
-
-def _without_silent(fitting: Problem, trial: Trial, search: Search, path: Path) -> Trial:
-    """Return ``trial`` with the parameters of its effects pinned that have no influence any more."""
-    size = np.linalg.norm(trial.fit.jacobian, axis=0)
-    for choice in trial.hypothesis.effects:
-        columns = columns_of(trial, choice)
-        for column, axis in zip(columns, effect_axes(choice), strict=True):
-            if size[column] <= SILENT * size.max() and len(columns) > 1:
-                hypothesis, point, place = _pinned(trial, choice, axis.name)
-                path.tried[hypothesis.effects[place]] = path.tried.pop(choice, [])
-                fitted = _fitted(fitting, [(hypothesis, point)], search, path)
-                return _without_silent(fitting, fitted[0], search, path) if fitted else trial
     return trial

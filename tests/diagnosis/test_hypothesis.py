@@ -18,8 +18,8 @@ from softrl.diagnosis.hypothesis import (
     neutral,
     starts,
 )
-from softrl.diagnosis.hypothesise import _pinned
 from softrl.diagnosis.search import Fit
+from softrl.diagnosis.slim import pinned
 from softrl.diagnosis.stage import run
 from softrl.diagnosis.trial import Trial
 from softrl.effects.gain import Gain
@@ -45,7 +45,7 @@ def test_a_gate_without_influence_is_dropped() -> None:
     form = Choice("leak", gate=Gate("since_s", 12.0))
     hypothesis, point = Hypothesis((form,), ()), starts(form)[0]
     trial = Trial(hypothesis, Fit(point, np.zeros(4), np.zeros((4, 3)), 0.0, 1), {}, np.zeros(4), np.zeros(4))
-    less, rest, place = _pinned(trial, form, "since_s")
+    less, rest, place = pinned(trial, form, "since_s")
     assert less.effects[place] == Choice("leak")
     np.testing.assert_array_equal(rest, point[:-1])
     assert len(rest) == len(effect_axes(less.effects[place]))
