@@ -15,6 +15,7 @@ from softrl.diagnosis.leftover import Offer, explained_by, heldout_residual, off
 from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem, Residual
 from softrl.diagnosis.trial import Search, Trial, columns_of, drop, fit_trials, join, raced
+from softrl.effects.library import effect_class
 from softrl.recordings.recording import Recording
 
 log = logging.getLogger(__name__)
@@ -57,13 +58,17 @@ class Named(NamedTuple):
 
 
 class Rival(NamedTuple):
-    """An alternative to a named effect: how much worse it is held out, and whether the data can tell; its fit."""
+    """An alternative to a named effect: how much worse it is held out, and whether the data can tell; its fit.
+
+    ``better`` says that it is better for sure, held out and on all runs that its fits did not see, see ``overtakes``.
+    """
 
     instead_of: Choice
     choice: Choice
     gap: Gap
     equivalent: bool
     trial: Trial
+    better: bool
 
 
 @dataclass(frozen=True)
@@ -158,10 +163,19 @@ def _judged(part: Part, judge: Judge, path: Path, base: Trial, final: Trial, sea
 
 
 def _better(finding: Finding) -> Rival | None:
-    """Return the best of the rivals that are better for sure held out, and better on all runs left out of fits together."""
-    whole = float(finding.final.everywhere.mean())
-    found = [r for r in finding.rivals if r.gap.high < 0.0 and float(r.trial.everywhere.mean()) < whole]
-    return min(found, key=lambda rival: rival.gap.value, default=None)
+    """Return the best of the rivals that are better for sure, held out."""
+    return min((r for r in finding.rivals if r.better), key=lambda rival: rival.gap.value, default=None)
+
+
+def overtakes(judge: Judge, both: Judge, rival: Trial, final: Trial) -> bool:
+    """Return whether ``rival`` is better than ``final`` for sure on held-out runs, and on all runs left out of fits.
+
+    The few held-out runs alone are easily in favour of either of two that are nearly alike. A map without physics has to
+    pay as well, as in the search: it bends to anything.
+    """
+    if judge.gap(final.squares, rival.squares).low <= 0.0 or both.gap(final.everywhere, rival.everywhere).low <= 0.0:
+        return False
+    return not effect_class(rival.hypothesis.effects[-1].name).together or judge.pays(final.squares, rival.squares)
 
 
 def _on_heldout(judge: Judge, trial: Trial) -> Trial:
@@ -213,5 +227,6 @@ def _rivals(
         gap = judge.gap(trial.squares, final.squares)
         freer = len(trial.fit.point) > len(final.fit.point) and trial.everywhere.mean() > final.everywhere.mean()
         alike = not both.tells(trial.everywhere, final.everywhere)
-        found.append(Rival(choice, trial.hypothesis.effects[-1], gap, alike and not freer, trial))
+        better = overtakes(judge, both, trial, final)
+        found.append(Rival(choice, trial.hypothesis.effects[-1], gap, alike and not freer, trial, better))
     return sorted(found, key=lambda rival: rival.gap.value)
