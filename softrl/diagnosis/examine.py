@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrl.diagnosis.hypothesis import Choice
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes, neutral
 from softrl.diagnosis.hypothesise import forward
 from softrl.diagnosis.intervals import Interval, by_effect, intervals
 from softrl.diagnosis.judge import Gap, Judge, Thresholds
@@ -178,6 +178,17 @@ def overtakes(judge: Judge, both: Judge, rival: Trial, final: Trial) -> bool:
     return not effect_class(rival.hypothesis.effects[-1].name).together or judge.pays(final.squares, rival.squares)
 
 
+def in_full(final: Trial, choice: Choice) -> tuple[Hypothesis, list[np.ndarray]]:
+    """Return ``final`` with all parameters of ``choice``, one of its effects, free again, and the point where it was."""
+    whole = choice._replace(pinned=())
+    values = dict(zip((axis.name for axis in effect_axes(choice)), final.fit.point[columns_of(final, choice)], strict=True))
+    mine = [values.get(axis.name, zero) for axis, zero in zip(effect_axes(whole), neutral(whole), strict=True)]
+    effects = tuple(whole if effect == choice else effect for effect in final.hypothesis.effects)
+    first = columns_of(final, choice)[0]
+    point = np.insert(drop(final, choice), first, mine)
+    return Hypothesis(effects, final.hypothesis.tuned), [point]
+
+
 def _on_heldout(judge: Judge, trial: Trial) -> Trial:
     """Return the trial with its squared errors on the held-out runs."""
     return trial._replace(squares=heldout_residual(judge, trial).squares)
@@ -222,11 +233,14 @@ def _rivals(
         if other.name not in final.hypothesis.names
     ]
     trials = raced(part.problem, judge.problem, tasks[: search.rivals], search, float(final.inside.mean()))
-    found, both = [], judge.on((*part.problem.runs, *part.heldout))
+    found, both, whole = [], judge.on((*part.problem.runs, *part.heldout)), None
     for trial in trials:
         gap = judge.gap(trial.squares, final.squares)
         freer = len(trial.fit.point) > len(final.fit.point) and trial.everywhere.mean() > final.everywhere.mean()
         alike = not both.tells(trial.everywhere, final.everywhere)
         better = overtakes(judge, both, trial, final)
+        if better and choice.pinned:  # the rival has all its parameters: so must what it is better than
+            whole = whole or fit_trials(part.problem, judge.problem, [in_full(final, choice)], search)
+            better = all(overtakes(judge, both, trial, one) for one in whole)
         found.append(Rival(choice, trial.hypothesis.effects[-1], gap, alike and not freer, trial, better))
     return sorted(found, key=lambda rival: rival.gap.value)

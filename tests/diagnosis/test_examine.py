@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softrl.diagnosis.examine import Rival, _better, overtakes
-from softrl.diagnosis.hypothesis import Choice, Hypothesis
+from softrl.diagnosis.examine import Rival, _better, in_full, overtakes
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, starts
 from softrl.diagnosis.judge import Gap, Judge
 from softrl.diagnosis.problem import Problem
 from softrl.pcc.simulator import PccSimulator
@@ -63,6 +63,16 @@ def test_a_rival_is_better_where_all_runs_agree(
 ) -> None:
     final = trial(judges, "mount_tilt", 5.0, 5.0)
     assert overtakes(*judges, trial(judges, name, inside, heldout), final) == taken
+
+
+def test_in_full_an_effect_does_what_it_did_before() -> None:
+    tilt, lag = Choice("mount_tilt", pinned=("about_x_rad",)), Choice("lag")
+    hypothesis = Hypothesis((lag, tilt), ("mass_scale",))
+    point = np.r_[starts(lag)[0], 0.4, 0.1]
+    final: Any = SimpleNamespace(hypothesis=hypothesis, fit=SimpleNamespace(point=point))
+    whole, [start] = in_full(final, tilt)
+    assert whole == Hypothesis((lag, Choice("mount_tilt")), ("mass_scale",))
+    np.testing.assert_array_equal(start, np.r_[starts(lag)[0], 0.0, 0.4, 0.1])
 
 
 def test_what_is_better_by_chance_takes_no_place(judges: tuple[Judge, Judge]) -> None:
