@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from softrl.diagnosis.flexible import pressures
-from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes, gated, starts
+from softrl.diagnosis.hypothesis import Choice, Gate, Hypothesis, effect_axes, gated, may_be_gated, starts
 from softrl.diagnosis.judge import SHOWN, Judge
 from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem
@@ -100,7 +100,8 @@ def _narrow(
     if len(before.hypothesis.effects) < search.max_effects and judge.excess(path.best.mean_square) >= plain:
         added = _addition(fitting, judge, path.best, forms, search, path, beside if path.best is before else None)
         if added is not None and _pays(judge, path.best, added):
-            path.best = _prune(fitting, judge, slim(fitting, judge, added, search, path), search, path)
+            added = slim(fitting, judge, added, search, path)
+            path.best = _prune(fitting, judge, _swap(fitting, judge, added, choices, search, path), search, path)
     if path.best is not before:
         report(f"{path.best.hypothesis.label()}: {judge.rms(path.best.squares):.4g} on runs left out")
     return path.best is not before
@@ -181,7 +182,7 @@ def _swap(fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice
         less = path.fit(fitting, [(trial.hypothesis.without(old), drop(trial, old))], search) if old else []
         if old is None or not less:
             continue
-        instead = _addition(fitting, judge, less[0], choices, search, path)
+        instead = _addition(fitting, judge, less[0], [*choices, *_where(trial, old, choices)], search, path)
         if instead is None:
             continue
         new = instead.hypothesis.effects[-1]
@@ -194,6 +195,19 @@ def _swap(fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice
             mine = instead.fit.point[end - len(effect_axes(new)) : end]
             path.tried[old] = [(new, mine), *others]
     return trial
+
+
+def _where(trial: Trial, old: Choice, choices: Sequence[Choice]) -> list[Choice]:
+    """Return the ``choices`` that may act where ``old``, an effect of ``trial``, acts: above its pressure or from its time on.
+
+    What acts everywhere is no rival of what acts there alone, however like it its law may be.
+    """
+    if old.gate is None:
+        return []
+    begin = effect_axes(old)[-1].physical(float(trial.fit.point[columns_of(trial, old)[-1]]))
+    gate = Gate(old.gate.field, begin)
+    others = [c for c in choices if c.name != old.name and c.chamber == old.chamber and not c.session]
+    return [old, *(c._replace(gate=gate) for c in others if gate.field in may_be_gated(c))]
 
 
 def _otherwise(fitting: Problem, trials: Sequence[Trial], search: Search, path: Path) -> list[Trial]:
