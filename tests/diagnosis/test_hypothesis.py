@@ -18,7 +18,7 @@ from softrl.diagnosis.hypothesis import (
     neutral,
     starts,
 )
-from softrl.diagnosis.hypothesise import _where
+from softrl.diagnosis.moves import where_it_acts
 from softrl.diagnosis.search import Fit
 from softrl.diagnosis.slim import pinned
 from softrl.diagnosis.stage import run
@@ -59,11 +59,11 @@ def test_in_the_place_of_what_acts_somewhere_alone_others_are_asked_there() -> N
     point[len(effect_axes(old)) - 1] = axis.scaled(0.45)
     trial = Trial(hypothesis, Fit(point, np.zeros(4), np.zeros((4, len(point))), 0.0, 1), {}, np.zeros(4), np.zeros(4))
     choices = [Choice(name) for name in ("friction", "play", "command_map", "frame", "leak")] + [Choice("play", 1)]
-    found = _where(trial, old, choices)
+    found = where_it_acts(trial, old, choices)
     assert [choice.name for choice in found] == ["friction", "play", "leak"], "no map, no sensor, no chamber alone"
     assert found[0] == old
     assert all(choice.gate == Gate("above_share", pytest.approx(0.45)) and choice.chamber < 0 for choice in found[1:])
-    assert not _where(trial, Choice("lag"), choices)
+    assert not where_it_acts(trial, Choice("lag"), choices)
 
 
 def test_an_effect_that_makes_no_sense_for_a_robot_is_no_candidate(tripod: Robot) -> None:
