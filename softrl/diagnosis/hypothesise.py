@@ -5,14 +5,15 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from softrl.diagnosis.flexible import pressures
-from softrl.diagnosis.hypothesis import Choice, Hypothesis, gated
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, gated, neutral
 from softrl.diagnosis.judge import SHOWN, Judge
 from softrl.diagnosis.moves import addition, not_taken, pays, prune, swap
 from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.rank import rank
 from softrl.diagnosis.slim import slim
-from softrl.diagnosis.trial import Search, Trial, drop, fit_trials
+from softrl.diagnosis.trial import Search, Trial, drop, fit_trials, join
+from softrl.effects.library import effect_class
 
 PLAIN = 2.5  # times what counts: what is left, before effects are asked where alone they act, if none was found before
 SOME = 1.8  # the same where one was found: what it leaves may be that it acts there alone
@@ -40,7 +41,7 @@ def forward(
     retuned = fit_trials(fitting, None, [(Hypothesis((), tuple(tuned)), [])], search)[0]
     path = Path(retuned, retuned)
     _grow(fitting, judge, choices, search, path, report)
-    if _narrow(fitting, judge, choices, search, path, report):
+    if _narrow(fitting, judge, choices, search, path, report) or _behind_a_map(fitting, judge, choices, search, path, report):
         _grow(fitting, judge, choices, search, path, report)
     return path
 
@@ -93,6 +94,27 @@ def _narrow(
     if path.best is not before:
         report(f"{path.best.hypothesis.label()}: {judge.rms(path.best.squares):.4g} on runs left out")
     return path.best is not before
+
+
+def _behind_a_map(
+    fitting: Problem, judge: Judge, choices: Sequence[Choice], search: Search, path: Path, report: Callable[[str], None]
+) -> bool:
+    """Return whether an effect that acts somewhere alone pays together with a map without which neither explains anything.
+
+    A map that was fitted to runs in which something begins midway is right for neither half of them.
+    """
+    bare, maps = path.best, [choice for choice in choices if effect_class(choice.name).together]
+    if bare.hypothesis.effects or not maps or judge.excess(bare.mean_square) < PLAIN * judge.material:
+        return False
+    behind = path.fit(fitting, [(bare.hypothesis.with_effect(maps[0]), join(bare, neutral(maps[0])))], search)
+    forms = _gated([choice for choice in choices if not choice.session], fitting)
+    added = addition(fitting, judge, behind[0], forms, search, path) if behind else None
+    if added is None or not all(judge.pays(less.squares, added.squares) for less in (bare, behind[0])):
+        return False
+    added = swap(fitting, judge, slim(fitting, judge, added, search, path), choices, search, path)
+    path.best = prune(fitting, judge, added, search, path)
+    report(f"{path.best.hypothesis.label()}: {judge.rms(path.best.squares):.4g} on runs left out, neither without the other")
+    return True
 
 
 def _least_share(judge: Judge, trial: Trial) -> float:
