@@ -54,7 +54,7 @@ def test_the_best_of_those_that_are_better_takes_the_place() -> None:
         ("frame", 4.0, 5.1, False),  # held out it is worse
         ("frame", 6.1, 4.0, False),  # as much worse where the fits were left out in turn
         ("frame", 4.9, 4.9, True),  # by little, but for sure
-        ("command_map", 4.9, 4.9, False),  # a map bends to anything: it has to pay
+        ("command_map", 4.9, 4.9, False),  # a map bends to anything: what it removes has to count
         ("command_map", 0.5, 0.5, True),
     ],
 )
