@@ -132,17 +132,14 @@ def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Fi
             "predicts the held-out runs better, whose error is then the best of several."
         )
         log.info("%s", told)
-        mine = finding.final.fit.point[columns_of(finding.final, better.instead_of)]
-        others = [pair for pair in path.tried[better.instead_of] if pair[0] != better.choice]
-        path.tried[better.choice] = [(better.instead_of, mine), *others]
-        found = _judged(part, judge, path, base, better.trial, search)
+        found = _judged(part, judge, path, base, _put_in(path, finding.final, better), search)
         finding = replace(found, switched=(*finding.switched, told))
     return finding
 
 
 def _judged(part: Part, judge: Judge, path: Path, base: Trial, final: Trial, search: Search) -> Finding:
     """Return what the held-out runs say of ``final``, the hypothesis that a search has found, beside ``base`` without effects."""
-    final, named, without = _confirm(part, judge, base, final, search)
+    final, named, without = _confirm(part, judge, path, base, final, search)
     offer = offer_of(part.problem, judge, final)
     explained = explained_by(judge, base, final, offer)
     reasons = reasons_of(judge, final, offer, explained)
@@ -160,6 +157,20 @@ def _judged(part: Part, judge: Judge, path: Path, base: Trial, final: Trial, sea
         part, path, base, final, named, rivals, explained.share, explained.left, bool(reasons), closest, reasons, offer,
         before, after, judge,
     )  # fmt: skip
+
+
+def _put_in(path: Path, final: Trial, better: Rival) -> Trial:
+    """Return ``final`` with a rival in the place of one of its effects, which is the rival's rival from now on."""
+    mine = final.fit.point[columns_of(final, better.instead_of)]
+    others = [pair for pair in path.tried[better.instead_of] if pair[0] != better.choice]
+    path.tried[better.choice] = [(better.instead_of, mine), *others]
+    return better.trial
+
+
+def stand_in(judge: Judge, without: Trial, rivals: Sequence[Rival]) -> Rival | None:
+    """Return the best of ``rivals`` that pay held out beside what ``without`` has, if any does."""
+    paying = [rival for rival in rivals if judge.pays(without.squares, rival.trial.squares)]
+    return min(paying, key=lambda rival: rival.gap.value, default=None)
 
 
 def _better(finding: Finding) -> Rival | None:
@@ -196,9 +207,14 @@ def _on_heldout(judge: Judge, trial: Trial) -> Trial:
 
 
 def _confirm(
-    part: Part, judge: Judge, base: Trial, final: Trial, search: Search
+    part: Part, judge: Judge, path: Path, base: Trial, final: Trial, search: Search
 ) -> tuple[Trial, list[Named], dict[Choice, Trial]]:
-    """Return the final trial less effects that do not pay held out, those that do, and the trial without each."""
+    """Return the final trial less effects that do not pay held out, those that do, and the trial without each.
+
+    Where one of several does not, what was tried in its place is asked before it goes: what the others leave may need one of
+    them, and the training runs took the simplest.
+    """
+    gone: list[Choice] = []
     while final.hypothesis.effects:
         without = _leave_one_out(part, judge, base, final, search)
         gaps = {choice: judge.gap(trial.squares, final.squares) for choice, trial in without.items()}
@@ -211,7 +227,10 @@ def _confirm(
             mine = by_effect(final.hypothesis, found)
             return final, [Named(choice, mine[choice], gaps[choice]) for choice in without], without
         log.info("%s does not pay on held-out runs and is not named", weakest.label())
-        final = without[weakest]
+        gone.append(weakest)
+        rivals = _rivals(part, judge, path, final, without[weakest], weakest, search) if len(gaps) > 1 else []
+        instead = stand_in(judge, without[weakest], [rival for rival in rivals if rival.choice not in gone])
+        final = _put_in(path, final, instead) if instead else without[weakest]
     return base, [], {}
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softrl.diagnosis.examine import Rival, _better, in_full, overtakes
+from softrl.diagnosis.examine import Rival, _better, in_full, overtakes, stand_in
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, starts
 from softrl.diagnosis.judge import Gap, Judge
 from softrl.diagnosis.problem import Problem
@@ -63,6 +63,19 @@ def test_a_rival_is_better_where_all_runs_agree(
 ) -> None:
     final = trial(judges, "mount_tilt", 5.0, 5.0)
     assert overtakes(*judges, trial(judges, name, inside, heldout), final) == taken
+
+
+def test_what_pays_stands_in_for_what_does_not(judges: tuple[Judge, Judge]) -> None:
+    judge = judges[0]
+    without = trial(judges, "lag", 9.0, 9.0)
+
+    def rival(name: str, heldout: float) -> Rival:
+        gap = Gap(heldout, heldout, heldout)
+        return Rival(Choice("mullins"), Choice(name), gap, True, trial(judges, name, heldout, heldout), False)
+
+    found = stand_in(judge, without, [rival("leak", 8.0), rival("play", 0.5), rival("drift", 0.4)])
+    assert found is not None and found.choice.name == "drift"
+    assert stand_in(judge, without, [rival("leak", 8.0)]) is None
 
 
 def test_in_full_an_effect_does_what_it_did_before() -> None:
