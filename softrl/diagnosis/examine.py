@@ -7,13 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrl.diagnosis.hypothesis import Choice
-from softrl.diagnosis.hypothesise import Path, forward
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes, neutral
+from softrl.diagnosis.hypothesise import forward
 from softrl.diagnosis.intervals import Interval, by_effect, intervals
 from softrl.diagnosis.judge import Gap, Judge, Thresholds
 from softrl.diagnosis.leftover import Offer, explained_by, heldout_residual, offer_of, reasons_of
+from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem, Residual
 from softrl.diagnosis.trial import Search, Trial, columns_of, drop, fit_trials, join, raced
+from softrl.effects.library import effect_class
 from softrl.recordings.recording import Recording
 
 log = logging.getLogger(__name__)
@@ -56,13 +58,17 @@ class Named(NamedTuple):
 
 
 class Rival(NamedTuple):
-    """An alternative to a named effect: how much worse it is held out, and whether the data can tell; its fit."""
+    """An alternative to a named effect: how much worse it is held out, and whether the data can tell; its fit.
+
+    ``better`` says that it is better for sure, held out and on all runs that its fits did not see, see ``overtakes``.
+    """
 
     instead_of: Choice
     choice: Choice
     gap: Gap
     equivalent: bool
     trial: Trial
+    better: bool
 
 
 @dataclass(frozen=True)
@@ -126,17 +132,14 @@ def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Fi
             "predicts the held-out runs better, whose error is then the best of several."
         )
         log.info("%s", told)
-        mine = finding.final.fit.point[columns_of(finding.final, better.instead_of)]
-        others = [pair for pair in path.tried[better.instead_of] if pair[0] != better.choice]
-        path.tried[better.choice] = [(better.instead_of, mine), *others]
-        found = _judged(part, judge, path, base, better.trial, search)
+        found = _judged(part, judge, path, base, _put_in(path, finding.final, better), search)
         finding = replace(found, switched=(*finding.switched, told))
     return finding
 
 
 def _judged(part: Part, judge: Judge, path: Path, base: Trial, final: Trial, search: Search) -> Finding:
     """Return what the held-out runs say of ``final``, the hypothesis that a search has found, beside ``base`` without effects."""
-    final, named, without = _confirm(part, judge, base, final, search)
+    final, named, without = _confirm(part, judge, path, base, final, search)
     offer = offer_of(part.problem, judge, final)
     explained = explained_by(judge, base, final, offer)
     reasons = reasons_of(judge, final, offer, explained)
@@ -156,11 +159,46 @@ def _judged(part: Part, judge: Judge, path: Path, base: Trial, final: Trial, sea
     )  # fmt: skip
 
 
+def _put_in(path: Path, final: Trial, better: Rival) -> Trial:
+    """Return ``final`` with a rival in the place of one of its effects, which is the rival's rival from now on."""
+    mine = final.fit.point[columns_of(final, better.instead_of)]
+    others = [pair for pair in path.tried[better.instead_of] if pair[0] != better.choice]
+    path.tried[better.choice] = [(better.instead_of, mine), *others]
+    return better.trial
+
+
+def stand_in(judge: Judge, without: Trial, rivals: Sequence[Rival]) -> Rival | None:
+    """Return the best of ``rivals`` that pay held out beside what ``without`` has, if any does."""
+    paying = [rival for rival in rivals if judge.pays(without.squares, rival.trial.squares)]
+    return min(paying, key=lambda rival: rival.gap.value, default=None)
+
+
 def _better(finding: Finding) -> Rival | None:
-    """Return the best of the rivals that are better for sure held out, and better on all runs left out of fits together."""
-    whole = float(finding.final.everywhere.mean())
-    found = [r for r in finding.rivals if r.gap.high < 0.0 and float(r.trial.everywhere.mean()) < whole]
-    return min(found, key=lambda rival: rival.gap.value, default=None)
+    """Return the best of the rivals that are better for sure, held out."""
+    return min((r for r in finding.rivals if r.better), key=lambda rival: rival.gap.value, default=None)
+
+
+def overtakes(judge: Judge, both: Judge, rival: Trial, final: Trial) -> bool:
+    """Return whether ``rival`` is better than ``final`` for sure on held-out runs, and on all runs left out of fits.
+
+    The few held-out runs alone are easily in favour of either of two that are nearly alike. A map without physics bends to
+    anything: what it removes beyond the other has to be as large as what counts.
+    """
+    if judge.gap(final.squares, rival.squares).low <= 0.0 or both.gap(final.everywhere, rival.everywhere).low <= 0.0:
+        return False
+    by_map = effect_class(rival.hypothesis.effects[-1].name).together
+    return not by_map or judge.stands_out(final.squares, rival.squares)
+
+
+def in_full(final: Trial, choice: Choice) -> tuple[Hypothesis, list[np.ndarray]]:
+    """Return ``final`` with all parameters of ``choice``, one of its effects, free again, and the point where it was."""
+    whole = choice._replace(pinned=())
+    values = dict(zip((axis.name for axis in effect_axes(choice)), final.fit.point[columns_of(final, choice)], strict=True))
+    mine = [values.get(axis.name, zero) for axis, zero in zip(effect_axes(whole), neutral(whole), strict=True)]
+    effects = tuple(whole if effect == choice else effect for effect in final.hypothesis.effects)
+    first = columns_of(final, choice)[0]
+    point = np.insert(drop(final, choice), first, mine)
+    return Hypothesis(effects, final.hypothesis.tuned), [point]
 
 
 def _on_heldout(judge: Judge, trial: Trial) -> Trial:
@@ -169,9 +207,14 @@ def _on_heldout(judge: Judge, trial: Trial) -> Trial:
 
 
 def _confirm(
-    part: Part, judge: Judge, base: Trial, final: Trial, search: Search
+    part: Part, judge: Judge, path: Path, base: Trial, final: Trial, search: Search
 ) -> tuple[Trial, list[Named], dict[Choice, Trial]]:
-    """Return the final trial less effects that do not pay held out, those that do, and the trial without each."""
+    """Return the final trial less effects that do not pay held out, those that do, and the trial without each.
+
+    Where one of several does not, what was tried in its place is asked before it goes: what the others leave may need one of
+    them, and the training runs took the simplest.
+    """
+    gone: list[Choice] = []
     while final.hypothesis.effects:
         without = _leave_one_out(part, judge, base, final, search)
         gaps = {choice: judge.gap(trial.squares, final.squares) for choice, trial in without.items()}
@@ -184,7 +227,10 @@ def _confirm(
             mine = by_effect(final.hypothesis, found)
             return final, [Named(choice, mine[choice], gaps[choice]) for choice in without], without
         log.info("%s does not pay on held-out runs and is not named", weakest.label())
-        final = without[weakest]
+        gone.append(weakest)
+        rivals = _rivals(part, judge, path, final, without[weakest], weakest, search) if len(gaps) > 1 else []
+        instead = stand_in(judge, without[weakest], [rival for rival in rivals if rival.choice not in gone])
+        final = _put_in(path, final, instead) if instead else without[weakest]
     return base, [], {}
 
 
@@ -207,10 +253,14 @@ def _rivals(
         if other.name not in final.hypothesis.names
     ]
     trials = raced(part.problem, judge.problem, tasks[: search.rivals], search, float(final.inside.mean()))
-    found, both = [], judge.on((*part.problem.runs, *part.heldout))
+    found, both, whole = [], judge.on((*part.problem.runs, *part.heldout)), None
     for trial in trials:
         gap = judge.gap(trial.squares, final.squares)
         freer = len(trial.fit.point) > len(final.fit.point) and trial.everywhere.mean() > final.everywhere.mean()
         alike = not both.tells(trial.everywhere, final.everywhere)
-        found.append(Rival(choice, trial.hypothesis.effects[-1], gap, alike and not freer, trial))
+        better = overtakes(judge, both, trial, final)
+        if better and choice.pinned:  # the rival has all its parameters: so must what it is better than
+            whole = whole or fit_trials(part.problem, judge.problem, [in_full(final, choice)], search)
+            better = all(overtakes(judge, both, trial, one) for one in whole)
+        found.append(Rival(choice, trial.hypothesis.effects[-1], gap, alike and not freer, trial, better))
     return sorted(found, key=lambda rival: rival.gap.value)

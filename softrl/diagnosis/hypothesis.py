@@ -264,6 +264,15 @@ def neutral(choice: Choice) -> np.ndarray:
     return point
 
 
+def may_be_gated(choice: Choice) -> list[str]:
+    """Return the fields of the gates that ``choice`` may have: a time, and where pressure acts a pressure."""
+    effect = effect_class(choice.name)
+    if effect.together:
+        return []
+    times = [] if effect.clock is not None else ["since_s"]
+    return times + ["above_share"] * (effect.site in ("valve", "chamber", "body"))
+
+
 def gated(choice: Choice, duration_s: float, highest_share: float) -> list[Choice]:
     """Return the forms of ``choice`` that act above a pressure or from a time on only, begun at several places.
 
@@ -272,11 +281,7 @@ def gated(choice: Choice, duration_s: float, highest_share: float) -> list[Choic
     duration_s : of the runs
     highest_share : pressure that they reach, as a share of the robot's largest
     """
-    effect = effect_class(choice.name)
-    if effect.together:
-        return []
     begins = BEGINS if choice.chamber < 0 else BEGIN_ALONE
-    gates = [] if effect.clock is not None else [Gate("since_s", share * duration_s) for share in begins]
-    if effect.site in ("valve", "chamber", "body"):
-        gates += [Gate("above_share", share * highest_share) for share in begins]
+    whole = {"since_s": duration_s, "above_share": highest_share}
+    gates = [Gate(field, share * whole[field]) for field in may_be_gated(choice) for share in begins]
     return [choice._replace(gate=gate) for gate in gates]

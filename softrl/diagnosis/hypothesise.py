@@ -1,48 +1,23 @@
 """Add, swap and drop effects while that pays on runs left out of the fit."""
 
-import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from softrl.diagnosis.flexible import pressures
-from softrl.diagnosis.hypothesis import GATES, Choice, Hypothesis, effect_axes, gated, may_be_pinned, starts
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, gated, neutral
 from softrl.diagnosis.judge import SHOWN, Judge
+from softrl.diagnosis.moves import addition, not_taken, pays, prune, swap
+from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem
-from softrl.diagnosis.rank import Lead, rank
-from softrl.diagnosis.trial import Search, Trial, columns_of, drop, fit_trials, join, raced
+from softrl.diagnosis.rank import rank
+from softrl.diagnosis.slim import slim
+from softrl.diagnosis.trial import Search, Trial, drop, fit_trials, join
 from softrl.effects.library import effect_class
 
-log = logging.getLogger(__name__)
-SAME_NAME = 2  # forms of one effect (all chambers, one chamber) that are fitted in full
-LEAD_SHARE = 0.3  # of the best rough fit's gain, which another needs to be fitted in full
-LEAD_GAIN = 0.03  # share of the squared error: a rough fit that saves less will not save what counts when fitted in full
 PLAIN = 2.5  # times what counts: what is left, before effects are asked where alone they act, if none was found before
 SOME = 1.8  # the same where one was found: what it leaves may be that it acts there alone
 BESIDE = 0.5  # of what must show: what saves less of the squared error beside an effect does not stand in its place
-REFORMED = 2  # fits of a round, the best, in which older effects are tried in their other forms
-SILENT = 1e-6  # of the largest column: a parameter with less influence on the residual has none
-
-
-@dataclass
-class Path:
-    """What a search found.
-
-    Attributes
-    ----------
-    best : the hypothesis that pays
-    retuned : the one without effects
-    screened : the leads of every round
-    tried : for each named effect the alternatives fitted in its place, best first, with their points
-    fitted : fits of hypotheses with less than others, by where they began
-    """
-
-    best: Trial
-    retuned: Trial
-    screened: list[list[Lead]] = field(default_factory=list)
-    tried: dict[Choice, list[tuple[Choice, np.ndarray]]] = field(default_factory=dict)
-    fitted: dict[tuple[Hypothesis, bytes], Trial | None] = field(default_factory=dict)
 
 
 def forward(
@@ -66,7 +41,7 @@ def forward(
     retuned = fit_trials(fitting, None, [(Hypothesis((), tuple(tuned)), [])], search)[0]
     path = Path(retuned, retuned)
     _grow(fitting, judge, choices, search, path, report)
-    if _narrow(fitting, judge, choices, search, path, report):
+    if _narrow(fitting, judge, choices, search, path, report) or _behind_a_map(fitting, judge, choices, search, path, report):
         _grow(fitting, judge, choices, search, path, report)
     return path
 
@@ -80,25 +55,19 @@ def _grow(
         if judge.excess(current.mean_square) < judge.material:
             report(f"{current.hypothesis.label()}: what is left is less than counts")
             break
-        added = _addition(fitting, judge, current, choices, search, path)
+        added = addition(fitting, judge, current, choices, search, path)
         if added is None:
             break
         report(
             f"{current.hypothesis.label()}: rms {judge.rms(current.squares):.4g}, best addition "
             f"{added.hypothesis.effects[-1].label()}: {judge.rms(added.squares):.4g} on runs left out"
         )
-        if not _pays(judge, current, added):
+        if not pays(judge, current, added):
             break
         added = slim(fitting, judge, added, search, path)
-        path.best = _swap(fitting, judge, added, choices, search, path)
-        path.best = _prune(fitting, judge, path.best, search, path)
+        path.best = swap(fitting, judge, added, choices, search, path)
+        path.best = prune(fitting, judge, path.best, search, path)
         path.best = slim(fitting, judge, path.best, search, path)
-
-
-def _pays(judge: Judge, current: Trial, added: Trial) -> bool:
-    """Return whether the effect that ``added`` has beyond ``current`` pays; the first only has to show."""
-    decide = judge.pays if current.hypothesis.effects else judge.shows
-    return decide(current.squares, added.squares)
 
 
 def _narrow(
@@ -110,7 +79,7 @@ def _narrow(
     if judge.excess(before.mean_square) < plain:
         return False
     forms = _gated([choice for choice in choices if not choice.session], fitting)
-    beside = rank(fitting, before, _not_taken(forms, before), search)
+    beside = rank(fitting, before, not_taken(forms, before), search)
     promising = {lead.choice for lead in beside if lead.gain >= BESIDE * _least_share(judge, before)}
     for name in before.hypothesis.names:
         old = path.best.hypothesis.named(name)  # what was put in another's place may have changed its form
@@ -118,12 +87,34 @@ def _narrow(
             in_place = [form for form in forms if form.name == old.name or form in promising]
             _replace(fitting, judge, old, in_place, search, path)
     if len(before.hypothesis.effects) < search.max_effects and judge.excess(path.best.mean_square) >= plain:
-        added = _addition(fitting, judge, path.best, forms, search, path, beside if path.best is before else None)
-        if added is not None and _pays(judge, path.best, added):
-            path.best = _prune(fitting, judge, slim(fitting, judge, added, search, path), search, path)
+        added = addition(fitting, judge, path.best, forms, search, path, beside if path.best is before else None)
+        if added is not None and pays(judge, path.best, added):
+            added = slim(fitting, judge, added, search, path)
+            path.best = prune(fitting, judge, swap(fitting, judge, added, choices, search, path), search, path)
     if path.best is not before:
         report(f"{path.best.hypothesis.label()}: {judge.rms(path.best.squares):.4g} on runs left out")
     return path.best is not before
+
+
+def _behind_a_map(
+    fitting: Problem, judge: Judge, choices: Sequence[Choice], search: Search, path: Path, report: Callable[[str], None]
+) -> bool:
+    """Return whether an effect that acts somewhere alone pays together with a map without which neither explains anything.
+
+    A map that was fitted to runs in which something begins midway is right for neither half of them.
+    """
+    bare, maps = path.best, [choice for choice in choices if effect_class(choice.name).together]
+    if bare.hypothesis.effects or not maps or judge.excess(bare.mean_square) < PLAIN * judge.material:
+        return False
+    behind = path.fit(fitting, [(bare.hypothesis.with_effect(maps[0]), join(bare, neutral(maps[0])))], search)
+    forms = _gated([choice for choice in choices if not choice.session], fitting)
+    added = addition(fitting, judge, behind[0], forms, search, path) if behind else None
+    if added is None or not all(judge.pays(less.squares, added.squares) for less in (bare, behind[0])):
+        return False
+    added = swap(fitting, judge, slim(fitting, judge, added, search, path), choices, search, path)
+    path.best = prune(fitting, judge, added, search, path)
+    report(f"{path.best.hypothesis.label()}: {judge.rms(path.best.squares):.4g} on runs left out, neither without the other")
+    return True
 
 
 def _least_share(judge: Judge, trial: Trial) -> float:
@@ -139,8 +130,8 @@ def _replace(
     trial = path.best
     if not choices:
         return
-    less = _fitted(fitting, [(trial.hypothesis.without(old), drop(trial, old))], search, path)
-    instead = _addition(fitting, judge, less[0], choices, search, path) if less else None
+    less = path.fit(fitting, [(trial.hypothesis.without(old), drop(trial, old))], search)
+    instead = addition(fitting, judge, less[0], choices, search, path) if less else None
     if instead is not None and judge.shows(trial.squares, instead.squares):
         path.best = slim(fitting, judge, instead, search, path)
 
@@ -150,197 +141,3 @@ def _gated(choices: Sequence[Choice], problem: Problem) -> list[Choice]:
     duration = float(np.median([run.time[-1] - run.time[0] for run in problem.runs]))
     highest = max(float(pressures(problem, k).max()) for k in range(len(problem.runs)))
     return [form for choice in dict.fromkeys(choices) for form in gated(choice, duration, highest)]
-
-
-def _not_taken(choices: Sequence[Choice], trial: Trial) -> list[Choice]:
-    """Return the ``choices`` whose effect ``trial`` does not have yet."""
-    return [choice for choice in choices if choice.name not in trial.hypothesis.names]
-
-
-def _fitted(
-    fitting: Problem, tasks: Sequence[tuple[Hypothesis, np.ndarray]], search: Search, path: Path
-) -> list[Trial]:
-    """Return what ``fit_trials`` returns for one start each; none is fitted twice from the same start."""
-    keys = [(hypothesis, point.tobytes()) for hypothesis, point in tasks]
-    fresh = {key: task for key, task in zip(keys, tasks, strict=True) if key not in path.fitted}
-    found = fit_trials(fitting, None, [(hypothesis, [point]) for hypothesis, point in fresh.values()], search)
-    by_hypothesis = {trial.hypothesis: trial for trial in found}
-    path.fitted |= {key: by_hypothesis.get(key[0]) for key in fresh}
-    return [trial for key in keys if (trial := path.fitted[key]) is not None]
-
-
-def _addition(
-    fitting: Problem,
-    judge: Judge,
-    current: Trial,
-    choices: Sequence[Choice],
-    search: Search,
-    path: Path,
-    leads: list[Lead] | None = None,
-) -> Trial | None:
-    """Return ``current`` with the best further effect, if one runs; what was tried is noted in ``path``.
-
-    ``leads`` are what ``rank`` says of the choices, where it was asked before.
-    """
-    taken = current.hypothesis.names
-    leads = rank(fitting, current, _not_taken(choices, current), search) if leads is None else leads
-    if not taken or len(path.screened) < len(taken) + 1:
-        path.screened.append(leads)
-    trials = fit_leads(fitting, current, leads, search)
-    if not trials:
-        return None
-    every = trials + _otherwise(fitting, trials, search, path)
-    paying = [trial for trial in every if _pays(judge, current, trial)]  # the simplest of all may be too simple to pay
-    best = judge.simplest(paying or every)
-    for old, new in zip(current.hypothesis.effects, best.hypothesis.effects[:-1], strict=True):
-        if old != new:
-            path.tried[new] = path.tried.get(old, [])
-    path.tried[best.hypothesis.effects[-1]] = _others(trials, best) + [
-        (lead.choice, lead.point[: len(effect_axes(lead.choice))])
-        for lead in leads
-        if lead.choice not in {t.hypothesis.effects[-1] for t in trials}
-    ]
-    return best
-
-
-def _swap(fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice], search: Search, path: Path) -> Trial:
-    """Return ``trial`` after each of its older effects was put to the test against all others in its place.
-
-    A map without physics has to pay against them, see ``Judge.simplest``; any other effect stays unless one is better.
-    """
-    for name in trial.hypothesis.names[:-1]:
-        old = trial.hypothesis.named(name)  # what took another's place may have changed its form
-        less = _fitted(fitting, [(trial.hypothesis.without(old), drop(trial, old))], search, path) if old else []
-        if old is None or not less:
-            continue
-        instead = _addition(fitting, judge, less[0], choices, search, path)
-        if instead is None:
-            continue
-        new = instead.hypothesis.effects[-1]
-        if new != old and (effect_class(old.name).together or judge.tells(trial.squares, instead.squares)):
-            log.info("%s takes the place of %s", new.label(), old.label())
-            trial = instead
-        elif new != old:
-            others = [pair for pair in path.tried.pop(new) if pair[0] != old]
-            end = len(instead.fit.point) - len(instead.hypothesis.tuned)
-            mine = instead.fit.point[end - len(effect_axes(new)) : end]
-            path.tried[old] = [(new, mine), *others]
-    return trial
-
-
-def _otherwise(fitting: Problem, trials: Sequence[Trial], search: Search, path: Path) -> list[Trial]:
-    """Return the best of ``trials`` with an older effect in another form (all chambers, one chamber) beside the newest.
-
-    Alone the forms may be alike; beside what else is missing only one of them fits.
-    """
-    tasks = [
-        (Hypothesis(tuple(form if e == old else e for e in trial.hypothesis.effects), trial.hypothesis.tuned), [point])
-        for trial in sorted(trials, key=lambda t: t.mean_square)[:REFORMED]
-        for old in trial.hypothesis.effects[:-1]
-        for form, point in _same_name(path, trial, old)
-    ]
-    best = min(trial.mean_square for trial in trials)
-    return raced(fitting, None, tasks, search, best) if tasks else []
-
-
-def _same_name(path: Path, trial: Trial, old: Choice) -> list[tuple[Choice, np.ndarray]]:
-    """Return the other forms of ``old`` that were tried in its place, with a point of ``trial`` to begin at."""
-    columns = columns_of(trial, old)
-    return [
-        (form, np.insert(np.delete(trial.fit.point, columns), columns[0], mine))
-        for form, mine in path.tried.get(old, [])
-        if form.name == old.name and form != old
-    ][:SAME_NAME]
-
-
-def _others(trials: Sequence[Trial], best: Trial) -> list[tuple[Choice, np.ndarray]]:
-    """Return the last effect of every trial but ``best``, with its scaled parameters, best first."""
-    found = []
-    for trial in sorted(trials, key=lambda t: t.mean_square):
-        choice = trial.hypothesis.effects[-1]
-        end = len(trial.fit.point) - len(trial.hypothesis.tuned)
-        if choice != best.hypothesis.effects[-1]:
-            found.append((choice, trial.fit.point[end - len(effect_axes(choice)) : end]))
-    return found
-
-
-def fit_leads(fitting: Problem, current: Trial, leads: Sequence[Lead], search: Search) -> list[Trial]:
-    """Return ``current`` with each of the best leads added, fitted in full; at most ``SAME_NAME`` forms of one."""
-    tasks: list[tuple[Hypothesis, list[np.ndarray]]] = []
-    seen: dict[str, int] = {}
-    for lead in leads:
-        if len(tasks) == search.keep or lead.gain <= max(LEAD_SHARE * leads[0].gain, LEAD_GAIN):
-            break
-        seen[lead.choice.name] = seen.get(lead.choice.name, 0) + 1
-        if seen[lead.choice.name] <= SAME_NAME:
-            tasks.append((current.hypothesis.with_effect(lead.choice), starting_points(current, lead, search.starts)))
-    return raced(fitting, None, tasks, search)
-
-
-def starting_points(current: Trial, lead: Lead, count: int) -> list[np.ndarray]:
-    """Return starts of a fit: where the rough fit ended, and with the simulator's parameters at their nominal values.
-
-    Parameters that were retuned in an effect's place lie far off once it acts.
-    """
-    own, before = len(effect_axes(lead.choice)), len(current.fit.point) - len(current.hypothesis.tuned)
-    mine, others = lead.point[:own], lead.point[own:]
-    points = [np.concatenate([others[:before], mine, others[before:]])]
-    if current.hypothesis.tuned and count > 1:
-        fresh = points[0].copy()
-        fresh[-len(current.hypothesis.tuned) :] = 0.0
-        points.append(fresh)
-    if count > 2:
-        points += [join(current, start) for start in starts(lead.choice)[: count - 2]]
-    return points
-
-
-def _prune(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Path) -> Trial:
-    """Return ``trial`` without the effects, other than the last, that no longer pay."""
-    for choice in trial.hypothesis.effects[:-1]:
-        fewer = _fitted(fitting, [(trial.hypothesis.without(choice), drop(trial, choice))], search, path)
-        if fewer and not judge.pays(fewer[0].squares, trial.squares):
-            log.info("%s no longer pays and is dropped", choice.label())
-            trial = fewer[0]
-    return trial
-
-
-def slim(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Path) -> Trial:
-    """Return ``trial`` without the parameters that do not pay: each is pinned at its neutral value and the rest refitted."""
-    again = True
-    while again:
-        again = False
-        for choice in trial.hypothesis.effects:
-            forms = [_pinned(trial, choice, name) for name in may_be_pinned(choice)]
-            forms = [form for form in forms if effect_axes(form[0].effects[form[2]])]
-            fitted = _fitted(fitting, [(hypothesis, point) for hypothesis, point, _ in forms], search, path)
-            as_good = [t for t in fitted if not judge.tells(t.squares, trial.squares)]
-            if as_good:
-                slimmer = min(as_good, key=lambda t: t.mean_square)
-                place = trial.hypothesis.effects.index(choice)
-                path.tried[slimmer.hypothesis.effects[place]] = path.tried.pop(choice, [])
-                trial, again = _without_silent(fitting, slimmer, search, path), True
-                break
-    return trial
-
-
-def _pinned(trial: Trial, choice: Choice, name: str) -> tuple[Hypothesis, np.ndarray, int]:
-    """Return (hypothesis, point, place of the effect) with one more parameter of ``choice`` held at neutral, or no gate."""
-    place = trial.hypothesis.effects.index(choice)
-    less = choice._replace(gate=None) if name in GATES else choice._replace(pinned=(*choice.pinned, name))
-    effects = tuple(less if effect == choice else effect for effect in trial.hypothesis.effects)
-    column = columns_of(trial, choice)[[axis.name for axis in effect_axes(choice)].index(name)]
-    return Hypothesis(effects, trial.hypothesis.tuned), np.delete(trial.fit.point, column), place
-
-
-def _without_silent(fitting: Problem, trial: Trial, search: Search, path: Path) -> Trial:
-    """Return ``trial`` with the parameters of its effects pinned that have no influence any more."""
-    size = np.linalg.norm(trial.fit.jacobian, axis=0)
-    for choice in trial.hypothesis.effects:
-        columns = columns_of(trial, choice)
-        for column, axis in zip(columns, effect_axes(choice), strict=True):
-            if size[column] <= SILENT * size.max() and len(columns) > 1:
-                hypothesis, point, place = _pinned(trial, choice, axis.name)
-                path.tried[hypothesis.effects[place]] = path.tried.pop(choice, [])
-                fitted = _fitted(fitting, [(hypothesis, point)], search, path)
-                return _without_silent(fitting, fitted[0], search, path) if fitted else trial
-    return trial

@@ -43,12 +43,18 @@ class StiffnessScale(Effect):
     ``p_elastic = scale p_elastic`` (no equation number checked): for all chambers this scales the elastic forces
     exactly. One chamber gets a linear spring along its own elongation, ``(scale - 1)`` times its stiffness at rest, which
     keeps the body's stiffness symmetric: it stores energy and gives it back. A scale far below 1 in one chamber can make
-    the sum indefinite; the bounds stay clear of that.
+    the sum indefinite; the bounds stay clear of that. The search goes along a straight axis from 1, not a logarithmic one:
+    a few per cent are looked at as well as a factor.
     """
 
     site: ClassVar[str] = "body"
     title: ClassVar[str] = "stiffness of the body or of one chamber"
     kernel: ClassVar = stiffness_scale_kernel
 
-    scale: float = parameter("1", 0.4, 5.0, 1.0, typical=1.4, log=True)
+    scale: float = parameter("1", 0.4, 5.0, 1.0, typical=1.4)
     chamber: int = -1
+
+    @classmethod
+    def shapes(cls) -> list[dict[str, float]]:
+        """Return walls that are plainly softer and plainly stiffer: far from 1 the motion is no straight line of the scale."""
+        return [{"scale": 0.6}, {"scale": 3.0}]

@@ -1,4 +1,4 @@
-"""A rival takes an effect's place where all runs that no fit saw agree on it."""
+"""A rival takes an effect's place where all runs that no fit saw agree on it for sure."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -6,26 +6,95 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softrl.diagnosis.examine import Rival, _better
-from softrl.diagnosis.hypothesis import Choice
-from softrl.diagnosis.judge import Gap
+from softrl.diagnosis.examine import Rival, _better, in_full, overtakes, stand_in
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, starts
+from softrl.diagnosis.judge import Gap, Judge
+from softrl.diagnosis.problem import Problem
+from softrl.pcc.simulator import PccSimulator
+from tests.diagnosis.conftest import configured, made
+
+MATERIAL = 1.0
 
 
-def rival(name: str, value: float, high: float, everywhere: float) -> Any:
-    trial = SimpleNamespace(everywhere=np.full(5, everywhere))
-    return Rival(Choice("mullins"), Choice(name), Gap(value, 2.0 * value - high, high), True, trial)
+@pytest.fixture(scope="module")
+def judges(body: PccSimulator) -> tuple[Judge, Judge]:
+    """Judge on the held-out runs, and on all."""
+    config, runs = configured(), made(body, sessions=4).recordings
+    problem = Problem(body.robot, body, runs, config.numerics, "motion", "command", False, False)
+    both = Judge(problem, 1.0, MATERIAL / config.thresholds.material_share, config.thresholds, 0)
+    return both.on(runs[2:]), both
+
+
+def trial(judges: tuple[Judge, Judge], name: str, inside: float, heldout: float) -> Any:
+    """Return a trial with errors of equal size in all bins, but for noise that every trial shares."""
+    judge, both = judges
+    count = len(judge.problem.run_of_bin)
+    noise = np.random.default_rng(0).chisquare(3, len(both.problem.run_of_bin))
+    squares = noise + np.r_[np.full(len(noise) - count, inside), np.full(count, heldout)]
+    hypothesis = Hypothesis((Choice(name),), ())
+    return SimpleNamespace(hypothesis=hypothesis, everywhere=squares, squares=squares[-count:])
+
+
+def test_the_best_of_those_that_are_better_takes_the_place() -> None:
+    def rival(name: str, value: float, better: bool) -> Rival:
+        fit: Any = None
+        return Rival(Choice("mullins"), Choice(name), Gap(value, value - 0.1, value + 0.1), True, fit, better)
+
+    finding: Any = SimpleNamespace(rivals=[rival("lag", -1.0, True), rival("leak", -2.0, True), rival("play", -3.0, False)])
+    better = _better(finding)
+    assert better is not None and better.choice.name == "leak"
+    finding.rivals = [rival("play", -3.0, False)]
+    assert _better(finding) is None
 
 
 @pytest.mark.parametrize(
-    ("rivals", "taken"),
+    ("name", "inside", "heldout", "taken"),
     [
-        ([rival("lag", -1.0, -0.2, 0.9), rival("creep", -2.0, -0.4, 0.8)], "creep"),
-        ([rival("creep", -2.0, -0.4, 1.2)], None),  # worse where the fits were left out in turn
-        ([rival("creep", -2.0, 0.1, 0.5)], None),  # perhaps no better
-        ([], None),
+        ("frame", 4.0, 4.0, True),
+        ("frame", 4.0, 5.1, False),  # held out it is worse
+        ("frame", 6.1, 4.0, False),  # as much worse where the fits were left out in turn
+        ("frame", 4.9, 4.9, True),  # by little, but for sure
+        ("command_map", 4.9, 4.9, False),  # a map bends to anything: what it removes has to count
+        ("command_map", 0.5, 0.5, True),
     ],
 )
-def test_only_what_is_better_for_sure_and_everywhere_is_taken(rivals: list[Any], taken: str | None) -> None:
-    finding: Any = SimpleNamespace(rivals=rivals, final=SimpleNamespace(everywhere=np.ones(5)))
-    better = _better(finding)
-    assert (better.choice.name if better else None) == taken
+def test_a_rival_is_better_where_all_runs_agree(
+    judges: tuple[Judge, Judge], name: str, inside: float, heldout: float, taken: bool
+) -> None:
+    final = trial(judges, "mount_tilt", 5.0, 5.0)
+    assert overtakes(*judges, trial(judges, name, inside, heldout), final) == taken
+
+
+def test_what_pays_stands_in_for_what_does_not(judges: tuple[Judge, Judge]) -> None:
+    judge = judges[0]
+    without = trial(judges, "lag", 9.0, 9.0)
+
+    def rival(name: str, heldout: float) -> Rival:
+        gap = Gap(heldout, heldout, heldout)
+        return Rival(Choice("mullins"), Choice(name), gap, True, trial(judges, name, heldout, heldout), False)
+
+    found = stand_in(judge, without, [rival("leak", 8.0), rival("play", 0.5), rival("drift", 0.4)])
+    assert found is not None and found.choice.name == "drift"
+    assert stand_in(judge, without, [rival("leak", 8.0)]) is None
+
+
+def test_in_full_an_effect_does_what_it_did_before() -> None:
+    tilt, lag = Choice("mount_tilt", pinned=("about_x_rad",)), Choice("lag")
+    hypothesis = Hypothesis((lag, tilt), ("mass_scale",))
+    point = np.r_[starts(lag)[0], 0.4, 0.1]
+    final: Any = SimpleNamespace(hypothesis=hypothesis, fit=SimpleNamespace(point=point))
+    whole, [start] = in_full(final, tilt)
+    assert whole == Hypothesis((lag, Choice("mount_tilt")), ("mass_scale",))
+    np.testing.assert_array_equal(start, np.r_[starts(lag)[0], 0.0, 0.4, 0.1])
+
+
+def test_what_is_better_by_chance_takes_no_place(judges: tuple[Judge, Judge]) -> None:
+    judge, both = judges
+    rng, size, count = np.random.default_rng(1), len(both.problem.run_of_bin), len(judge.problem.run_of_bin)
+    taken = 0
+    for _ in range(100):
+        one, other = (trial(judges, name, 0.0, 0.0) for name in ("mount_tilt", "frame"))
+        other.everywhere = other.everywhere + 0.3 * rng.standard_normal(size)
+        other.squares = other.everywhere[-count:]
+        taken += overtakes(judge, both, other, one)
+    assert taken <= 5, "each of the two sets says so by chance in 5 of 100, both together in fewer"

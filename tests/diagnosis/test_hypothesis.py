@@ -18,8 +18,9 @@ from softrl.diagnosis.hypothesis import (
     neutral,
     starts,
 )
-from softrl.diagnosis.hypothesise import _pinned
+from softrl.diagnosis.moves import where_it_acts
 from softrl.diagnosis.search import Fit
+from softrl.diagnosis.slim import pinned
 from softrl.diagnosis.stage import run
 from softrl.diagnosis.trial import Trial
 from softrl.effects.gain import Gain
@@ -45,10 +46,24 @@ def test_a_gate_without_influence_is_dropped() -> None:
     form = Choice("leak", gate=Gate("since_s", 12.0))
     hypothesis, point = Hypothesis((form,), ()), starts(form)[0]
     trial = Trial(hypothesis, Fit(point, np.zeros(4), np.zeros((4, 3)), 0.0, 1), {}, np.zeros(4), np.zeros(4))
-    less, rest, place = _pinned(trial, form, "since_s")
+    less, rest, place = pinned(trial, form, "since_s")
     assert less.effects[place] == Choice("leak")
     np.testing.assert_array_equal(rest, point[:-1])
     assert len(rest) == len(effect_axes(less.effects[place]))
+
+
+def test_in_the_place_of_what_acts_somewhere_alone_others_are_asked_there() -> None:
+    old = Choice("friction", gate=Gate("above_share", 0.2))
+    hypothesis, point = Hypothesis((old, Choice("lag")), ()), np.r_[starts(old)[0], starts(Choice("lag"))[0]]
+    axis = effect_axes(old)[-1]
+    point[len(effect_axes(old)) - 1] = axis.scaled(0.45)
+    trial = Trial(hypothesis, Fit(point, np.zeros(4), np.zeros((4, len(point))), 0.0, 1), {}, np.zeros(4), np.zeros(4))
+    choices = [Choice(name) for name in ("friction", "play", "command_map", "frame", "leak")] + [Choice("play", 1)]
+    found = where_it_acts(trial, old, choices)
+    assert [choice.name for choice in found] == ["friction", "play", "leak"], "no map, no sensor, no chamber alone"
+    assert found[0] == old
+    assert all(choice.gate == Gate("above_share", pytest.approx(0.45)) and choice.chamber < 0 for choice in found[1:])
+    assert not where_it_acts(trial, Choice("lag"), choices)
 
 
 def test_an_effect_that_makes_no_sense_for_a_robot_is_no_candidate(tripod: Robot) -> None:

@@ -1,0 +1,179 @@
+"""The steps of a search: the best addition, another effect in one's place, one less."""
+
+import logging
+from collections.abc import Sequence
+
+import numpy as np
+
+from softrl.diagnosis.hypothesis import Choice, Gate, Hypothesis, effect_axes, may_be_gated, starts
+from softrl.diagnosis.judge import Judge
+from softrl.diagnosis.path import Path
+from softrl.diagnosis.problem import Problem
+from softrl.diagnosis.rank import Lead, rank
+from softrl.diagnosis.trial import Search, Trial, columns_of, drop, join, raced
+from softrl.effects.library import effect_class
+
+log = logging.getLogger(__name__)
+SAME_NAME = 2  # forms of one effect (all chambers, one chamber) that are fitted in full
+LEAD_SHARE = 0.3  # of the best rough fit's gain, which another needs to be fitted in full
+LEAD_GAIN = 0.03  # share of the squared error: a rough fit that saves less will not save what counts when fitted in full
+REFORMED = 2  # fits of a round, the best, in which older effects are tried in their other forms
+
+
+def pays(judge: Judge, current: Trial, added: Trial) -> bool:
+    """Return whether the effect that ``added`` has beyond ``current`` pays; the first only has to show."""
+    decide = judge.pays if current.hypothesis.effects else judge.shows
+    return decide(current.squares, added.squares)
+
+
+def not_taken(choices: Sequence[Choice], trial: Trial) -> list[Choice]:
+    """Return the ``choices`` whose effect ``trial`` does not have yet."""
+    return [choice for choice in choices if choice.name not in trial.hypothesis.names]
+
+
+def addition(
+    fitting: Problem,
+    judge: Judge,
+    current: Trial,
+    choices: Sequence[Choice],
+    search: Search,
+    path: Path,
+    leads: list[Lead] | None = None,
+) -> Trial | None:
+    """Return ``current`` with the best further effect, if one runs; what was tried is noted in ``path``.
+
+    ``leads`` are what ``rank`` says of the choices, where it was asked before.
+    """
+    taken = current.hypothesis.names
+    leads = rank(fitting, current, not_taken(choices, current), search) if leads is None else leads
+    if not taken or len(path.screened) < len(taken) + 1:
+        path.screened.append(leads)
+    trials = fit_leads(fitting, current, leads, search)
+    if not trials:
+        return None
+    every = trials + _otherwise(fitting, trials, search, path)
+    paying = [trial for trial in every if pays(judge, current, trial)]  # the simplest of all may be too simple to pay
+    best = judge.simplest(paying or every)
+    for old, new in zip(current.hypothesis.effects, best.hypothesis.effects[:-1], strict=True):
+        if old != new:
+            path.tried[new] = path.tried.get(old, [])
+    path.tried[best.hypothesis.effects[-1]] = _others(trials, best) + [
+        (lead.choice, lead.point[: len(effect_axes(lead.choice))])
+        for lead in leads
+        if lead.choice not in {t.hypothesis.effects[-1] for t in trials}
+    ]
+    return best
+
+
+def swap(fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice], search: Search, path: Path) -> Trial:
+    """Return ``trial`` after each of its older effects was put to the test against all others in its place.
+
+    A map without physics has to pay against them, see ``Judge.simplest``; any other effect stays unless one is better.
+    """
+    for name in trial.hypothesis.names[:-1]:
+        old = trial.hypothesis.named(name)  # what took another's place may have changed its form
+        less = path.fit(fitting, [(trial.hypothesis.without(old), drop(trial, old))], search) if old else []
+        if old is None or not less:
+            continue
+        instead = addition(fitting, judge, less[0], [*choices, *where_it_acts(trial, old, choices)], search, path)
+        if instead is None:
+            continue
+        new = instead.hypothesis.effects[-1]
+        if new != old and (effect_class(old.name).together or judge.tells(trial.squares, instead.squares)):
+            log.info("%s takes the place of %s", new.label(), old.label())
+            trial = instead
+        elif new != old:
+            others = [pair for pair in path.tried.pop(new) if pair[0] != old]
+            end = len(instead.fit.point) - len(instead.hypothesis.tuned)
+            mine = instead.fit.point[end - len(effect_axes(new)) : end]
+            path.tried[old] = [(new, mine), *others]
+    return trial
+
+
+def where_it_acts(trial: Trial, old: Choice, choices: Sequence[Choice]) -> list[Choice]:
+    """Return the ``choices`` that may act where ``old``, an effect of ``trial``, acts: above its pressure or from its time on.
+
+    What acts everywhere is no rival of what acts there alone, however like it its law may be.
+    """
+    if old.gate is None:
+        return []
+    begin = effect_axes(old)[-1].physical(float(trial.fit.point[columns_of(trial, old)[-1]]))
+    gate = Gate(old.gate.field, begin)
+    others = [c for c in choices if c.name != old.name and c.chamber == old.chamber and not c.session]
+    return [old, *(c._replace(gate=gate) for c in others if gate.field in may_be_gated(c))]
+
+
+def _otherwise(fitting: Problem, trials: Sequence[Trial], search: Search, path: Path) -> list[Trial]:
+    """Return the best of ``trials`` with an older effect in another form (all chambers, one chamber) beside the newest.
+
+    Alone the forms may be alike; beside what else is missing only one of them fits.
+    """
+    tasks = [
+        (Hypothesis(tuple(form if e == old else e for e in trial.hypothesis.effects), trial.hypothesis.tuned), [point])
+        for trial in sorted(trials, key=lambda t: t.mean_square)[:REFORMED]
+        for old in trial.hypothesis.effects[:-1]
+        for form, point in _same_name(path, trial, old)
+    ]
+    best = min(trial.mean_square for trial in trials)
+    return raced(fitting, None, tasks, search, best) if tasks else []
+
+
+def _same_name(path: Path, trial: Trial, old: Choice) -> list[tuple[Choice, np.ndarray]]:
+    """Return the other forms of ``old`` that were tried in its place, with a point of ``trial`` to begin at."""
+    columns = columns_of(trial, old)
+    return [
+        (form, np.insert(np.delete(trial.fit.point, columns), columns[0], mine))
+        for form, mine in path.tried.get(old, [])
+        if form.name == old.name and form != old
+    ][:SAME_NAME]
+
+
+def _others(trials: Sequence[Trial], best: Trial) -> list[tuple[Choice, np.ndarray]]:
+    """Return the last effect of every trial but ``best``, with its scaled parameters, best first."""
+    found = []
+    for trial in sorted(trials, key=lambda t: t.mean_square):
+        choice = trial.hypothesis.effects[-1]
+        end = len(trial.fit.point) - len(trial.hypothesis.tuned)
+        if choice != best.hypothesis.effects[-1]:
+            found.append((choice, trial.fit.point[end - len(effect_axes(choice)) : end]))
+    return found
+
+
+def fit_leads(fitting: Problem, current: Trial, leads: Sequence[Lead], search: Search) -> list[Trial]:
+    """Return ``current`` with each of the best leads added, fitted in full; at most ``SAME_NAME`` forms of one."""
+    tasks: list[tuple[Hypothesis, list[np.ndarray]]] = []
+    seen: dict[str, int] = {}
+    for lead in leads:
+        if len(tasks) == search.keep or lead.gain <= max(LEAD_SHARE * leads[0].gain, LEAD_GAIN):
+            break
+        seen[lead.choice.name] = seen.get(lead.choice.name, 0) + 1
+        if seen[lead.choice.name] <= SAME_NAME:
+            tasks.append((current.hypothesis.with_effect(lead.choice), starting_points(current, lead, search.starts)))
+    return raced(fitting, None, tasks, search)
+
+
+def starting_points(current: Trial, lead: Lead, count: int) -> list[np.ndarray]:
+    """Return starts of a fit: where the rough fit ended, and with the simulator's parameters at their nominal values.
+
+    Parameters that were retuned in an effect's place lie far off once it acts.
+    """
+    own, before = len(effect_axes(lead.choice)), len(current.fit.point) - len(current.hypothesis.tuned)
+    mine, others = lead.point[:own], lead.point[own:]
+    points = [np.concatenate([others[:before], mine, others[before:]])]
+    if current.hypothesis.tuned and count > 1:
+        fresh = points[0].copy()
+        fresh[-len(current.hypothesis.tuned) :] = 0.0
+        points.append(fresh)
+    if count > 2:
+        points += [join(current, start) for start in starts(lead.choice)[: count - 2]]
+    return points
+
+
+def prune(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Path) -> Trial:
+    """Return ``trial`` without the effects, other than the last, that no longer pay."""
+    for choice in trial.hypothesis.effects[:-1]:
+        fewer = path.fit(fitting, [(trial.hypothesis.without(choice), drop(trial, choice))], search)
+        if fewer and not judge.pays(fewer[0].squares, trial.squares):
+            log.info("%s no longer pays and is dropped", choice.label())
+            trial = fewer[0]
+    return trial

@@ -1,0 +1,42 @@
+"""What a search has found on its way, and fits that it made: none is made twice."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from softrl.diagnosis.hypothesis import Choice, Hypothesis
+from softrl.diagnosis.problem import Problem
+from softrl.diagnosis.rank import Lead
+from softrl.diagnosis.trial import Search, Trial, fit_trials
+
+
+@dataclass
+class Path:
+    """What a search found.
+
+    Attributes
+    ----------
+    best : the hypothesis that pays
+    retuned : the one without effects
+    screened : the leads of every round
+    tried : for each named effect the alternatives fitted in its place, best first, with their points
+    fitted : fits of hypotheses with less than others, by where they began
+    """
+
+    best: Trial
+    retuned: Trial
+    screened: list[list[Lead]] = field(default_factory=list)
+    tried: dict[Choice, list[tuple[Choice, np.ndarray]]] = field(default_factory=dict)
+    fitted: dict[tuple[Hypothesis, bytes], Trial | None] = field(default_factory=dict)
+
+    def fit(
+        self, fitting: Problem, tasks: Sequence[tuple[Hypothesis, np.ndarray]], search: Search
+    ) -> list[Trial]:
+        """Return what ``fit_trials`` returns for one start each; none is fitted twice from the same start."""
+        keys = [(hypothesis, point.tobytes()) for hypothesis, point in tasks]
+        fresh = {key: task for key, task in zip(keys, tasks, strict=True) if key not in self.fitted}
+        found = fit_trials(fitting, None, [(hypothesis, [point]) for hypothesis, point in fresh.values()], search)
+        by_hypothesis = {trial.hypothesis: trial for trial in found}
+        self.fitted |= {key: by_hypothesis.get(key[0]) for key in fresh}
+        return [trial for key in keys if (trial := self.fitted[key]) is not None]

@@ -1,0 +1,53 @@
+"""A hypothesis without the parameters that do not pay: fewer say the same."""
+
+import numpy as np
+
+from softrl.diagnosis.hypothesis import GATES, Choice, Hypothesis, effect_axes, may_be_pinned
+from softrl.diagnosis.judge import Judge
+from softrl.diagnosis.path import Path
+from softrl.diagnosis.problem import Problem
+from softrl.diagnosis.trial import Search, Trial, columns_of
+
+SILENT = 1e-6  # of the largest column: a parameter with less influence on the residual has none
+
+
+def slim(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Path) -> Trial:
+    """Return ``trial`` without the parameters that do not pay: each is pinned at its neutral value and the rest refitted."""
+    again = True
+    while again:
+        again = False
+        for choice in trial.hypothesis.effects:
+            forms = [pinned(trial, choice, name) for name in may_be_pinned(choice)]
+            forms = [form for form in forms if effect_axes(form[0].effects[form[2]])]
+            fitted = path.fit(fitting, [(hypothesis, point) for hypothesis, point, _ in forms], search)
+            as_good = [t for t in fitted if not judge.tells(t.squares, trial.squares)]
+            if as_good:
+                slimmer = min(as_good, key=lambda t: t.mean_square)
+                place = trial.hypothesis.effects.index(choice)
+                path.tried[slimmer.hypothesis.effects[place]] = path.tried.pop(choice, [])
+                trial, again = _without_silent(fitting, slimmer, search, path), True
+                break
+    return trial
+
+
+def pinned(trial: Trial, choice: Choice, name: str) -> tuple[Hypothesis, np.ndarray, int]:
+    """Return (hypothesis, point, place of the effect) with one more parameter of ``choice`` held at neutral, or no gate."""
+    place = trial.hypothesis.effects.index(choice)
+    less = choice._replace(gate=None) if name in GATES else choice._replace(pinned=(*choice.pinned, name))
+    effects = tuple(less if effect == choice else effect for effect in trial.hypothesis.effects)
+    column = columns_of(trial, choice)[[axis.name for axis in effect_axes(choice)].index(name)]
+    return Hypothesis(effects, trial.hypothesis.tuned), np.delete(trial.fit.point, column), place
+
+
+def _without_silent(fitting: Problem, trial: Trial, search: Search, path: Path) -> Trial:
+    """Return ``trial`` with the parameters of its effects pinned that have no influence any more."""
+    size = np.linalg.norm(trial.fit.jacobian, axis=0)
+    for choice in trial.hypothesis.effects:
+        columns = columns_of(trial, choice)
+        for column, axis in zip(columns, effect_axes(choice), strict=True):
+            if size[column] <= SILENT * size.max() and len(columns) > 1:
+                hypothesis, point, place = pinned(trial, choice, axis.name)
+                path.tried[hypothesis.effects[place]] = path.tried.pop(choice, [])
+                fitted = path.fit(fitting, [(hypothesis, point)], search)
+                return _without_silent(fitting, fitted[0], search, path) if fitted else trial
+    return trial
