@@ -1,17 +1,18 @@
 """The threads of linear algebra: two on two cores that are not idle wait for each other, and spin while they do."""
 
+import sys
 from contextlib import AbstractContextManager
-from functools import cache
+from functools import lru_cache
 
 from threadpoolctl import ThreadpoolController
 
 
-@cache
-def _libraries() -> ThreadpoolController:
-    """Return what holds the threads of libraries; it takes milliseconds to find them."""
+@lru_cache(maxsize=1)
+def _libraries(modules: int) -> ThreadpoolController:
+    """Return what holds the threads of the libraries that ``modules`` brought along; it takes milliseconds to find them."""
     return ThreadpoolController()
 
 
 def one_thread() -> AbstractContextManager[object]:
     """Return a context in which linear algebra has one thread."""
-    return _libraries().limit(limits=1, user_api="blas")
+    return _libraries(len(sys.modules)).limit(limits=1, user_api="blas")

@@ -8,6 +8,7 @@ import numpy as np
 from softrl.artifacts.mesh import Mesh
 from softrl.artifacts.snapshots import Snapshots
 from softrl.artifacts.surrogate import Surrogate
+from softrl.core.threads import one_thread
 from softrl.core.tracking import Tracker
 from softrl.fem.continuation import Missed, follow
 from softrl.fem.material import material_of
@@ -43,9 +44,9 @@ def sampled_yielding(robot: Robot, mesh: Mesh, snapshots: Snapshots, count: int,
     """Return how the full model yields at rest, which comes first, and at ``count`` pressures."""
     rng = np.random.default_rng([seed, robot.chambers])
     pressure = rng.uniform(robot.pressure_min_pa, robot.pressure_max_pa, (count, robot.chambers))
-    return full_yielding(
-        full_model(robot, mesh, snapshots), robot, np.vstack([np.zeros((1, robot.chambers)), pressure])
-    )
+    model = full_model(robot, mesh, snapshots)
+    with one_thread():  # several add up in another order each time
+        return full_yielding(model, robot, np.vstack([np.zeros((1, robot.chambers)), pressure]))
 
 
 def full_model(robot: Robot, mesh: Mesh, snapshots: Snapshots) -> FemModel:
