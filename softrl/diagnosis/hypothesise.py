@@ -64,10 +64,15 @@ def _grow(
         )
         if not pays(judge, current, added):
             break
-        added = slim(fitting, judge, added, search, path)
-        path.best = swap(fitting, judge, added, choices, search, path)
-        path.best = prune(fitting, judge, path.best, search, path)
-        path.best = slim(fitting, judge, path.best, search, path)
+        path.best = _settled(fitting, judge, added, choices, search, path)
+
+
+def _settled(
+    fitting: Problem, judge: Judge, added: Trial, choices: Sequence[Choice], search: Search, path: Path
+) -> Trial:
+    """Return ``added`` slimmed, its effects put to the test, those dropped that no longer pay, and slimmed to what is left."""
+    added = swap(fitting, judge, slim(fitting, judge, added, search, path), choices, search, path)
+    return slim(fitting, judge, prune(fitting, judge, added, search, path), search, path)
 
 
 def _narrow(
@@ -89,8 +94,7 @@ def _narrow(
     if len(before.hypothesis.effects) < search.max_effects and judge.excess(path.best.mean_square) >= plain:
         added = addition(fitting, judge, path.best, forms, search, path, beside if path.best is before else None)
         if added is not None and pays(judge, path.best, added):
-            added = slim(fitting, judge, added, search, path)
-            path.best = prune(fitting, judge, swap(fitting, judge, added, choices, search, path), search, path)
+            path.best = _settled(fitting, judge, added, choices, search, path)
     if path.best is not before:
         report(f"{path.best.hypothesis.label()}: {judge.rms(path.best.squares):.4g} on runs left out")
     return path.best is not before
@@ -111,8 +115,7 @@ def _behind_a_map(
     added = addition(fitting, judge, behind[0], forms, search, path) if behind else None
     if added is None or not all(judge.pays(less.squares, added.squares) for less in (bare, behind[0])):
         return False
-    added = swap(fitting, judge, slim(fitting, judge, added, search, path), choices, search, path)
-    path.best = prune(fitting, judge, added, search, path)
+    path.best = _settled(fitting, judge, added, choices, search, path)
     report(f"{path.best.hypothesis.label()}: {judge.rms(path.best.squares):.4g} on runs left out, neither without the other")
     return True
 

@@ -68,9 +68,13 @@ def addition(
 def swap(fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice], search: Search, path: Path) -> Trial:
     """Return ``trial`` after each of its older effects was put to the test against all others in its place.
 
-    A map without physics has to pay against them, see ``Judge.simplest``; any other effect stays unless one is better.
+    A map without physics has to pay against them, see ``Judge.simplest``; any other effect stays unless one is better. Where
+    one took another's place the newest, which was chosen beside that other, is put to the test as well.
     """
-    for name in trial.hypothesis.names[:-1]:
+    began = trial
+    for name in trial.hypothesis.names:
+        if trial is began and name == trial.hypothesis.names[-1]:
+            break
         old = trial.hypothesis.named(name)  # what took another's place may have changed its form
         less = path.fit(fitting, [(trial.hypothesis.without(old), drop(trial, old))], search) if old else []
         if old is None or not less:
