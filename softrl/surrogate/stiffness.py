@@ -5,12 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from scipy.optimize import minimize
 
 from softrl.core.errors import SolverError
 from softrl.surrogate.kinematics import Chain, joint_axes, joint_jacobians
 from softrl.surrogate.springs import QUADRATIC, TERMS, Springs, constant, monomials, softness_at
 
 POSES_PER_TERM = 4  # fewer do not tell the terms of a cubic apart
+WIDEST, STEEPEST = 5.0, 3.0  # a factor of 150 about the mean softness; of 20 from a gap to the middle one
 BENDING = 3.0  # weight of bending, of which there is one number where the tip's compliance has nine
 
 
@@ -97,8 +99,10 @@ def fit_springs(theta: np.ndarray, chain: Chain, compliance: Compliance, low: np
 
     Notes
     -----
-    Least squares by L-BFGS over the coefficients and a taper along the chain, of slope and bow, from springs of one value;
-    poses that are too few for a cubic get a quadratic, which is surer at poses that were not seen.
+    Least squares by L-BFGS-B over the coefficients and a taper along the chain, of slope and bow, from springs of one value;
+    poses that are too few for a cubic get a quadratic, which is surer at poses that were not seen. ``ridge`` keeps the
+    coefficients small, as one pose of that weight would: few poses leave more to it. The bounds are far from any body's:
+    without them a search that steps too far once ends where softness underflows.
     The tip's compliance counts relative to the body's in every direction (both sides multiplied by the inverse of its
     Cholesky factor), so that the stiff axis counts as the soft ones; bending counts relative to its size. Twist of the tip
     about its own axis is left out: hinges alone cannot follow it.
@@ -114,42 +118,52 @@ def fit_springs(theta: np.ndarray, chain: Chain, compliance: Compliance, low: np
     bend = None if compliance.turn is None else torch.tensor(bending_of(compliance.turn, axis))
     turns = torch.tensor(bending_of(turned, axis))
     height = torch.linspace(-1.0, 1.0, gaps, dtype=torch.float64)
-    shape = torch.zeros(terms.shape[1], 6, dtype=torch.float64, requires_grad=True)
     tapered = bend is not None and not alike
     by_couple = None if couple is None or not tapered else _couple_terms(couple, chain, low, high, count)
-    taper = torch.zeros(2, dtype=torch.float64, requires_grad=tapered)
-    free = [shape, taper] if tapered else [shape]
-    kept = torch.zeros_like(shape, requires_grad=False)
-    kept[0, :3] = 1.0  # one value a kind of joint
-    kept = kept if alike else torch.ones_like(kept)
-    search = torch.optim.LBFGS(
-        free, max_iter=iterations, history_size=30, line_search_fn="strong_wolfe", tolerance_grad=1e-9,
-        tolerance_change=1e-12,
-    )  # fmt: skip
+    kept = torch.ones(count, 6, dtype=torch.float64)
+    if alike:
+        kept[:], kept[0, :3] = 0.0, 1.0  # one value a kind of joint
 
-    def closure() -> torch.Tensor:
-        search.zero_grad()
-        softness = _softness(terms @ (kept * shape), size)
-        share = _share(taper, height)
+    def loss_of(shape: torch.Tensor, taper: torch.Tensor) -> torch.Tensor:
+        softness, share = _softness(terms @ (kept * shape), size), _share(taper, height)
         miss = whiten @ (torch.einsum("saki,sij,sbkj,k->sab", slopes, softness, slopes, share) - body)
-        loss = (miss @ whiten.transpose(1, 2)).pow(2).sum(dim=(1, 2)).mean() + ridge * shape.pow(2).sum()
+        loss = (miss @ whiten.transpose(1, 2)).pow(2).sum(dim=(1, 2)).mean() + ridge / len(theta) * shape.pow(2).sum()
         if bend is not None:
             error = torch.einsum("saki,sij,sbkj,k->sab", turns, softness, slopes, share) - bend
             loss = loss + BENDING * error.pow(2).sum() / bend.pow(2).sum()
         if by_couple is not None:
             row, axes, wanted = by_couple
-            error = torch.einsum("aki,ij,bkj,k->ab", axes, _softness((row @ (kept * shape))[None], size)[0], axes, share) - wanted
+            soft = _softness((row @ (kept * shape))[None], size)[0]
+            error = torch.einsum("aki,ij,bkj,k->ab", axes, soft, axes, share) - wanted
             loss = loss + BENDING * error.pow(2).sum() / wanted.pow(2).sum()
-        loss.backward()
         return loss
 
-    search.step(closure)
-    if not torch.isfinite(shape).all():
-        raise SolverError("the fit of the joints' springs diverged; check the reduced model's statics under tip forces")
-    coefficients = (kept * shape).detach().numpy().copy()
+    shape, taper = _least(loss_of, count, tapered, iterations)
+    coefficients = (kept * shape).numpy().copy()
     coefficients[0, :3] += np.log(size.numpy())
     coefficients[:, 3:] *= size.numpy()[[1, 2, 2]]
-    return Springs(coefficients, _share(taper, height).detach().numpy().copy(), low, high)
+    return Springs(coefficients, _share(taper, height).numpy().copy(), low, high)
+
+
+def _least(
+    loss_of: Callable[[torch.Tensor, torch.Tensor], torch.Tensor], count: int, tapered: bool, iterations: int
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the shape (count, 6) and taper (2,) of the least loss, from zeros; taper stays zero if not ``tapered``."""
+
+    def value(x: np.ndarray) -> tuple[float, np.ndarray]:
+        at = torch.tensor(x, requires_grad=True)
+        loss = loss_of(at[:-2].reshape(count, 6), at[-2:])
+        (slope,) = torch.autograd.grad(loss, at)
+        return float(loss.detach()), slope.numpy()
+
+    bound = np.append(np.full(6 * count, WIDEST), np.full(2, STEEPEST if tapered else 0.0))
+    settings = {"maxiter": iterations, "maxfun": 2 * iterations, "maxcor": 30, "ftol": 1e-14, "gtol": 1e-10}
+    found = minimize(
+        value, np.zeros(len(bound)), jac=True, method="L-BFGS-B", bounds=list(zip(-bound, bound, strict=True)), options=settings
+    )  # fmt: skip
+    if not np.isfinite(found.fun):
+        raise SolverError("the fit of the joints' springs diverged; check the reduced model's statics under tip forces")
+    return torch.tensor(found.x[:-2].reshape(count, 6)), torch.tensor(found.x[-2:])
 
 
 def _couple_terms(
