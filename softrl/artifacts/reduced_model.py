@@ -20,8 +20,8 @@ class ReducedModel(Artifact):
     ----------
     frame : (r, r) m^3 and m, z per y
     energy : (monomials,) J, elastic energy W; none of degree 0 and 1
-    mass_root, mass_factor : (r (r + 1) / 2, monomials), the upper triangle of a symmetric S, and (r, r) kg^0.5 m, L, of the
-        mass ``L S'S L'`` in y
+    mass_root, mass_factor : (r (r + 1) / 2, monomials), the upper triangle of a symmetric S, and a lower triangle L (r, r)
+        kg^0.5 m, of the mass ``L S'S L'`` in y
     stiffness_root, stiffness_factor : likewise, (N m)^0.5, of T' K T in y, which stiffness-proportional damping multiplies
     stiffness_root_by_gravity : (3 r (r + 1) / 2, monomials) s^2/m, change of ``stiffness_root`` by unit gravity along each
         axis, to which the body gives
@@ -112,6 +112,9 @@ class ReducedModel(Artifact):
         ):
             if len(getattr(self, name)) != rows:
                 raise ArtifactError(f"ReducedModel.{name} has {len(getattr(self, name))} rows; expected {rows}")
+        for name in ("mass_factor", "stiffness_factor"):
+            if np.triu(getattr(self, name), 1).any():
+                raise ArtifactError(f"ReducedModel.{name} has entries above its diagonal; expected a lower triangle")
         if np.abs(self.energy[: 1 + order]).max() > 0.0:
             raise ArtifactError("ReducedModel.energy has terms of degree 0 or 1; the rest must be free of load")
         if self.modes.ndim != 3 or self.modes.shape[2] != 3:

@@ -12,7 +12,7 @@ import numba as nb
 import numpy as np
 
 from softrl.core.threads import one_thread
-from softrl.pod.chords import fill_inertias, fill_viscosities
+from softrl.pod.chords import fill_inertias, fill_masses_of, fill_viscosities
 from softrl.pod.inside import AXES, Inside, make_inside
 from softrl.pod.insides import begin_insides, end_insides, fill_gives, shared_energies
 from softrl.pod.kernel import MAX_ITERATIONS
@@ -148,7 +148,7 @@ def run_block(
     insides, inner = make_inside(r, (lanes,)), np.zeros((2, AXES, lanes))
     to_balls(y, held.points, held.radius)
     failed, farthest = 0, held.radius.max()
-    fill_inertias(y - dt * velocity, y - 2.0 * dt * velocity, dt * velocity, tables, insides, held)
+    fill_masses_of(y - dt * velocity, dt * velocity, tables, insides, held)
     _fill_kinetic(velocity, inner, insides, held, kinetic)
     _set_out(y, velocity, inner, bent, dt, tables, insides, held)
     for step in range(load.shape[1]):

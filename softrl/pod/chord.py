@@ -1,6 +1,6 @@
 """The square of a step in a metric that changes on the way: ``by' A by`` with A half way, to third order, compiled.
 
-A is ``L S'S L'``, S symmetric with polynomials for entries and L constant: positive wherever the polynomials lead.
+A is ``L S'S L'``, S symmetric with polynomials for entries and L constant, lower triangular: positive wherever they lead.
 """
 
 from typing import Any
@@ -45,10 +45,10 @@ def _fill_root(half: np.ndarray, factor: np.ndarray, root: np.ndarray) -> None:
     pair = 0
     for a in range(r):
         for c in range(a, r):
-            for b in range(r):
+            for b in range(c, r):
                 root[a * r + b] += half[pair] * factor[b, c]
-                if c > a:
-                    root[c * r + b] += half[pair] * factor[b, a]
+            for b in range(a, r if c > a else a):
+                root[c * r + b] += half[pair] * factor[b, a]
             pair += 1
 
 
@@ -62,6 +62,7 @@ def _fill_weights(
         moved[a] = led[a] = 0.0
         for b in range(r):
             moved[a] += root[a * r + b] * by[b]
+        for b in range(a, r):
             led[a] += factor[b, a] * by[b]
     pair = 0
     for a in range(r):

@@ -18,7 +18,14 @@ def fill_inertias(
     """Fill masses and the forces of their slopes for steps ``by`` (r, lanes), as ``pod.inertia.fill_inertia``."""
     metric = tables.mass_root, tables.mass_factor
     _fill_chords(metric, 0.5 * (start + before + by), start - before + by, 0, tables, held, held.back, held.slopes[1])
-    _fill_chords(metric, start + 0.5 * by, by, tables.give_root.shape[1], tables, held, held.mass, held.slopes[0])
+    fill_masses_of(start, by, tables, insides, held)
+
+
+@nb.njit(cache=True)
+def fill_masses_of(start: np.ndarray, by: np.ndarray, tables: Any, insides: Inside, held: Lanes) -> None:
+    """Fill the masses half way of steps ``by`` (r, lanes), as ``pod.inertia.fill_masses_of``."""
+    metric, least = (tables.mass_root, tables.mass_factor), tables.give_root.shape[1]
+    _fill_chords(metric, start + 0.5 * by, by, least, tables, held, held.mass, held.slopes[0])
     fill_masses(held.root, tables, held.values, insides)
 
 
@@ -62,11 +69,10 @@ def _fill_roots(factor: np.ndarray, held: Lanes) -> None:
     held.root[:] = 0.0
     for a in range(r):
         for c in range(a, r):
-            for b in range(a, r):
-                if b >= c:
-                    add_times(held.root[a * r + b], factor[b, c], held.pairs[pair])
-                if c > a:
-                    add_times(held.root[c * r + b], factor[b, a], held.pairs[pair])
+            for b in range(c, r):
+                add_times(held.root[a * r + b], factor[b, c], held.pairs[pair])
+            for b in range(a, r if c > a else a):
+                add_times(held.root[c * r + b], factor[b, a], held.pairs[pair])
             pair += 1
 
 
@@ -79,6 +85,7 @@ def _fill_weights(factor: np.ndarray, by: np.ndarray, held: Lanes) -> None:
         moved[a], led[a] = 0.0, 0.0
         for b in range(r):
             add(moved[a], held.root[a * r + b], by[b])
+        for b in range(a, r):
             add_times(led[a], 2.0 * factor[b, a], by[b])
     for a in range(r):
         for c in range(a, r):

@@ -24,16 +24,22 @@ def fill_inertia(
     Beside each stands the force of its slope. ``work`` and ``held`` are those of ``pod.kernel``; the inside's masses are those
     half way of the step.
     """
-    values, middle, further, root = work[0], work[3], work[2][2], work[4]
-    mass, back, slopes, _, _, inside = held
+    middle, further, back, slopes = work[3], work[2][2], held[1], held[2]
     for i in range(len(by)):
         middle[i] = 0.5 * (before[i] + start[i] + by[i])
         further[i] = start[i] - before[i] + by[i]
-    metric = tables.mass_root, tables.mass_factor
-    fill_chord(metric, middle, further, 0, tables, work, back, slopes[1])
+    fill_chord((tables.mass_root, tables.mass_factor), middle, further, 0, tables, work, back, slopes[1])
+    fill_masses_of(start, by, tables, work, held)
+
+
+@nb.njit(cache=True)
+def fill_masses_of(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, held: Any) -> None:
+    """Fill the mass half way of the step ``by`` (r,) from ``start`` with the force of its slope, and the inside's masses."""
+    values, middle, root, mass, slopes, inside = work[0], work[3], work[4], held[0], held[2], held[5]
     for i in range(len(by)):
         middle[i] = start[i] + 0.5 * by[i]
-    fill_chord(metric, middle, by, tables.give_root.shape[1], tables, work, mass, slopes[0])
+    metric, least = (tables.mass_root, tables.mass_factor), tables.give_root.shape[1]
+    fill_chord(metric, middle, by, least, tables, work, mass, slopes[0])
     fill_mass(root, tables, values, inside)
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numba as nb
 import numpy as np
 
-from softrl.pod.inertia import fill_inertia, kinetic_energy, work_of_inertia
+from softrl.pod.inertia import fill_inertia, fill_masses_of, kinetic_energy, work_of_inertia
 from softrl.pod.inside import begin_inside, end_inside, fill_give, make_inside, stored_in
 from softrl.pod.linear import newton_direction
 from softrl.pod.ports import add_effects, commit_effects, fill_ports, make_ports
@@ -179,7 +179,7 @@ def run_kernel(
         fill_ports(y, rest, gradient, hessian, dt, load[0, :n], tables, ports, True)
         ports.strains[0], ports.tips[0] = ports.strains[1], ports.tips[1]
     farthest = to_ball(y, point)
-    fill_inertia(y - dt * velocity, y - 2.0 * dt * velocity, dt * velocity, tables, work, held)
+    fill_masses_of(y - dt * velocity, dt * velocity, tables, work, held)
     kinetic = kinetic_energy(velocity, inner, held)
     _set_out(y, velocity, inner, np.inf, dt, tables, work, held[5])
     for step in range(len(load)):

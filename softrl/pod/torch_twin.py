@@ -84,11 +84,12 @@ class TorchRom(torch.nn.Module):
         That the body's inside gives to acceleration, a few per cent of inertia in a fast motion, is left out.
         """
         y, rate, change = z @ self.inverse.T, velocity @ self.inverse.T, acceleration @ self.inverse.T
-        values = self._monomials(self._ball(y)[0], max(self.mass_root.shape[1], self.stiffness_root.shape[1]))
-        mass = _square(self._root("mass", values))
-        stiff = _square(self._root("stiffness", values))
+        u, radius = self._ball(y)
+        values = self._monomials(u, max(self.mass_root.shape[1], self.stiffness_root.shape[1]))
+        root, stiff = self._root("mass", values), _square(self._root("stiffness", values))
+        mass, turning = _square(root), self._turning(root, values, u, radius, rate)
         viscous = _times(self.stiffness_damping * stiff + self.mass_damping * mass, rate)
-        inside = self.mass_scale * (_times(mass, change) - self._turning(y, rate)) + viscous + self._slope(y)
+        inside = self.mass_scale * (_times(mass, change) - turning) + viscous + self._slope(y)
         return inside @ self.inverse - load
 
     def step(
@@ -103,7 +104,7 @@ class TorchRom(torch.nn.Module):
         gives, giving = inner.unbind(1)
         before, ahead, outer = start - dt_s * rate, start + dt_s * rate, load @ self.frame
         give = self._give(start + 0.5 * dt_s * rate)
-        mass, _, _, _, couple, own = self._inertia(before, before - dt_s * rate, dt_s * rate)
+        mass, _, couple, own = self._masses(before, dt_s * rate)
         kinetic = _kinetic(rate, giving, mass, couple, own)
         held = *self._inertia(start, before, dt_s * rate), *self._resistance(start, dt_s * rate), give
         inertia, right, *_ = self._sides(held, start, rate, inner, outer, dt_s)
@@ -159,8 +160,13 @@ class TorchRom(torch.nn.Module):
         After them come the inside's mass with the coordinates (B, r, 3) and its own (B, 3, 3).
         """
         back, behind, *_ = self._chord("mass", 0.5 * (before + start + by), start - before + by)
+        mass, slope, couple, own = self._masses(start, by)
+        return mass, back, slope, behind, couple, own
+
+    def _masses(self, start: Tensor, by: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return the mass half way of a step ``by`` from ``start``, its slope (B, r), and the inside's masses."""
         mass, slope, root, values = self._chord("mass", start + 0.5 * by, by)
-        return mass, back, slope, behind, *_beside(root, values[:, : self.give_root.shape[1]] @ self.give_root.T)
+        return mass, slope, *_beside(root, values[:, : self.give_root.shape[1]] @ self.give_root.T)
 
     def _resistance(self, start: Tensor, by: Tensor) -> tuple[Tensor, ...]:
         """Return viscosity half way of a step ``by`` (B, r), the force (B, r) of its slope, and the inside's viscosities."""
@@ -257,11 +263,12 @@ class TorchRom(torch.nn.Module):
         bending = bending + 6.0 * self.wall * beyond
         return inner + cross + cross.transpose(1, 2) + (bending - along) * outer + along * identity
 
-    def _turning(self, y: Tensor, rate: Tensor) -> Tensor:
-        """Return the force (B, r) of inertia at constant ``rate``, at scale 1: grad(v'M v) / 2 - M' v."""
-        u, radius = self._ball(y)
-        values, r = self._monomials(u, self.mass_root.shape[1]), self.order
-        root = self._root("mass", values)
+    def _turning(self, root: Tensor, values: Tensor, u: Tensor, radius: Tensor, rate: Tensor) -> Tensor:
+        """Return the force (B, r) of inertia at constant ``rate``, at scale 1: grad(v'M v) / 2 - M' v.
+
+        ``root`` (B, r, r) is that of the mass and ``values`` the monomials at ``u`` (B, r), the image in the ball.
+        """
+        r = self.order
         slope = (values[:, : self.mass_slope.shape[1]] @ self.mass_slope.T).reshape(-1, r, r, r)  # by, row, column
         slope = slope @ self.mass_factor.T
 

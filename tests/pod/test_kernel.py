@@ -12,7 +12,7 @@ from softrl.pod.chord import fill_chord
 from softrl.pod.inside import make_inside
 from softrl.pod.kernel import run_kernel
 from softrl.pod.linear import solve_general
-from softrl.pod.potential import fill_potential
+from softrl.pod.potential import Tables, fill_potential
 from softrl.pod.rom import no_hooks, roll, static_coordinates
 from softrl.pod.tables import tables_of
 from softrl.pod.viscosity import fill_viscosity
@@ -20,6 +20,13 @@ from softrl.robots.robot import Robot
 from tests.pod.mechanics import mechanical_energy
 
 Body = tuple[Robot, Snapshots, ReducedModel]
+
+
+def room(tables: Tables) -> tuple[np.ndarray, ...]:
+    """Return the ``work`` of ``pod.kernel``."""
+    r, most = len(tables.frame), len(tables.parent)
+    pairs = np.empty((2, r * (r + 1) // 2))
+    return np.empty(most), np.empty(r), np.empty((r, r)), np.empty(r), np.empty(r * r), *pairs, np.empty(most)
 
 
 def potential(model: ReducedModel) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
@@ -157,8 +164,7 @@ def test_a_step_has_the_force_of_its_square(tripod: Body, name: str, radius: flo
     rng, r = np.random.default_rng(0), 6
     tables = tables_of(replace(tripod[2], **{f"{name}_root": rng.standard_normal((21, 84))}))
     metric = getattr(tables, f"{name}_root"), getattr(tables, f"{name}_factor")
-    pairs, most = np.empty((2, 21)), len(tables.parent)
-    work = np.empty(most), np.empty(r), np.empty((r, r)), np.empty(r), np.empty(r * r), *pairs, np.empty(most)
+    work = room(tables)
 
     def chord(start: np.ndarray, by: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         matrix, slope = np.empty((r, r)), np.empty(r)
@@ -183,8 +189,7 @@ def test_a_step_of_viscosity_never_drives(tripod: Body) -> None:
     """However wild the map."""
     rng, r = np.random.default_rng(0), 6
     tables = tables_of(replace(tripod[2], stiffness_root=rng.standard_normal((21, 84))))
-    pairs, most = np.empty((2, 21)), len(tables.parent)
-    work = np.empty(most), np.empty(r), np.empty((r, r)), np.empty(r), np.empty(r * r), *pairs, np.empty(most)
+    work = room(tables)
     held = *np.empty((2, r, r)), np.empty((2, r)), np.empty((r, r)), np.empty(r), make_inside(r, ())
     drives = 0
     for _ in range(200):
