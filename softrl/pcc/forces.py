@@ -7,7 +7,7 @@ import numpy as np
 from softrl.effects.call import borrowing, run_ports
 from softrl.effects.effect import (
     ADDED,
-    BODY_PORT_ROWS,
+    ADDED_SLOPE,
     ELASTIC,
     ELASTIC_SLOPE,
     FORCE,
@@ -23,7 +23,7 @@ from softrl.effects.effect import (
 from softrl.pcc.pose import shape_functions
 
 # columns of the work array that one step fills
-LAST, VELOCITY, TRIAL, RESIDUAL, STEP, OTHER, NEXT = range(7)
+LAST, VELOCITY, TRIAL, RESIDUAL, STEP, OTHER, NEXT, MOVED, SEEN = range(9)
 
 
 @borrowing
@@ -51,18 +51,18 @@ def run_body_effects(
 ) -> None:
     """Fill the body port at ``y`` and run the effects on it."""
     to_strain, to_elastic, slope, rest = model[5], model[6], model[7], model[8]
+    per_s, m = 1.0 / dt, len(y)
     for c in range(len(pressure)):
         strain = elastic = 0.0
-        for j in range(len(y)):
+        for j in range(m):
             moved = y[j] - rest[j]
             strain += to_strain[c, j] * moved
             elastic += to_elastic[c, j] * moved
-        strains[1, c] = strain
-        port[STRAIN, c], port[RATE, c] = strain, (strain - strains[0, c]) / dt
-        port[ELASTIC, c], port[ELASTIC_SLOPE, c] = elastic, slope[c]
-        port[PRESSURE, c], port[REST, c] = pressure[c], slope[c]
-        for row in range(ADDED, BODY_PORT_ROWS):
-            port[row, c] = 0.0
+        stiff = slope[c]
+        port[STRAIN, c], port[RATE, c] = strain, (strain - strains[c]) * per_s
+        port[ELASTIC, c], port[ELASTIC_SLOPE, c] = elastic, stiff
+        port[PRESSURE, c], port[REST, c] = pressure[c], stiff
+        port[ADDED, c], port[ADDED_SLOPE, c] = 0.0, 0.0
     run_ports(hook, port, dt, commit)
 
 
@@ -121,10 +121,15 @@ def fill_residual(
         )
     if len(body_hook[0]) == 0:
         for i in range(m):
+            total = out[i]
             for c in range(len(pressure)):
-                out[i] -= push[i, c] * pressure[c]
+                total -= push[i, c] * pressure[c]
+            out[i] = total
         return
     run_body_effects(body_hook, ports[0], y, model, pressure, strains, dt, False)
+    added = ports[0][ADDED]
     for i in range(m):
+        total = out[i]
         for c in range(len(pressure)):
-            out[i] += push[i, c] * (ports[0][ADDED, c] - pressure[c])
+            total += push[i, c] * (added[c] - pressure[c])
+        out[i] = total

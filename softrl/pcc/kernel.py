@@ -11,12 +11,14 @@ import numba as nb
 import numpy as np
 
 from softrl.effects.call import borrowing
-from softrl.effects.effect import BODY_PORT_ROWS, LOAD_PORT_ROWS
+from softrl.effects.effect import ADDED_SLOPE, BODY_PORT_ROWS, LOAD_PORT_ROWS, STRAIN
 from softrl.pcc.forces import (
     LAST,
+    MOVED,
     NEXT,
     OTHER,
     RESIDUAL,
+    SEEN,
     STEP,
     TRIAL,
     VELOCITY,
@@ -31,6 +33,7 @@ ACCEPTED = 1e-7  # at a kink of friction or contact: 20 nm at the tip of a robot
 MAX_ITERATIONS = 60
 QUICK = 8  # steps with a Jacobian that is corrected on the way, before a careful search begins
 NUDGE = 1e-7  # of a coordinate, for the Jacobian by differences
+SAME = 0.01  # of the body's own slope: a smaller change of an effect's is left to the corrections
 SLOW = 0.2  # a Newton step that shrinks less than to this share asks for a new Jacobian
 SHORTEST = 1e-4  # share of a Newton step below which it is taken as it is
 
@@ -76,14 +79,17 @@ def _quick(
     ports: Any,
     strains: np.ndarray,
     tips: np.ndarray,
+    slopes: np.ndarray,
 ) -> bool:
-    """Try to solve one step with Broyden's corrections of the ``inverse`` Jacobian; return whether it converged.
+    """Try to solve one step with a kept ``inverse`` Jacobian that is corrected on the way; return whether it converged.
 
-    The search stops once the steps shrink fast enough for the sum of all further ones to stay below the tolerance.
+    What the effects' slopes change is known at once, what else changes is learned by Broyden's corrections. The search stops
+    once the steps shrink fast enough for the sum of all further ones to stay below the tolerance.
     ``work[RESIDUAL]`` belongs to ``work[TRIAL]`` before and, without success, after it.
     """
     trial, residual, step, following = work[TRIAL], work[RESIDUAL], work[STEP], work[NEXT]
     m = len(trial)
+    _follow(inverse, slopes, ports[0], model, work)
     size = _newton_step(inverse, residual, step)
     for _ in range(QUICK):
         for i in range(m):
@@ -91,6 +97,7 @@ def _quick(
         if size < 0.01 * TOLERANCE:
             return True
         fill_residual(trial, residual, work, dt, pressure, tip_force, model, hooks, ports, strains, tips)
+        known = _follow(inverse, slopes, ports[0], model, work)
         after = _newton_step(inverse, residual, following)
         if not after < 0.5 * size and after >= TOLERANCE:
             return False
@@ -98,9 +105,36 @@ def _quick(
             for i in range(m):
                 trial[i] += following[i]
             return True
-        _correct(inverse, step, following)
+        if known:
+            _correct(inverse, step, following)
         size = _newton_step(inverse, residual, step)
     return False
+
+
+@borrowing
+def _follow(inverse: np.ndarray, slopes: np.ndarray, port: np.ndarray, model: Any, work: np.ndarray) -> bool:
+    """Bring the ``inverse`` Jacobian from the effects' ``slopes`` (chambers,) to those in ``port``; return if it had them.
+
+    Sherman and Morrison's formula, chamber by chamber.
+    """
+    push, to_strain, rest, moved, seen = model[4], model[5], model[7], work[MOVED], work[SEEN]
+    m, known = len(inverse), True
+    for c in range(len(slopes)):
+        change = port[ADDED_SLOPE, c] - slopes[c]
+        if abs(change) < SAME * rest[c]:
+            continue
+        known, slopes[c], along = False, port[ADDED_SLOPE, c], 0.0
+        for i in range(m):
+            moved[i], seen[i] = 0.0, 0.0
+            for j in range(m):
+                moved[i] += inverse[i, j] * push[j, c]
+                seen[i] += to_strain[c, j] * inverse[j, i]
+            along += to_strain[c, i] * moved[i]
+        share = change / (1.0 + change * along)
+        for i in range(m):
+            for j in range(m):
+                inverse[i, j] -= share * moved[i] * seen[j]
+    return known
 
 
 @borrowing
@@ -136,6 +170,7 @@ def solve_step(
     ports: Any,
     strains: np.ndarray,
     tips: np.ndarray,
+    slopes: np.ndarray,
 ) -> bool:
     """Solve one implicit step for ``work[TRIAL]``; return whether it converged.
 
@@ -145,7 +180,9 @@ def solve_step(
     trial, residual, step, other = work[TRIAL], work[RESIDUAL], work[STEP], work[OTHER]
     m = len(trial)
     fill_residual(trial, residual, work, dt, pressure, tip_force, model, hooks, ports, strains, tips)
-    if inverse[0, 0] != 0.0 and _quick(work, inverse, dt, pressure, tip_force, model, hooks, ports, strains, tips):
+    if inverse[0, 0] != 0.0 and _quick(
+        work, inverse, dt, pressure, tip_force, model, hooks, ports, strains, tips, slopes
+    ):
         return True
     stale, size = True, np.inf
     for _ in range(MAX_ITERATIONS):
@@ -159,6 +196,8 @@ def solve_step(
                 for i in range(m):
                     jacobian[i, j] = (other[i] - residual[i]) / NUDGE
             _invert(jacobian, inverse)
+            for c in range(len(slopes)):
+                slopes[c] = ports[0][ADDED_SLOPE, c]
             stale = False
         size = _newton_step(inverse, residual, step)
         for i in range(m):
@@ -208,10 +247,10 @@ def run_kernel(
     """
     basis, length = model[0], model[9][0]
     m, chambers = len(y), pressure.shape[1]
-    work = np.zeros((7, m))
+    work = np.zeros((9, m))
     jacobian, inverse = np.zeros((m, m)), np.zeros((m, m))
     ports = (np.zeros((BODY_PORT_ROWS, chambers)), np.zeros((LOAD_PORT_ROWS, 3)))
-    strains, tips = np.zeros((2, chambers)), np.zeros((2, 3))
+    strains, tips, slopes = np.zeros(chambers), np.zeros((2, 3)), np.zeros(chambers)
     body, scratch = np.zeros(3), np.zeros(4)
     to_strain, rest = model[5], model[8]
     for i in range(3):
@@ -220,14 +259,16 @@ def run_kernel(
     tip_pose(body, length, tips[0], scratch)
     for c in range(chambers):
         for j in range(m):
-            strains[0, c] += to_strain[c, j] * (y[j] - rest[j])
+            strains[c] += to_strain[c, j] * (y[j] - rest[j])
     failed = 0
     body_hook, load_hook = hooks
     for k in range(len(pressure)):
         for i in range(m):
             work[LAST, i], work[VELOCITY, i] = y[i], velocity[i]
             work[TRIAL, i] = y[i] + dt * velocity[i]
-        if not solve_step(work, jacobian, inverse, dt, pressure[k], tip_force[k], model, hooks, ports, strains, tips):
+        if not solve_step(
+            work, jacobian, inverse, dt, pressure[k], tip_force[k], model, hooks, ports, strains, tips, slopes
+        ):
             failed += 1
             inverse[0, 0] = 0.0
         for i in range(m):
@@ -244,5 +285,5 @@ def run_kernel(
             tips[0] = tips[1]
         if len(body_hook[0]) > 0:
             run_body_effects(body_hook, ports[0], y, model, pressure[k], strains, dt, True)
-            strains[0] = strains[1]
+            strains[:] = ports[0][STRAIN]
     return failed
