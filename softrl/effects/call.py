@@ -12,13 +12,9 @@ from llvmlite import ir
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from softrl.core.compiled import borrowing
 from softrl.core.simulator import Hook
 from softrl.effects.effect import PORT_KERNEL, SIGNAL_KERNEL
-
-# Compiled without reference counts, since inner functions only borrow arrays, and into their callers: taking a model's tuple
-# apart, or passing its hundred words, costs more than the arithmetic of a small body. Such a function cannot allocate.
-_UNCOUNTED: dict[str, Any] = {"_nrt": False}
-borrowing: Any = nb.njit(cache=True, nogil=True, error_model="numpy", forceinline=True, **_UNCOUNTED)
 
 
 class Calls(NamedTuple):

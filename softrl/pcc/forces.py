@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from softrl.effects.call import borrowing, run_ports
+from softrl.core.compiled import borrowing
+from softrl.effects.call import run_ports
 from softrl.effects.effect import (
     ADDED,
     ADDED_SLOPE,

@@ -10,7 +10,7 @@ from typing import Any
 import numba as nb
 import numpy as np
 
-from softrl.effects.call import borrowing
+from softrl.core.compiled import borrowing
 from softrl.effects.effect import ADDED_SLOPE, BODY_PORT_ROWS, LOAD_PORT_ROWS, STRAIN
 from softrl.pcc.forces import (
     LAST,

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from softrl.effects.call import borrowing
+from softrl.core.compiled import borrowing
 
 SERIES_BELOW = 4.0  # squared bend angle under which nine terms of the series are exact to the last digit
 

@@ -11,6 +11,7 @@ from typing import Any
 import numba as nb
 import numpy as np
 
+from softrl.core.compiled import FAST
 from softrl.core.threads import one_thread
 from softrl.pod.chords import fill_inertias, fill_masses_of, fill_viscosities
 from softrl.pod.inside import AXES, Inside, make_inside
@@ -18,7 +19,7 @@ from softrl.pod.insides import begin_insides, end_insides, fill_gives, shared_en
 from softrl.pod.kernel import MAX_ITERATIONS
 from softrl.pod.lanes import Lanes, add, add_times, fill_monomials, make_lanes, scale_down, squares_of, take, to_balls
 from softrl.pod.newtons import converge
-from softrl.pod.potential import FAST, Tables
+from softrl.pod.potential import Tables
 
 LANES = 64  # trajectories in step: many for the matrix products, few enough for the cache
 

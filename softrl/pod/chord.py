@@ -5,13 +5,13 @@ A is ``L S'S L'``, S symmetric with polynomials for entries and L constant, lowe
 
 from typing import Any
 
-import numba as nb
 import numpy as np
 
-from softrl.pod.potential import FAST, fill_monomials, fill_rows, fill_square, to_ball
+from softrl.core.compiled import borrowing, summing
+from softrl.pod.potential import fill_monomials, fill_rows, fill_square, to_ball
 
 
-@nb.njit(cache=True)
+@borrowing
 def fill_chord(
     metric: Any, middle: np.ndarray, by: np.ndarray, least: int, tables: Any, work: Any, matrix: np.ndarray,
     slope: np.ndarray,
@@ -37,7 +37,7 @@ def fill_chord(
     _fill_slope(mixed, some, point, radius, tables, slope)
 
 
-@nb.njit(cache=True)
+@borrowing
 def _fill_root(half: np.ndarray, factor: np.ndarray, root: np.ndarray) -> None:
     """Fill ``root`` (r r,) with S L' of the entries ``half`` (pairs,) of S and ``factor`` L."""
     r = len(factor)
@@ -52,7 +52,7 @@ def _fill_root(half: np.ndarray, factor: np.ndarray, root: np.ndarray) -> None:
             pair += 1
 
 
-@nb.njit(cache=True)
+@borrowing
 def _fill_weights(
     root: np.ndarray, factor: np.ndarray, by: np.ndarray, scratch: np.ndarray, weights: np.ndarray
 ) -> None:
@@ -71,7 +71,7 @@ def _fill_weights(
             pair += 1
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@summing
 def _add_mixture(coefficients: np.ndarray, weights: np.ndarray, mixed: np.ndarray) -> None:
     """Add to ``mixed`` (>= k,) the polynomials ``coefficients`` (m, k), weighed by ``weights`` (m,).
 
@@ -88,7 +88,7 @@ def _add_mixture(coefficients: np.ndarray, weights: np.ndarray, mixed: np.ndarra
             )
 
 
-@nb.njit(cache=True)
+@borrowing
 def _fill_slope(
     mixed: np.ndarray, values: np.ndarray, point: np.ndarray, radius: float, tables: Any, slope: np.ndarray
 ) -> None:

@@ -7,15 +7,15 @@ is led along its curve.
 
 from typing import Any
 
-import numba as nb
 import numpy as np
 
+from softrl.core.compiled import borrowing
 from softrl.pod.chord import fill_chord
 from softrl.pod.inside import AXES, fill_mass, shared_energy
 from softrl.pod.potential import square_of
 
 
-@nb.njit(cache=True)
+@borrowing
 def fill_inertia(
     start: np.ndarray, before: np.ndarray, by: np.ndarray, tables: Any, work: Any, held: Any
 ) -> None:
@@ -32,7 +32,7 @@ def fill_inertia(
     fill_masses_of(start, by, tables, work, held)
 
 
-@nb.njit(cache=True)
+@borrowing
 def fill_masses_of(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, held: Any) -> None:
     """Fill the mass half way of the step ``by`` (r,) from ``start`` with the force of its slope, and the inside's masses."""
     values, middle, root, mass, slopes, inside = work[0], work[3], work[4], held[0], held[2], held[5]
@@ -43,13 +43,13 @@ def fill_masses_of(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, he
     fill_mass(root, tables, values, inside)
 
 
-@nb.njit(cache=True)
+@borrowing
 def kinetic_energy(velocity: np.ndarray, inner: np.ndarray, held: Any) -> float:
     """Return twice the kinetic energy, at mass scale 1, of a step at ``velocity`` and the rate of ``inner``."""
     return square_of(held[0], velocity) + shared_energy(velocity, inner, held[5])
 
 
-@nb.njit(cache=True)
+@borrowing
 def work_of_inertia(
     velocity: np.ndarray, former: np.ndarray, giving: np.ndarray, formerly: np.ndarray, dt: float, held: Any
 ) -> float:

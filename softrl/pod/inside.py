@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 
+from softrl.core.compiled import borrowing
 from softrl.pod.potential import fill_rows
 
 AXES = 3
@@ -53,28 +54,28 @@ def make_inside(r: int, lanes: tuple[int, ...]) -> Inside:
     )  # fmt: skip
 
 
-@nb.njit(cache=True)
+@borrowing
 def fill_mass(root: np.ndarray, tables: Any, values: np.ndarray, inside: Any) -> None:
     """Fill masses at monomials ``values``; ``root`` (r r,) is that of the coordinates' mass."""
     fill_rows(tables.give_root, values, inside.rows)
     join(root, inside.rows, inside.couple, inside.own)
 
 
-@nb.njit(cache=True)
+@borrowing
 def fill_give(tables: Any, values: np.ndarray, inside: Any) -> None:
     """Fill the stiffness at monomials ``values``."""
     fill_rows(tables.give, values, inside.gives)
     fill_own(inside.gives, inside.give)
 
 
-@nb.njit(cache=True)
+@borrowing
 def fill_drag(root: np.ndarray, tables: Any, values: np.ndarray, inside: Any) -> None:
     """Fill viscosities at monomials ``values``; ``root`` (r r,) is that of the coordinates' viscosity."""
     fill_rows(tables.drag_root, values, inside.rows)
     join(root, inside.rows, inside.drag, inside.tough)
 
 
-@nb.njit(cache=True)
+@borrowing
 def join(root: np.ndarray, rows: np.ndarray, across: np.ndarray, own: np.ndarray) -> None:
     """Fill ``across`` (r, 3) with R'A and ``own`` (3, 3) with A'A + B'B of ``root`` R and ``rows``, A above B.
 
@@ -90,7 +91,7 @@ def join(root: np.ndarray, rows: np.ndarray, across: np.ndarray, own: np.ndarray
     fill_own(rows, own)
 
 
-@nb.njit(cache=True)
+@borrowing
 def fill_own(rows: np.ndarray, matrix: np.ndarray) -> None:
     """Fill ``matrix`` (3, 3) with R'R of ``rows`` R (3 k,), three columns."""
     for j in range(AXES):
@@ -101,7 +102,7 @@ def fill_own(rows: np.ndarray, matrix: np.ndarray) -> None:
             matrix[j, k] = total
 
 
-@nb.njit(cache=True)
+@borrowing
 def begin_inside(
     inner: np.ndarray, ahead: np.ndarray, start: np.ndarray, dt: float, tables: Any, inside: Any, inertia: np.ndarray,
     right: np.ndarray,
@@ -136,7 +137,7 @@ def begin_inside(
                 inertia[i, j] -= share * pull[j, k]
 
 
-@nb.njit(cache=True)
+@borrowing
 def end_inside(inner: np.ndarray, y: np.ndarray, dt: float, inside: Any) -> float:
     """Bring ``inner`` up to date with the arrival at ``y``; return twice the energy that it stores."""
     left = inside.push
@@ -152,7 +153,7 @@ def end_inside(inner: np.ndarray, y: np.ndarray, dt: float, inside: Any) -> floa
     return stored_in(inner[0], inside.give)
 
 
-@nb.njit(cache=True)
+@borrowing
 def stored_in(vector: np.ndarray, matrix: np.ndarray) -> float:
     """Return vector' matrix vector of three."""
     total = 0.0
@@ -162,7 +163,7 @@ def stored_in(vector: np.ndarray, matrix: np.ndarray) -> float:
     return total
 
 
-@nb.njit(cache=True)
+@borrowing
 def shared_energy(velocity: np.ndarray, inner: np.ndarray, inside: Any) -> float:
     """Return twice the kinetic energy of the inside and of what it shares with the coordinates."""
     total = stored_in(inner[1], inside.own)
@@ -172,7 +173,7 @@ def shared_energy(velocity: np.ndarray, inner: np.ndarray, inside: Any) -> float
     return total
 
 
-@nb.njit(cache=True)
+@borrowing
 def _invert(m: np.ndarray) -> None:
     """Invert a symmetric matrix (3, 3) in place; the inverse of a stiffness that is none is to be none either."""
     a, b, c, d, e, f = m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]

@@ -5,9 +5,9 @@ from typing import Any
 import numba as nb
 import numpy as np
 
+from softrl.core.compiled import summing
 from softrl.pod.inside import AXES, LEAST
 from softrl.pod.lanes import add, fill_rows, squares_of, take
-from softrl.pod.potential import FAST
 
 
 @nb.njit(cache=True)
@@ -52,7 +52,7 @@ def _fill_own(rows: np.ndarray, matrix: np.ndarray) -> None:
             matrix[k, j] = matrix[j, k]
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@summing
 def _blend(left: np.ndarray, a: float, right: np.ndarray, b: float, out: np.ndarray) -> None:
     """Fill ``out`` (lanes,) with a left + b right."""
     for lane in range(len(out)):
@@ -98,7 +98,7 @@ def begin_insides(
                 take(inertia[i, j], share, pull[j, k])
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@summing
 def _add_scaled(total: np.ndarray, scale: float, left: np.ndarray, right: np.ndarray) -> None:
     """Add ``scale * left * right`` to ``total``, (lanes,) each."""
     for lane in range(len(total)):

@@ -6,12 +6,13 @@ from typing import Any
 import numba as nb
 import numpy as np
 
+from softrl.core.compiled import FAST
 from softrl.pod.inertia import fill_inertia, fill_masses_of, kinetic_energy, work_of_inertia
 from softrl.pod.inside import begin_inside, end_inside, fill_give, make_inside, stored_in
 from softrl.pod.linear import newton_direction
 from softrl.pod.ports import add_effects, commit_effects, fill_ports, make_ports
 from softrl.pod.pose import tip_pose
-from softrl.pod.potential import FAST, fill_monomials, fill_potential, to_ball
+from softrl.pod.potential import fill_monomials, fill_potential, to_ball
 from softrl.pod.viscosity import fill_viscosity
 
 TOLERANCE = 1e-9  # change of y: below a nanometre at the tip

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 
-from softrl.pod.potential import FAST
+from softrl.core.compiled import summing
 
 
 class Lanes(NamedTuple):
@@ -55,21 +55,21 @@ def make_lanes(r: int, lanes: int, tables: Any) -> Lanes:
     )  # fmt: skip
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@summing
 def add(total: np.ndarray, left: np.ndarray, right: np.ndarray) -> None:
     """Add ``left * right`` to ``total``, (lanes,) each."""
     for lane in range(len(total)):
         total[lane] += left[lane] * right[lane]
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@summing
 def take(total: np.ndarray, left: np.ndarray, right: np.ndarray) -> None:
     """Take ``left * right`` from ``total``, (lanes,) each."""
     for lane in range(len(total)):
         total[lane] -= left[lane] * right[lane]
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@summing
 def add_times(total: np.ndarray, scale: float, right: np.ndarray) -> None:
     """Add ``scale * right`` to ``total``, (lanes,) each."""
     for lane in range(len(total)):

@@ -8,6 +8,7 @@ from typing import Any
 import numba as nb
 import numpy as np
 
+from softrl.core.compiled import borrowing
 from softrl.pod.kernel import CLOSE, LONGEST_STEP
 from softrl.pod.lanes import Lanes, add, fill_monomials, fill_rows, take, to_balls
 from softrl.pod.linear import newton_direction
@@ -95,7 +96,7 @@ def _solve_alone(lane: int, tables: Any, held: Lanes) -> None:
     held.wanted[:, lane] = direction
 
 
-@nb.njit(cache=True, error_model="numpy")
+@borrowing
 def _move(y: np.ndarray, lane: int, progress: np.ndarray, held: Lanes) -> float:
     """Move ``y`` of one lane by what ``wanted`` says, or back by half, as ``pod.kernel.iterate``."""
     along = longest = slope = 0.0

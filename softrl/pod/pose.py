@@ -6,8 +6,9 @@ from typing import Any
 import numba as nb
 import numpy as np
 
+from softrl.core.compiled import FAST
 from softrl.pod.inside import AXES
-from softrl.pod.potential import FAST, fill_monomials, polynomial, to_ball
+from softrl.pod.potential import fill_monomials, polynomial, to_ball
 
 
 @nb.njit(cache=True, fastmath=FAST)

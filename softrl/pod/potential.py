@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 
-FAST = {"reassoc", "contract"}  # sums in any order: what lets the compiler use vectors
+from softrl.core.compiled import FAST
 
 
 class Tables(NamedTuple):

@@ -6,9 +6,9 @@ The full model resists that change, not its rate at some moment: half its square
 
 from typing import Any
 
-import numba as nb
 import numpy as np
 
+from softrl.core.compiled import borrowing
 from softrl.pod.chord import fill_chord
 from softrl.pod.inside import fill_drag
 from softrl.pod.potential import square_of
@@ -16,7 +16,7 @@ from softrl.pod.potential import square_of
 TINY = 1e-300
 
 
-@nb.njit(cache=True)
+@borrowing
 def fill_viscosity(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, held: Any) -> None:
     """Fill viscosity and the inside's half way of a step from ``start`` by ``by`` (r,), and the force of its slope.
 

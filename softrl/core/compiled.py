@@ -1,0 +1,17 @@
+"""How small inner functions are compiled.
+
+They only borrow arrays, so they are compiled without reference counts, and into their callers: taking a model's tuple apart, or
+passing its hundred words, costs more than the arithmetic of a small body. Such a function cannot allocate.
+"""
+
+from typing import Any
+
+import numba as nb
+
+FAST = {"reassoc", "contract"}  # sums in any order: what lets the compiler use vectors
+
+_INNER: dict[str, Any] = {
+    "cache": True, "nogil": True, "error_model": "numpy", "forceinline": True, "_nrt": False,
+}  # fmt: skip
+borrowing: Any = nb.njit(**_INNER)
+summing: Any = nb.njit(fastmath=FAST, **_INNER)
