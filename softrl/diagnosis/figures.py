@@ -166,9 +166,10 @@ def draw_errors(diagnosis: Diagnosis) -> Figure:
     for k, (split, errors) in enumerate(shown.items()):
         bars = ax.bar(np.arange(len(errors)) + (k + 0.5) * width - 0.4, list(errors.values()), width, label=split)
         ax.bar_label(bars, fmt="%.2g", fontsize=7)
+    ax.set_yscale("log")  # what is corrected would be a line at the bottom
     ax.set_xticks(np.arange(len(errors)), [name.replace("_", " ") for name in errors])
     ax.set_ylabel(f"rms error, {'deg' if diagnosis.errors_deg else 'mm'}")
-    ax.legend(loc="upper right")
+    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
     return figure
 
 
@@ -238,5 +239,5 @@ def draw_screening(findings: Sequence[Finding]) -> Figure:
         factor, unit = shown_in(finding)
         before = factor * finding.judge.rms(finding.base.squares)
         ax.set_title(f"{finding.part.title}\n(retuned rms {before:.3g} {unit})", fontsize=9)
-        ax.set_xlabel("share of the squared error on runs left out that it saves, fitted roughly", fontsize=8)
+    figure.supxlabel("share of the squared error on runs left out that it saves, fitted roughly", fontsize=9)
     return figure
