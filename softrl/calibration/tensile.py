@@ -27,10 +27,6 @@ class TensileCurve:
     stretch: np.ndarray
     stress: np.ndarray
 
-    def secant_modulus(self, strain: float) -> float:
-        """Return stress / strain in Pa at an engineering strain."""
-        return float(np.interp(1.0 + strain, self.stretch, self.stress) / strain)
-
 
 def read_tensile(path: Path, bins: int, stretch_max: float) -> TensileCurve:
     """Return the curve in ``path`` up to ``stretch_max``.

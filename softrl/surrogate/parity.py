@@ -6,7 +6,7 @@ from scipy.optimize import minimize
 from softrl.artifacts.surrogate import Surrogate
 from softrl.surrogate.fit import Fit
 from softrl.surrogate.simulator import SurrogateState, World
-from softrl.surrogate.twin import Plane, Twin
+from softrl.surrogate.twin import Twin
 
 SETTLE_S, TICK_S = 1.5, 0.1
 DAMPING_PER_S = 30.0
@@ -60,17 +60,3 @@ def fit_joints_by_simulation(surrogate: Surrogate, tip: np.ndarray) -> Fit:
     residual = np.array([np.linalg.norm(tip_at(x) - target) for x, target in zip(found, tip, strict=True)])
     world.close()
     return Fit(low + np.array(found) * span, residual)
-
-
-def contact_parity(
-    surrogate: Surrogate, theta: np.ndarray, plane: Plane, friction: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the contact forces (B,) N of PyBullet and of the twin under commands (B, 3) before ``plane``."""
-    world, twin = World(surrogate, 1.0, DAMPING_PER_S, 1.0), Twin(surrogate)
-    world.place_plane(*plane, friction)
-    felt = []
-    for command in theta:
-        settle(world, command)
-        felt.append(world.contact_force())
-    world.close()
-    return np.array(felt), twin.solve(theta, None, plane, friction).contact_force

@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 
 from softrl.core.errors import SolverError
 from softrl.surrogate.kinematics import Chain, joint_axes, joint_jacobians
-from softrl.surrogate.springs import QUADRATIC, TERMS, Springs, constant, monomials, softness_at
+from softrl.surrogate.springs import QUADRATIC, TERMS, Springs, monomials, softness_at
 
 POSES_PER_TERM = 4  # fewer do not tell the terms of a cubic apart
 WIDEST, STEEPEST = 5.0, 3.0  # a factor of 150 about the mean softness; of 20 from a gap to the middle one
@@ -209,8 +209,3 @@ def _softness(values: torch.Tensor, size: torch.Tensor) -> torch.Tensor:
 
 def _share(taper: torch.Tensor, height: torch.Tensor) -> torch.Tensor:
     return torch.softmax(taper[0] * height + taper[1] * height**2, dim=0) * len(height)
-
-
-def constant_springs(stiffness: np.ndarray, gaps: int, low: np.ndarray, high: np.ndarray) -> Springs:
-    """Return springs of ``stiffness`` (3,) N m/rad, N m/rad, N/m in every pose."""
-    return Springs(constant(stiffness), np.ones(gaps), low, high)

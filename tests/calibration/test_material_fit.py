@@ -55,7 +55,7 @@ def test_fit_finds_the_parameters_that_made_the_curve(law: str) -> None:
 
 def test_neo_hookean_misses_the_stiffening_of_the_shipped_curve() -> None:
     curve = read_tensile(ROOT / "assets/tripod/tensile.csv", 300, 3.0)
-    assert 1.0e6 < curve.secant_modulus(0.15) < 1.4e6
+    assert 1.0e6 < np.interp(1.15, curve.stretch, curve.stress) / 0.15 < 1.4e6
     fits = {f.law: f for f in fit_materials(curve, 8)}
     assert best_fit(list(fits.values())).law == "yeoh"
     assert fits["yeoh"].heldout_rms_pa < 0.3 * fits["neo_hookean"].heldout_rms_pa

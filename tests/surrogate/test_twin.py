@@ -9,9 +9,10 @@ from softrl.artifacts.surrogate import Surrogate
 from softrl.core.tracking import NullTracker
 from softrl.surrogate.kinematics import chain_of
 from softrl.surrogate.maps import PressureToJoints, evaluate, network, network_of
-from softrl.surrogate.parity import contact_parity, parity
-from softrl.surrogate.springs import Springs, softness_at, springs_of, stiffness_matrix
-from softrl.surrogate.stiffness import Compliance, bending_of, chain_turn, constant_springs, fit_springs
+from softrl.surrogate.parity import DAMPING_PER_S, parity, settle
+from softrl.surrogate.simulator import World
+from softrl.surrogate.springs import Springs, constant, softness_at, springs_of, stiffness_matrix
+from softrl.surrogate.stiffness import Compliance, bending_of, chain_turn, fit_springs
 from softrl.surrogate.twin import Plane, Twin, chain_compliance
 
 TILT = np.deg2rad(15.0)
@@ -84,14 +85,19 @@ def test_pybullet_settles_where_the_twin_is(surrogate: Surrogate) -> None:
 
 def test_pybullet_presses_as_hard_as_the_twin(surrogate: Surrogate, pressed: tuple[Twin, np.ndarray, Plane]) -> None:
     _, theta, plane = pressed
-    felt, expected = contact_parity(surrogate, theta[[1, 4]], plane, 0.0)
+    world, felt = World(surrogate, 1.0, DAMPING_PER_S, 1.0), []
+    world.place_plane(*plane, 0.0)
+    for command in theta[[1, 4]]:
+        settle(world, command)
+        felt.append(world.contact_force())
+    world.close()
+    expected = Twin(surrogate).solve(theta[[1, 4]], None, plane).contact_force
     np.testing.assert_allclose(felt, expected, rtol=0.05)
 
 
 def bent_springs(surrogate: Surrogate, taper: float) -> Springs:
     """Return springs that change with the pose, couple the joints and are softer near the base by ``taper``."""
-    plain = constant_springs(np.array([20.0, 25.0, 1e4]), surrogate.gaps, surrogate.joint_low, surrogate.joint_high)
-    coefficients = plain.coefficients.copy()
+    coefficients = constant(np.array([20.0, 25.0, 1e4]))
     coefficients[1:4, :3] = [[0.1, -0.2, 0.3], [0.2, 0.1, -0.3], [-0.3, 0.2, 0.1]]
     coefficients[1, 4], coefficients[2, 5] = 2e-3, -3e-3
     share = np.exp(-taper * np.linspace(-1.0, 1.0, surrogate.gaps))
