@@ -20,6 +20,10 @@ from softrl.surrogate.springs import springs_of, stiffness_matrix
 
 RATE_HZ = 240.0  # PyBullet's own
 SOLVER_ITERATIONS = 100
+FAR = 0.01  # rad or m from where the mass was taken: with an old one, what turning asks for would be taken for a load
+FINER = (1, 4, 16)  # times PyBullet's rate
+LONGEST = 0.05  # rad or m a joint may move in a step
+FASTEST = 99.0  # rad/s or m/s, where PyBullet cuts speeds off
 HALF_EXTENT_M = 0.2  # of the box whose upper face is the contact plane
 BOX_THICKNESS_M = 0.05
 TIP = "tip"
@@ -120,10 +124,29 @@ class World:
     def advance(
         self, state: SurrogateState, theta: np.ndarray, dt_s: float, force: np.ndarray | None
     ) -> SurrogateState:
-        """Return the state after ``dt_s`` under the grouped command ``theta`` (3,) and a tip ``force``, see ``_push``."""
-        client, body, joints = self._client, self.body, self.joints
+        """Return the state after ``dt_s`` under the grouped command ``theta`` (3,) and a tip ``force``, see ``_push``.
+
+        Where a joint moves too far in one of PyBullet's steps, these are made shorter and the motion is made again.
+
+        Raises
+        ------
+        SolverError
+            If it does so in the shortest, too.
+        """
         steps = max(1, math.ceil(dt_s * self.rate_hz - 1e-9))
-        step_s = dt_s / steps
+        for finer in FINER:
+            after, fastest = self._move(state, theta, dt_s / (finer * steps), finer * steps, force)
+            if fastest < min(FASTEST, LONGEST * self.rate_hz * finer):
+                return after
+        raise SolverError(
+            f"simulator surrogate diverged at {FINER[-1] * steps / dt_s:.0f} Hz; a smaller dt_s or softer joints help"
+        )
+
+    def _move(
+        self, state: SurrogateState, theta: np.ndarray, step_s: float, steps: int, force: np.ndarray | None
+    ) -> tuple[SurrogateState, float]:
+        """Return the state after ``steps`` of PyBullet's, and the largest speed of a joint on the way."""
+        client, body, joints = self._client, self.body, self.joints
         command = np.tile(theta, len(joints) // 3)
         for joint, value, speed in zip(joints, state.coordinates, state.velocity, strict=True):
             bullet.resetJointState(body, joint, value, speed, physicsClientId=client)
@@ -132,13 +155,12 @@ class World:
         bullet.setJointMotorControlArray(
             body, joints, bullet.VELOCITY_CONTROL, forces=[0.0] * len(joints), physicsClientId=client
         )
-        q, velocity = state.coordinates, state.velocity
-        mass = np.array(bullet.calculateMassMatrix(body, list(q), physicsClientId=client))
-        springs, damper = self.stiffness(theta), self._damping_rate * mass
-        ahead = step_s * damper + step_s**2 * springs  # what a step of acceleration adds to springs and dampers
-        foresee = np.linalg.inv(mass + ahead)
-        outside = np.zeros_like(q) if state.outside is None else state.outside
+        q, velocity, springs = state.coordinates, state.velocity, self.stiffness(theta)
+        at, (mass, damper, ahead, foresee) = q, self._inertia(q, springs, step_s)
+        outside, fastest = np.zeros_like(q) if state.outside is None else state.outside, 0.0
         for _ in range(steps):
+            if np.abs(q - at).max() > FAR:
+                at, (mass, damper, ahead, foresee) = q, self._inertia(q, springs, step_s)
             pull = springs @ (command - q - step_s * velocity) - damper @ velocity
             torque = pull - ahead @ (foresee @ (pull + outside))
             bullet.setJointMotorControlArray(
@@ -150,11 +172,15 @@ class World:
             read = bullet.getJointStates(body, joints, physicsClientId=client)
             before, q, velocity = velocity, np.array([r[0] for r in read]), np.array([r[1] for r in read])
             outside = mass @ (velocity - before) / step_s - torque
-        if not np.isfinite(q).all():
-            raise SolverError(
-                f"simulator surrogate diverged at {1 / step_s:.0f} Hz; a smaller dt_s or softer joints help"
-            )
-        return SurrogateState(q, velocity, outside)
+            fastest = max(fastest, float(np.abs(velocity).max()))
+        return SurrogateState(q, velocity, outside), fastest if np.isfinite(q).all() else np.inf
+
+    def _inertia(self, q: np.ndarray, springs: np.ndarray, step_s: float) -> tuple[np.ndarray, ...]:
+        """Return mass and damping at joints ``q``, what a step of acceleration adds to their pull, and the inverse of both."""
+        mass = np.array(bullet.calculateMassMatrix(self.body, list(q), physicsClientId=self._client))
+        damper = self._damping_rate * mass
+        ahead = step_s * damper + step_s**2 * springs
+        return mass, damper, ahead, np.linalg.inv(mass + ahead)
 
     def _push(self, force: np.ndarray) -> None:
         """Let ``force`` (3,) N, or (6,) N and N m, act on the tip in the next step; a moment does as couples a metre wide."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softrl.artifacts.surrogate import Surrogate
-from softrl.core.errors import ArtifactError, ConfigError
+from softrl.core.errors import ArtifactError, ConfigError, SolverError
 from softrl.robots.robot import Robot
 from softrl.surrogate.simulator import SurrogateSimulator
 from softrl.surrogate.twin import Twin
@@ -53,3 +53,18 @@ def test_misuse_is_refused(simulator: SurrogateSimulator, robot: Robot) -> None:
         replace(simulator, robot=replace(robot, name="other"))
     with pytest.raises(ConfigError, match="body and load"):
         simulator.step(simulator.reset(), np.zeros(3), DT_S, body=[object()])  # type: ignore[list-item]
+
+
+def test_jumps_settle(simulator: SurrogateSimulator) -> None:
+    s, world, state = simulator.surrogate, simulator.world, simulator.reset()
+    for theta in np.random.default_rng(0).choice(s.sample_joints, 60):
+        state = world.advance(state, theta, 0.08, None)
+    for _ in range(15):
+        state = world.advance(state, s.sample_joints[0], 0.08, None)
+    np.testing.assert_allclose(world.pose(state)[0], Twin(s).tip(s.sample_joints[0])[0], atol=1e-6)
+
+
+def test_what_runs_away_is_refused(simulator: SurrogateSimulator) -> None:
+    state = simulator.reset()
+    with pytest.raises(SolverError, match="diverged"):
+        simulator.world.advance(state._replace(velocity=np.full_like(state.velocity, 90.0)), np.ones(3), 0.08, None)
