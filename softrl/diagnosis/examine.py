@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrl.core.errors import SolverError
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes, neutral
 from softrl.diagnosis.hypothesise import forward
 from softrl.diagnosis.intervals import Interval, by_effect, intervals
@@ -216,7 +217,7 @@ def _confirm(
     """
     gone: list[Choice] = []
     while final.hypothesis.effects:
-        without = _leave_one_out(part, judge, base, final, search)
+        without = _leave_one_out(part, judge, path, base, final, search)
         gaps = {choice: judge.gap(trial.squares, final.squares) for choice, trial in without.items()}
         weakest = min(gaps, key=lambda choice: gaps[choice].value)
         plain = gaps[weakest].value >= judge.material
@@ -234,13 +235,26 @@ def _confirm(
     return base, [], {}
 
 
-def _leave_one_out(part: Part, judge: Judge, base: Trial, final: Trial, search: Search) -> dict[Choice, Trial]:
+def _leave_one_out(
+    part: Part, judge: Judge, path: Path, base: Trial, final: Trial, search: Search
+) -> dict[Choice, Trial]:
     if len(final.hypothesis.effects) == 1:
         return {final.hypothesis.effects[0]: base}
-    tasks = [(final.hypothesis.without(c), [drop(final, c)]) for c in final.hypothesis.effects]
-    fitted = fit_trials(part.problem, judge.problem, tasks, search)
-    labels = {trial.hypothesis: trial for trial in fitted}
+    tasks = [(final.hypothesis.without(c), drop(final, c)) for c in final.hypothesis.effects]
+    fitted = path.fit(part.problem, tasks, search)  # the search asked the same of each that it put to the test
+    labels = {trial.hypothesis: trial for trial in _that_run(judge, fitted)}
     return {c: labels.get(final.hypothesis.without(c), base) for c in final.hypothesis.effects}
+
+
+def _that_run(judge: Judge, trials: Sequence[Trial]) -> list[Trial]:
+    """Return the trials with their squared errors on the held-out runs; one that diverges there is left out."""
+    found = []
+    for trial in trials:
+        try:
+            found.append(_on_heldout(judge, trial))
+        except SolverError as error:
+            log.info("%s diverges on held-out runs and is dropped: %s", trial.hypothesis.label(), error)
+    return found
 
 
 def _rivals(
@@ -252,9 +266,9 @@ def _rivals(
         for other, point in path.tried.get(choice, [])
         if other.name not in final.hypothesis.names
     ]
-    trials = raced(part.problem, judge.problem, tasks[: search.rivals], search, float(final.inside.mean()))
+    race = raced(part.problem, judge.problem, tasks[: search.rivals], search, final, patient=True)
     found, both, whole = [], judge.on((*part.problem.runs, *part.heldout)), None
-    for trial in trials:
+    for trial in (*race.finished, *race.beaten):
         gap = judge.gap(trial.squares, final.squares)
         freer = len(trial.fit.point) > len(final.fit.point) and trial.everywhere.mean() > final.everywhere.mean()
         alike = not both.tells(trial.everywhere, final.everywhere)

@@ -25,7 +25,7 @@ UNKNOWN_TIMES = 1.2  # what is missing must stand out more than what is named: n
 REST_FACTOR = 2.5  # times what counts: what is left beside effects that explain most of it, and is no detail of them
 NEARLY_ALL = 0.9  # of the squared error: effects whose laws have no other form explain it, or leave a third of the error
 FOLLOWING_FACTOR = 3.0  # times what counts: structure below this may be a detail of the body
-UNEVEN_FACTOR = 2.0  # times what counts: what jumps or moves with the pressures beside noise, and is no detail of the body
+UNEVEN_FACTOR = 2.0  # times what counts: what jumps or moves with the pressures, without the noise, and is no detail of the body
 FOLLOWING_LEVEL = 1e-3
 
 
@@ -81,9 +81,10 @@ def reasons_of(judge: Judge, final: Trial, offer: Offer, explained: Explained) -
     """Return why the effects do not explain what is measured, one clause each; empty if they do.
 
     Noise with a memory is no reason: what is left has to follow the pressures, to be a line in the spectrum, or to be
-    unlike noise of its own spectrum. Where effects explain most of it, what is left must follow the pressures plainly, or,
-    where that is less than they should explain, be no noise: a wall's law may differ in its form, a turned frame may not,
-    and a map without physics excuses nothing.
+    unlike noise of its own spectrum: a valve that sticks for moments leaves little in all, but nearly all of it then. Where
+    effects explain most of it, what is left must follow the pressures plainly, or, where that is less than they should
+    explain, be no noise: a wall's law may differ in its form, a turned frame may not, and a map without physics excuses
+    nothing.
     """
     left = explained.left
     if left <= judge.material:
@@ -107,7 +108,7 @@ def reasons_of(judge: Judge, final: Trial, offer: Offer, explained: Explained) -
         reasons.append("what is left follows the pressures, but not always in the same way")
     elif left > judge.floor and spectral_line(heldout.runs, drives) < LINE_LEVEL:
         reasons.append("what is left swings at one frequency")
-    elif left > FOLLOWING_FACTOR * judge.material and _uneven(judge, final, heldout, drives, UNEVEN_FACTOR):
+    elif left > UNEVEN_FACTOR * judge.material and _uneven(judge, final, heldout, drives, UNEVEN_FACTOR):
         reasons.append("what is left is no noise: it jumps, or grows where the pressures move")
     return reasons
 

@@ -9,13 +9,12 @@ from softrl.diagnosis.hypothesis import Choice, Gate, Hypothesis, effect_axes, m
 from softrl.diagnosis.judge import Judge
 from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem
-from softrl.diagnosis.rank import Lead, rank
+from softrl.diagnosis.rank import LEAD_SHARE, Lead, rank
 from softrl.diagnosis.trial import Search, Trial, columns_of, drop, join, raced
 from softrl.effects.library import effect_class
 
 log = logging.getLogger(__name__)
 SAME_NAME = 2  # forms of one effect (all chambers, one chamber) that are fitted in full
-LEAD_SHARE = 0.3  # of the best rough fit's gain, which another needs to be fitted in full
 LEAD_GAIN = 0.03  # share of the squared error: a rough fit that saves less will not save what counts when fitted in full
 REFORMED = 2  # fits of a round, the best, in which older effects are tried in their other forms
 
@@ -39,16 +38,18 @@ def addition(
     search: Search,
     path: Path,
     leads: list[Lead] | None = None,
+    against: Trial | None = None,
 ) -> Trial | None:
     """Return ``current`` with the best further effect, if one runs; what was tried is noted in ``path``.
 
-    ``leads`` are what ``rank`` says of the choices, where it was asked before.
+    ``leads`` are what ``rank`` says of the choices, where it was asked before; ``against`` is a trial that the result has to
+    beat.
     """
     taken = current.hypothesis.names
     leads = rank(fitting, current, not_taken(choices, current), search) if leads is None else leads
     if not taken or len(path.screened) < len(taken) + 1:
         path.screened.append(leads)
-    trials = fit_leads(fitting, current, leads, search)
+    trials = fit_leads(fitting, current, leads, search, against)
     if not trials:
         return None
     every = trials + _otherwise(fitting, trials, search, path)
@@ -79,7 +80,8 @@ def swap(fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice]
         less = path.fit(fitting, [(trial.hypothesis.without(old), drop(trial, old))], search) if old else []
         if old is None or not less:
             continue
-        instead = addition(fitting, judge, less[0], [*choices, *where_it_acts(trial, old, choices)], search, path)
+        others_too = [*choices, *where_it_acts(trial, old, choices)]
+        instead = addition(fitting, judge, less[0], others_too, search, path, against=trial)
         if instead is None:
             continue
         new = instead.hypothesis.effects[-1]
@@ -118,8 +120,8 @@ def _otherwise(fitting: Problem, trials: Sequence[Trial], search: Search, path: 
         for old in trial.hypothesis.effects[:-1]
         for form, point in _same_name(path, trial, old)
     ]
-    best = min(trial.mean_square for trial in trials)
-    return raced(fitting, None, tasks, search, best) if tasks else []
+    best = min(trials, key=lambda trial: trial.mean_square)
+    return raced(fitting, None, tasks, search, best).finished if tasks else []
 
 
 def _same_name(path: Path, trial: Trial, old: Choice) -> list[tuple[Choice, np.ndarray]]:
@@ -143,8 +145,13 @@ def _others(trials: Sequence[Trial], best: Trial) -> list[tuple[Choice, np.ndarr
     return found
 
 
-def fit_leads(fitting: Problem, current: Trial, leads: Sequence[Lead], search: Search) -> list[Trial]:
-    """Return ``current`` with each of the best leads added, fitted in full; at most ``SAME_NAME`` forms of one."""
+def fit_leads(
+    fitting: Problem, current: Trial, leads: Sequence[Lead], search: Search, against: Trial | None = None
+) -> list[Trial]:
+    """Return ``current`` with each of the best leads added, fitted in full; at most ``SAME_NAME`` forms of one.
+
+    Those that are beaten early, by each other or by ``against``, are fitted roughly.
+    """
     tasks: list[tuple[Hypothesis, list[np.ndarray]]] = []
     seen: dict[str, int] = {}
     for lead in leads:
@@ -153,7 +160,8 @@ def fit_leads(fitting: Problem, current: Trial, leads: Sequence[Lead], search: S
         seen[lead.choice.name] = seen.get(lead.choice.name, 0) + 1
         if seen[lead.choice.name] <= SAME_NAME:
             tasks.append((current.hypothesis.with_effect(lead.choice), starting_points(current, lead, search.starts)))
-    return raced(fitting, None, tasks, search)
+    race = raced(fitting, None, tasks, search, against)
+    return [*race.finished, *race.beaten]
 
 
 def starting_points(current: Trial, lead: Lead, count: int) -> list[np.ndarray]:

@@ -8,7 +8,7 @@ import numpy as np
 from softrl.diagnosis.hypothesis import Choice, Hypothesis
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.rank import Lead
-from softrl.diagnosis.trial import Search, Trial, fit_trials
+from softrl.diagnosis.trial import Search, Trial, fit_trials, raced
 
 
 @dataclass
@@ -21,22 +21,33 @@ class Path:
     retuned : the one without effects
     screened : the leads of every round
     tried : for each named effect the alternatives fitted in its place, best first, with their points
-    fitted : fits of hypotheses with less than others, by where they began
+    fitted : fits of hypotheses with less than others, by where they began and what they competed with; None if beaten
     """
 
     best: Trial
     retuned: Trial
     screened: list[list[Lead]] = field(default_factory=list)
     tried: dict[Choice, list[tuple[Choice, np.ndarray]]] = field(default_factory=dict)
-    fitted: dict[tuple[Hypothesis, bytes], Trial | None] = field(default_factory=dict)
+    fitted: dict[tuple[Hypothesis, bytes, bytes], Trial | None] = field(default_factory=dict)
 
     def fit(
-        self, fitting: Problem, tasks: Sequence[tuple[Hypothesis, np.ndarray]], search: Search
+        self,
+        fitting: Problem,
+        tasks: Sequence[tuple[Hypothesis, np.ndarray]],
+        search: Search,
+        against: Trial | None = None,
     ) -> list[Trial]:
-        """Return what ``fit_trials`` returns for one start each; none is fitted twice from the same start."""
-        keys = [(hypothesis, point.tobytes()) for hypothesis, point in tasks]
-        fresh = {key: task for key, task in zip(keys, tasks, strict=True) if key not in self.fitted}
-        found = fit_trials(fitting, None, [(hypothesis, [point]) for hypothesis, point in fresh.values()], search)
+        """Return what ``fit_trials`` returns for one start each; none is fitted twice from the same start.
+
+        Those that a race ``against`` a fitted trial leaves plainly behind are left out.
+        """
+        rival = against.fit.point.tobytes() if against else b""
+        keys = [(hypothesis, point.tobytes(), rival) for hypothesis, point in tasks]
+        fresh = {key: (task[0], [task[1]]) for key, task in zip(keys, tasks, strict=True) if key not in self.fitted}
+        todo = list(fresh.values())
+        found: list[Trial] = []
+        if todo:
+            found = raced(fitting, None, todo, search, against).finished if against else fit_trials(fitting, None, todo, search)
         by_hypothesis = {trial.hypothesis: trial for trial in found}
         self.fitted |= {key: by_hypothesis.get(key[0]) for key in fresh}
         return [trial for key in keys if (trial := self.fitted[key]) is not None]

@@ -9,13 +9,15 @@ from softrl.core.errors import SolverError
 from softrl.diagnosis.hypothesis import Choice, effect_axes, neutral, starts
 from softrl.diagnosis.look import MIN_AMPLITUDE, Base, Begin, Look, bases_of, hidden_by_retuning, is_bent, look_at
 from softrl.diagnosis.problem import Problem
-from softrl.diagnosis.search import Fit, refine
+from softrl.diagnosis.search import NEAR, Fit, comes_to, refine
 from softrl.diagnosis.trial import Search, Trial, join, parallel, squares_left_out
 
 LOOK_SHARE = 0.2  # of the best effect's gain, along straight lines, which another needs to be fitted at all
 CLOSER = 0.25  # of that: what seems to explain less at the sizes that are tried first is not looked at more closely
 PROMISING = 0.3  # of the best gain: what an effect above a pressure saves in all chambers, to be tried in one alone
 SECOND_LOOK = 0.5  # of an effect's best begin's gain, which another begin of it needs to be followed
+FAR_BEHIND = 2.0  # times the cost of the best rough fit: another is not improved further
+LEAD_SHARE = 0.3  # of the best rough fit's gain, which another needs to be fitted in full
 
 
 class Lead(NamedTuple):
@@ -29,6 +31,20 @@ class Lead(NamedTuple):
     gain: float
 
 
+class Best(NamedTuple):
+    """The best of several effects: the share of the squared error of its look, and the cost of its first rough steps."""
+
+    share: float
+    cost: float
+
+
+class Leads(NamedTuple):
+    """Leads of some choices, and the best of them."""
+
+    leads: list[Lead]
+    best: Best
+
+
 def rank(fitting: Problem, current: Trial, choices: Sequence[Choice], search: Search) -> list[Lead]:
     """Return all ``choices`` fitted roughly beside ``current``, the one that predicts runs left out best first.
 
@@ -39,14 +55,15 @@ def rank(fitting: Problem, current: Trial, choices: Sequence[Choice], search: Se
     seen, fitting = fitting.seen, fitting.rough_about(current.hypothesis, current.fit.point)
     bases = bases_of(fitting, current)
     for_all = [choice for choice in choices if choice.chamber < 0]
-    leads, reach = _leads(fitting, bases, [(c, starts(c, seen.get(c.name, ()))) for c in for_all], 0.0, search)
+    all_over = _leads(fitting, bases, [(c, starts(c, seen.get(c.name, ()))) for c in for_all], Best(0.0, np.inf), search)
+    leads = all_over.leads
     shapes = {_form(lead.choice): lead.point[: len(effect_axes(lead.choice))] for lead in leads}
     least = PROMISING * max((lead.gain for lead in leads), default=0.0)
     promising = {_form(lead.choice) for lead in leads if lead.gain >= max(least, 0.0)}
     anyhow = (None, "since_s")
     alone = [c for c in choices if c.chamber >= 0 and ((c.gate and c.gate.field) in anyhow or _form(c) in promising)]
     tasks = [(c, [_plain(c, shapes.get(_form(c))), starts(c)[0]]) for c in alone]
-    leads += _leads(fitting, bases, tasks, reach, search)[0]
+    leads = leads + _leads(fitting, bases, tasks, all_over.best, search).leads
     return sorted(leads, key=lambda lead: -lead.gain)
 
 
@@ -56,11 +73,14 @@ def _form(choice: Choice) -> tuple[str, tuple[str, ...], str]:
 
 
 def _leads(
-    fitting: Problem, bases: list[Base], tasks: list[tuple[Choice, list[np.ndarray]]], reach: float, search: Search
-) -> tuple[list[Lead], float]:
-    """Return the leads of ``tasks`` (choice, starting points), and the best look; ``reach`` is the best of others."""
-    looks = _looks(fitting, bases, tasks, reach, search)
-    reach = max([reach, *(look.share for look in looks)])
+    fitting: Problem, bases: list[Base], tasks: list[tuple[Choice, list[np.ndarray]]], best: Best, search: Search
+) -> Leads:
+    """Return the leads of ``tasks`` (choice, starting points), and the best of all; ``best`` is that of others.
+
+    First steps are made for all that are followed; what is far behind the best by then is not improved further.
+    """
+    looks = _looks(fitting, bases, tasks, best.share, search)
+    reach = max([best.share, *(look.share for look in looks)])
     bent = is_bent(bases, reach)
     followed = [
         bool(look.begins) and (bent or look.share >= LOOK_SHARE * reach or hidden_by_retuning(bases[0], look.known[0]))
@@ -71,12 +91,16 @@ def _leads(
         for (choice, _), look, kept in zip(tasks, looks, followed, strict=True)
         if kept
     ]
-    fitted = iter(parallel(_rough_fit, jobs, search.workers))
+    begun = parallel(_first_steps, [(*job[:3], job[3][0], job[4]) for job in jobs], search.workers)
+    cost = min([best.cost, *(fit.cost for fit in begun if fit)])
+    target = np.inf if bent else cost
+    followed_jobs = [(*job, fit, target) for job, fit in zip(jobs, begun, strict=True)]
+    fitted = iter(parallel(_rough_fit, followed_jobs, search.workers))
     leads = [
         next(fitted) if kept else _left_behind(bases, choice, points, look)
         for (choice, points), look, kept in zip(tasks, looks, followed, strict=True)
     ]
-    return leads, reach
+    return Leads(leads, Best(reach, cost))
 
 
 def _looks(
@@ -117,34 +141,83 @@ def _left_behind(bases: list[Base], choice: Choice, points: list[np.ndarray], lo
     return Lead(choice, np.r_[begin.point, bases[begin.base].trial.fit.point], begin.share)
 
 
-def _rough_fit(fitting: Problem, bases: list[Base], choice: Choice, begins: list[Begin], steps: int) -> Lead:
-    """Return one effect, fitted in few steps from where it was seen: its own derivatives anew, others kept."""
-    current = bases[0].trial
-    hypothesis = current.hypothesis.with_effect(choice)
+def _first_steps(fitting: Problem, bases: list[Base], choice: Choice, begin: Begin, steps: int) -> Fit | None:
+    """Return where a few steps lead from where an effect was seen: its own derivatives anew, others kept; None if nowhere."""
+    trial, own = bases[begin.base].trial, _own(bases, choice)
+    known = np.insert(trial.fit.jacobian, [own[0]] * len(own), 0.0, axis=1)
+    point = join(trial, begin.point)
+    return _stepped(fitting, bases, choice, begin, Fit(point, trial.fit.residual, known, trial.fit.cost, 0), steps)
+
+
+def _stepped(
+    fitting: Problem, bases: list[Base], choice: Choice, begin: Begin, last: Fit, steps: int
+) -> Fit | None:
+    """Return where a few steps lead from the point of ``last``, whose derivatives by the others are kept; None if nowhere."""
+    hypothesis = bases[0].trial.hypothesis.with_effect(choice)
     low, high = fitting.space(hypothesis).bounds
-    before = current.mean_square
+    # what the others do from nominal changes with the effect: their derivatives anew, too
+    fresh = np.arange(len(low)) if begin.base > 0 else _own(bases, choice)
 
-    def residual(u: np.ndarray) -> np.ndarray:
-        return fitting.residual(hypothesis, u).flat
+    def residual(point: np.ndarray) -> np.ndarray:
+        return fitting.residual(hypothesis, point).flat
 
+    try:
+        return refine(residual, last.point, last.jacobian, fresh, low, high, steps, last.damping)
+    except SolverError:
+        return None
+
+
+def _own(bases: list[Base], choice: Choice) -> np.ndarray:
+    """Return the columns of one more effect beside the first base."""
+    current = bases[0].trial
     first = len(current.fit.point) - len(current.hypothesis.tuned)
-    own = np.arange(first, first + len(effect_axes(choice)))
-    found: list[Fit] = []
-    for base, begin, _ in begins:
-        trial = bases[base].trial
-        known = np.insert(trial.fit.jacobian, [first] * len(own), 0.0, axis=1)
-        try:
-            # what the others do from nominal changes with the effect: their derivatives anew, too
-            fresh = np.arange(len(low)) if base > 0 else own
-            best = min((fit.cost for fit in found), default=np.inf)
-            fit = refine(residual, join(trial, begin), known, fresh, low, high, steps, best=best)
-        except SolverError:
-            continue
-        found.append(fit)
+    return np.arange(first, first + len(effect_axes(choice)))
+
+
+def _rough_fit(
+    fitting: Problem,
+    bases: list[Base],
+    choice: Choice,
+    begins: list[Begin],
+    steps: int,
+    begun: Fit | None,
+    best: float,
+) -> Lead:
+    """Return one effect, fitted in few steps; ``begun`` is where the first lead from the best begin.
+
+    What is far behind the ``best`` cost of any effect by then, and never promised more, stays there. Else the derivatives are
+    found once more where the first steps led, and the other begins are followed, unless they come to the same place.
+    """
+    current, own = bases[0].trial, _own(bases, choice)
+    found: list[Fit] = [begun] if begun else []
+    promised = 0.5 * (1.0 - begins[0].share) * float(np.sum(bases[0].left ** 2))
+    if begun is None or min(begun.cost, promised) <= FAR_BEHIND * best:
+        for begin in begins:
+            fit = begun if begin is begins[0] else _first_steps(fitting, bases, choice, begin, steps)
+            least = min(found, key=lambda one: one.cost, default=None)
+            if fit is None or (fit is not begun and comes_to(least, fit.point, fit.cost)):
+                continue
+            found.append(fit)
+            moved = np.abs(fit.point - join(bases[begin.base].trial, begin.point)).max(initial=0.0) >= NEAR
+            if moved and (least is None or fit.cost <= FAR_BEHIND * least.cost):
+                again = _stepped(fitting, bases, choice, begin, fit, steps)
+                found += [again] if again else []
     if not found:
         return Lead(choice, np.r_[begins[0].point, current.fit.point], -np.inf)
     fit = min(found, key=lambda one: one.cost)
-    left = 2.0 * fit.cost / len(current.squares)
-    if left < before:  # runs left out are predicted no better than those that are fitted
-        left = float(squares_left_out(fitting, hypothesis, fit, low, high).mean())
-    return Lead(choice, np.r_[fit.point[own], np.delete(fit.point, own)], 1.0 - left / max(before, 1e-300))
+    return Lead(choice, np.r_[fit.point[own], np.delete(fit.point, own)], _gain(fitting, current, choice, fit, best))
+
+
+def _gain(fitting: Problem, current: Trial, choice: Choice, fit: Fit, best: float) -> float:
+    """Return the share of the squared error, of runs left out, that a rough fit saves.
+
+    Runs left out are predicted no better than those that are fitted: what gains too little there to be fitted in full
+    beside the ``best`` is not refitted without them.
+    """
+    before, bins = current.mean_square, len(current.squares)
+    inside, most = (1.0 - 2.0 * cost / bins / max(before, 1e-300) for cost in (fit.cost, min(best, fit.cost)))
+    if inside <= 0.0:
+        return inside
+    hypothesis = current.hypothesis.with_effect(choice)
+    squares = squares_left_out(fitting, hypothesis, fit, *fitting.space(hypothesis).bounds, inside >= LEAD_SHARE * most)
+    return 1.0 - float(squares.mean()) / before

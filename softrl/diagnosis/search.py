@@ -11,7 +11,6 @@ REUSE = 0.2  # a step that lowers the cost by more than this share updates the J
 NEAR = 0.05  # scaled distance within which a Jacobian that is updated is as good as one by differences
 SLOW = 0.1  # relative decrease of the cost, by a good Jacobian, after which no large one follows
 SAME = 1.05  # times the cost of a fit that ended nearby: a search that comes there would end there too
-FAR_BEHIND = 2.0  # times the cost of the best rough fit: another is not improved further
 MOVES = 4  # steps of a fit that is moved on without some of its rows
 SETTLED = 0.01  # relative decrease of the cost that ends it
 Residual = Callable[[np.ndarray], np.ndarray]
@@ -21,7 +20,7 @@ Several = Callable[[list[np.ndarray]], list[np.ndarray | None]]
 class Fit(NamedTuple):
     """Outcome of a search: point (p,), residual (rows,), Jacobian (rows, p), half squared sum, evaluations used.
 
-    ``settled`` says that it did not end for want of iterations.
+    ``settled`` says that it did not end for want of iterations; ``damping`` is that of the step which would come next.
     """
 
     point: np.ndarray
@@ -30,6 +29,7 @@ class Fit(NamedTuple):
     cost: float
     evaluations: int
     settled: bool = True
+    damping: float = 1e-3
 
 
 def jacobian_at(
@@ -95,7 +95,7 @@ def least_squares(
     point = np.clip(start, low, high)
     value = residual(point)
     cost, used, damping = 0.5 * float(value @ value), 1, 1e-3
-    if before is not None and _comes_to(before, point, cost):
+    if before is not None and comes_to(before, point, cost):
         return before
     settled = False
     jacobian, exact, at = jacobian_at(residual, point, value, low, high, step, several), True, point
@@ -110,7 +110,7 @@ def least_squares(
         if found.point is not None:
             jacobian = _updated(jacobian, found.point - point, found.value - value)
             point, value, cost, damping = found.point, found.value, found.cost, found.damping
-        settled = (exact and (decrease < tolerance or (cost > beaten and decrease < SLOW))) or _comes_to(before, point, cost)
+        settled = (exact and (decrease < tolerance or (cost > beaten and decrease < SLOW))) or comes_to(before, point, cost)
         if settled:
             break
         exact = decrease < REUSE
@@ -123,7 +123,7 @@ def least_squares(
     return Fit(point, value, jacobian, cost, used, settled)
 
 
-def _comes_to(before: Fit | None, point: np.ndarray, cost: float) -> bool:
+def comes_to(before: Fit | None, point: np.ndarray, cost: float) -> bool:
     """Return whether a search at ``point`` (p,) has come to where another ended."""
     return before is not None and cost <= SAME * before.cost and bool(np.abs(point - before.point).max() <= NEAR)
 
@@ -136,35 +136,29 @@ def refine(
     low: np.ndarray,
     high: np.ndarray,
     steps: int,
+    damping: float = 1e-3,
     step: float = 0.05,
-    best: float = np.inf,
 ) -> Fit:
     """Return a rough minimiser in few evaluations: columns ``own`` by differences at the start, the rest ``known``.
 
-    After every step the Jacobian (rows, p) is updated instead of computed anew. Columns ``own`` are found once more where
-    the first steps lead, unless much more is left there than ``best``, the cost of a fit that this one competes with.
+    After every step the Jacobian (rows, p) is updated instead of computed anew.
     """
     point = np.clip(start, low, high)
     value = residual(point)
-    cost, used, damping = 0.5 * float(value @ value), 1, 1e-3
-    jacobian = known.copy()
-    for again in (True, False):
-        jacobian[:, own] = _own_columns(residual, point, value, own, low, high, step)
-        used += len(own)
-        for _ in range(steps):
-            found = _try_steps(residual, point, value, jacobian, cost, low, high, damping, 3)
-            used += found.tries
-            if found.point is None:
-                break
-            decrease = (cost - found.cost) / max(cost, 1e-300)
-            jacobian = _updated(jacobian, found.point - point, found.value - value)
-            point, value, cost, damping = found.point, found.value, found.cost, found.damping
-            if decrease < 0.01:
-                break
-        near = np.abs(point - np.clip(start, low, high)).max(initial=0.0) < 0.05
-        if not again or near or cost > FAR_BEHIND * best:
+    cost, jacobian = 0.5 * float(value @ value), known.copy()
+    jacobian[:, own] = _own_columns(residual, point, value, own, low, high, step)
+    used = 1 + len(own)
+    for _ in range(steps):
+        found = _try_steps(residual, point, value, jacobian, cost, low, high, damping, 3)
+        used += found.tries
+        if found.point is None:
             break
-    return Fit(point, value, jacobian, cost, used)
+        decrease = (cost - found.cost) / max(cost, 1e-300)
+        jacobian = _updated(jacobian, found.point - point, found.value - value)
+        point, value, cost, damping = found.point, found.value, found.cost, found.damping
+        if decrease < 0.01:
+            break
+    return Fit(point, value, jacobian, cost, used, damping=damping)
 
 
 def moved_on(residual: Residual, fit: Fit, rows: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

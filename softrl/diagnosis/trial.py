@@ -19,7 +19,7 @@ from softrl.pcc.simulator import PccSimulator
 log = logging.getLogger(__name__)
 FIRST_ITERATIONS = 8  # of every start, with longer steps
 BEATEN = 9.0  # times the best squared error, after ``FIRST_ITERATIONS``: such a fit is not followed further
-PLAINLY = 2.0  # the same for a fit that has settled, beside the best of those that began with it
+PLAINLY = 2.0  # the same for a fit that has settled, beside the best simulated with the same steps
 FAR_SHARE = 0.1  # of the squared error: a run that adds more to it once it is left out, along a straight line, is refitted
 
 
@@ -161,12 +161,13 @@ def _residual(fitting: Problem, hypothesis: Hypothesis, point: np.ndarray) -> np
 
 
 def squares_left_out(
-    fitting: Problem, hypothesis: Hypothesis, fit: Fit, low: np.ndarray, high: np.ndarray
+    fitting: Problem, hypothesis: Hypothesis, fit: Fit, low: np.ndarray, high: np.ndarray, truly: bool = True
 ) -> np.ndarray:
     """Return squared errors (bins,) of every run as predicted by a fit to the others.
 
     To first order where that changes little. Where a run seems to be predicted much worse without it, the fit is moved
-    on truly: behind a curve that is nearly vertical a straight line leads anywhere.
+    on truly, since behind a curve that is nearly vertical a straight line leads anywhere; or, if not ``truly``, that run is
+    given the benefit of the doubt.
     """
     folds, bins = fitting.folds, len(fitting.run_of_bin)
     rows = len(fit.residual) // bins
@@ -175,8 +176,16 @@ def squares_left_out(
     grown = np.bincount(of_row, error**2 - fit.residual**2)
     for fold in np.flatnonzero(grown > FAR_SHARE * 2.0 * fit.cost):
         mine = of_row == fold
-        error[mine] = moved_on(lambda u: fitting.residual(hypothesis, u).flat, fit, ~mine, low, high)[mine]
+        moved = moved_on(lambda u: fitting.residual(hypothesis, u).flat, fit, ~mine, low, high) if truly else fit.residual
+        error[mine] = moved[mine]
     return np.asarray(np.sum(error.reshape(bins, rows) ** 2, axis=1))
+
+
+class Race(NamedTuple):
+    """Fitted hypotheses: those that were fitted to the end, and those that were beaten after a few iterations."""
+
+    finished: list[Trial]
+    beaten: list[Trial]
 
 
 def raced(
@@ -184,24 +193,39 @@ def raced(
     unseen: Problem | None,
     tasks: Sequence[tuple[Hypothesis, list[np.ndarray]]],
     search: Search,
-    best: float = np.inf,
-) -> list[Trial]:
-    """Return the fitted hypotheses, in order; those that are beaten after a few iterations are not fitted to the end.
+    against: Trial | None = None,
+    patient: bool = False,
+) -> Race:
+    """Return the fitted hypotheses; those that are beaten after a few iterations are not fitted to the end.
 
-    ``best`` is the mean squared error, on runs left out, of a trial that they have to compete with.
+    They compete with each other and with ``against``, a fitted trial. Whatever is compared was simulated with the same steps:
+    long ones leave errors of their own. If ``patient``, those that have settled compete with each other only: the last
+    shorter steps take a law with jumps farther than a smooth one.
     """
     first = replace(search, iterations=FIRST_ITERATIONS)
-    heat = {trial.hypothesis: trial for trial in fit_trials(fitting.rough, unseen, tasks, first, best)}
-    ahead = min((float(trial.inside.mean()) for trial in heat.values()), default=np.inf)
-    best = min(best, ahead)
+    rival = _with_long_steps(fitting, against) if against and tasks else np.inf
+    heat = fit_trials(fitting.rough, unseen, tasks, first, rival)
+    others = min((float(trial.inside.mean()) for trial in heat), default=np.inf)
+    ahead = min(rival, others)
+    settled = PLAINLY * (others if patient else ahead)
 
     def may_win(trial: Trial) -> bool:
         left = float(trial.inside.mean())
-        return left <= BEATEN * best and not (trial.fit.settled and left > PLAINLY * ahead)
+        return left <= BEATEN * ahead and not (trial.fit.settled and left > settled)
 
-    going = [(h, [t.fit.point]) for h, t in heat.items() if may_win(t)]
-    finished = {trial.hypothesis: trial for trial in fit_trials(fitting, unseen, going, search, best)}
-    return list((heat | finished).values())
+    going = [(t.hypothesis, [t.fit.point]) for t in heat if may_win(t)]
+    finished = fit_trials(fitting, unseen, going, search, ahead)
+    done = {trial.hypothesis for trial in finished}
+    return Race(finished, [trial for trial in heat if trial.hypothesis not in done])
+
+
+def _with_long_steps(fitting: Problem, trial: Trial) -> float:
+    """Return the mean squared error on runs left out that ``trial`` has with the steps of rough fits."""
+    try:
+        rough = fitting.rough.residual(trial.hypothesis, trial.fit.point).flat
+    except SolverError:
+        return np.inf
+    return float(trial.inside.mean()) * float(rough @ rough) / max(2.0 * trial.fit.cost, 1e-300)
 
 
 def join(current: Trial, point: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from softrl.diagnosis import leftover
 from softrl.diagnosis.hypothesis import Choice, Hypothesis
@@ -45,3 +46,31 @@ def test_rare_jumps_are_no_noise_however_white_they_are(monkeypatch: pytest.Monk
     for run, uneven in ((quiet, False), (quiet + jumps, True)):
         residual = Residual([run], {})
         assert leftover._uneven(judge, None, residual, drives, leftover.UNEVEN_FACTOR) is uneven  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("seed", "kind"), [(s, kind) for s in range(4) for kind in ("sticks", "noise", "body")])
+def test_a_valve_that_sticks_for_moments_is_unknown_and_noise_of_as_much_error_is_not(
+    seed: int, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(seed)
+    drives = [np.cumsum(0.02 * rng.standard_normal((300, 3)), axis=0) for _ in range(2)]
+    runs = [lfilter([1.0], [1.0, -0.6], rng.standard_normal((300, 3)), axis=0) for _ in drives]
+    if kind == "sticks":  # for a second at a time one chamber stays where it is
+        for run, drive in zip(runs, drives, strict=True):
+            for first in rng.integers(0, 280, 5):
+                held = slice(first, first + 10)
+                run[held] += 300.0 * (drive[held] - drive[first])[:, :1] * rng.standard_normal(3)
+    elif kind == "body":  # a detail that comes with every motion
+        runs = [run + 6.0 * drive**2 for run, drive in zip(runs, drives, strict=True)]
+    residual = Residual(runs, {})
+    rms = float(np.sqrt(residual.squares.mean()))
+    left = 2.6  # times what counts, of which little is below the noise
+    judge: Any = SimpleNamespace(
+        material=rms / left, seed=seed, floor=np.inf, thresholds=SimpleNamespace(explained_share=0.75),
+        rms=lambda squares: float(np.sqrt(np.mean(squares))),
+    )  # fmt: skip
+    for own, value in (("_drives", drives), ("heldout_residual", residual), ("_slopes", ()), ("_changing", 0.0)):
+        monkeypatch.setattr(leftover, own, lambda *_, value=value: value)
+    final: Any = SimpleNamespace(hypothesis=Hypothesis((), ()), squares=residual.squares)
+    reasons = reasons_of(judge, final, SimpleNamespace(pays=False), Explained(0.0, 0.0, rms))  # type: ignore[arg-type]
+    assert bool(reasons) is (kind == "sticks")
