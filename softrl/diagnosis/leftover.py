@@ -8,6 +8,7 @@ from softrl.diagnosis.changing import WINDOW_S, follows_at_times
 from softrl.diagnosis.flexible import correction, pressures
 from softrl.diagnosis.judge import Gap, Judge
 from softrl.diagnosis.locate import corrected, locate
+from softrl.diagnosis.moments import at_moments
 from softrl.diagnosis.noise import unlike_noise
 from softrl.diagnosis.problem import Problem, Residual
 from softrl.diagnosis.search import jacobian_at
@@ -110,6 +111,8 @@ def reasons_of(judge: Judge, final: Trial, offer: Offer, explained: Explained) -
         reasons.append("what is left swings at one frequency")
     elif left > UNEVEN_FACTOR * judge.material and _uneven(judge, final, heldout, drives, UNEVEN_FACTOR):
         reasons.append("what is left is no noise: it jumps, or grows where the pressures move")
+    elif left > UNEVEN_FACTOR * judge.material and _momentary(judge, heldout):
+        reasons.append("what is left is no noise: it comes at a few moments")
     return reasons
 
 
@@ -148,6 +151,12 @@ def _uneven(judge: Judge, trial: Trial, residual: Residual, drives: list[np.ndar
     found = unlike_noise(residual.runs, drives, NOISE_DRAWS, rng, _slopes(judge, trial, residual))
     large = np.sqrt(found.share) * judge.rms(residual.squares) > times * judge.material
     return bool(large and found.p_value < NOISE_LEVEL)
+
+
+def _momentary(judge: Judge, residual: Residual) -> bool:
+    """Return whether what comes at a few moments is no noise, and plainly larger than what counts."""
+    share = at_moments(residual.runs, NOISE_LEVEL, NOISE_DRAWS, np.random.default_rng(judge.seed))
+    return bool(np.sqrt(share) * judge.rms(residual.squares) > UNEVEN_FACTOR * judge.material)
 
 
 def _slopes(judge: Judge, trial: Trial, residual: Residual) -> list[np.ndarray]:

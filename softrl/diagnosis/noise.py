@@ -92,11 +92,11 @@ def unlike_noise(
     runs = [run - run.mean(axis=0) for run in runs]
     memories = [autoregression([run[:, k] for run in runs]) for k in range(runs[0].shape[1])]
     active = [np.abs(np.diff(drive, axis=0, prepend=drive[:1])).sum(axis=1) for drive in drives]
-    news = [_innovations(run, memories) for run in runs]
+    news = [innovations(run, memories) for run in runs]
     moves = np.concatenate([move[-len(new) :] for move, new in zip(active, news, strict=True)])
     size = np.concatenate([np.broadcast_to(np.maximum(new.std(axis=0), 1e-150), new.shape) for new in news])
     ends = np.cumsum([len(new) for new in news])[:-1]
-    taken = _taken_up([_innovations(slope, memories) for slope in slopes], size)
+    taken = _taken_up([innovations(slope, memories) for slope in slopes], size)
 
     def squares(new: np.ndarray) -> np.ndarray:
         new = new - (taken @ (taken.T @ new.ravel())).reshape(new.shape)
@@ -127,7 +127,7 @@ def _in_excess(square: np.ndarray, moves: np.ndarray) -> float:
     return float(np.clip(1.0 - rest / max(float(power.mean()), 1e-300), 0.0, 1.0))
 
 
-def _innovations(run: np.ndarray, memories: Sequence[np.ndarray]) -> np.ndarray:
+def innovations(run: np.ndarray, memories: Sequence[np.ndarray]) -> np.ndarray:
     """Return ``run`` (steps, n, ...) less what each channel's memory predicts; equally many first samples left out."""
     longest = max(len(memory) for memory in memories)
     whole = [whitened(run[:, k], memory) for k, memory in enumerate(memories)]

@@ -48,9 +48,10 @@ def test_rare_jumps_are_no_noise_however_white_they_are(monkeypatch: pytest.Monk
         assert leftover._uneven(judge, None, residual, drives, leftover.UNEVEN_FACTOR) is uneven  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("hidden", [False, True])  # parameters that take up jumps leave some of them everywhere
 @pytest.mark.parametrize(("seed", "kind"), [(s, kind) for s in range(4) for kind in ("sticks", "noise", "body")])
 def test_a_valve_that_sticks_for_moments_is_unknown_and_noise_of_as_much_error_is_not(
-    seed: int, kind: str, monkeypatch: pytest.MonkeyPatch
+    seed: int, kind: str, hidden: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rng = np.random.default_rng(seed)
     drives = [np.cumsum(0.02 * rng.standard_normal((300, 3)), axis=0) for _ in range(2)]
@@ -71,6 +72,8 @@ def test_a_valve_that_sticks_for_moments_is_unknown_and_noise_of_as_much_error_i
     )  # fmt: skip
     for own, value in (("_drives", drives), ("heldout_residual", residual), ("_slopes", ()), ("_changing", 0.0)):
         monkeypatch.setattr(leftover, own, lambda *_, value=value: value)
+    if hidden:
+        monkeypatch.setattr(leftover, "_uneven", lambda *_: False)
     final: Any = SimpleNamespace(hypothesis=Hypothesis((), ()), squares=residual.squares)
     reasons = reasons_of(judge, final, SimpleNamespace(pays=False), Explained(0.0, 0.0, rms))  # type: ignore[arg-type]
     assert bool(reasons) is (kind == "sticks")
