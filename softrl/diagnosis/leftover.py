@@ -20,6 +20,7 @@ NOISE_LEVEL = 0.01  # chance of what is left under noise of its own spectrum
 NOISE_DRAWS = 500
 CHANGING_LEVEL, CHANGING_DRAWS = 0.002, 1000  # likewise of what follows the pressures in ways that change
 DIFFERENCE = 0.02  # scaled step of derivatives
+MOMENT_LEVEL = 1e-3  # likewise of what comes at moments
 LINE_LEVEL = 1e-8  # chance of a line in the spectrum of noise
 UNDRIVEN_SHARE = 0.5  # of the squared error: effects that remove less explain nothing
 UNKNOWN_TIMES = 1.2  # what is missing must stand out more than what is named: nobody can check it
@@ -155,7 +156,7 @@ def _uneven(judge: Judge, trial: Trial, residual: Residual, drives: list[np.ndar
 
 def _momentary(judge: Judge, residual: Residual) -> bool:
     """Return whether what comes at a few moments is no noise, and plainly larger than what counts."""
-    share = at_moments(residual.runs, NOISE_LEVEL, NOISE_DRAWS, np.random.default_rng(judge.seed))
+    share = at_moments(residual.runs, MOMENT_LEVEL)
     return bool(np.sqrt(share) * judge.rms(residual.squares) > UNEVEN_FACTOR * judge.material)
 
 

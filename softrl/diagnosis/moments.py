@@ -8,30 +8,27 @@ from scipy import stats
 from softrl.diagnosis.noise import autoregression, innovations
 
 
-def at_moments(runs: Sequence[np.ndarray], level: float, draws: int, rng: np.random.Generator) -> float:
+def at_moments(runs: Sequence[np.ndarray], level: float) -> float:
     """Return the share of the power of ``runs`` (steps, n) at moments which stand out so far that noise never does.
 
     Parameters
     ----------
     runs : series whose noise may have a memory, and be louder in one run than in another
     level : chance that in noise any moment of all runs stands out
-    draws : of noise
 
     Notes
     -----
     A moment's size is the squared innovation of an autoregression fitted to the runs, beside the median of all, which a few
-    moments do not move. How large the largest of so many is in Gaussian noise is drawn: a Monte Carlo test of the maximum,
-    which holds its level over all moments together. A fit that is a little off leaves something wherever the robot moves,
-    which raises the median as well.
+    moments do not move. In Gaussian noise it is chi-squared; the level is divided by the number of moments. A fit that is a
+    little off leaves something wherever the robot moves, which raises the median as well.
     """
     runs = [run - run.mean(axis=0) for run in runs]
     memories = [autoregression([run[:, k] for run in runs]) for k in range(runs[0].shape[1])]
     news = [innovations(run, memories) for run in runs]
     power = np.concatenate([np.sum(new**2, axis=1) for new in news])
     sizes = _beside_median(np.concatenate([_independent(new) for new in news]))
-    shape = len(sizes), runs[0].shape[1]
-    largest = [float(_beside_median(rng.standard_normal(shape)).max()) for _ in range(draws)]
-    return float(power[sizes > np.quantile(largest, 1.0 - level)].sum() / max(float(power.sum()), 1e-300))
+    largest = stats.chi2.isf(level / len(sizes), runs[0].shape[1])
+    return float(power[sizes > largest].sum() / max(float(power.sum()), 1e-300))
 
 
 def _independent(new: np.ndarray) -> np.ndarray:

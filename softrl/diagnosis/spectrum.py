@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 MIN_FREQUENCIES = 32  # fewer do not show whether a spectrum is smooth
+NEAR, FAR = 4, 16  # frequencies whose power says how high a spectrum is around one: farther than a line is wide
 DRIVEN_LEVEL = 1e-3  # chance of a peak in a drive's spectrum that marks a frequency as driven
 EULER = 0.5772  # mean of minus the logarithm of an exponential variable
 
@@ -17,19 +18,21 @@ def spectral_line(runs: Sequence[np.ndarray], drives: Sequence[np.ndarray]) -> f
     Notes
     -----
     The logarithm of each periodogram, along the direction of largest power, is fitted by a cubic in the logarithm of
-    the frequency; about a smooth spectrum the ratio to it is exponential. The chance is corrected for the number of
-    frequencies and runs looked at (textbook form, no equation number checked).
+    the frequency; about a smooth spectrum the ratio to it is exponential. A peak has to stand out from the median of its
+    neighbours as well, for a cubic does not follow a spectrum that falls onto a floor. The chance is corrected for the number
+    of frequencies and runs looked at (textbook form, no equation number checked).
     """
     chances, count = [1.0], 0
     for run, drive in zip(runs, drives, strict=True):
         if len(run) // 2 - 2 < MIN_FREQUENCIES:
             continue
         centred = run - run.mean(axis=0)
-        height = _above_smooth(centred @ np.linalg.svd(centred.T @ centred)[0][:, 0])
+        seen = _periodogram(centred @ np.linalg.svd(centred.T @ centred)[0][:, 0])
+        height = np.minimum(_above_smooth(seen), _above_near(seen))
         driven = np.zeros(len(height), dtype=bool)
         for pressure in drive.T:
             if np.ptp(pressure) > 0.0:
-                driven |= _above_smooth(pressure - pressure.mean()) > np.log(-np.log(DRIVEN_LEVEL))
+                driven |= _above_smooth(_periodogram(pressure - pressure.mean())) > np.log(-np.log(DRIVEN_LEVEL))
         height = height[~(driven | np.roll(driven, 1) | np.roll(driven, -1))]
         if len(height):
             chances.append(float(np.exp(-np.exp(min(float(height.max()), 6.0)))))
@@ -37,9 +40,21 @@ def spectral_line(runs: Sequence[np.ndarray], drives: Sequence[np.ndarray]) -> f
     return min(1.0, min(chances) * max(count, 1))
 
 
-def _above_smooth(series: np.ndarray) -> np.ndarray:
-    """Return the logarithm (frequencies,) of the periodogram of ``series`` (steps,) over a smooth one."""
-    power = np.maximum(np.abs(np.fft.rfft(series * np.hanning(len(series)))[2:-1]) ** 2, 1e-300)
-    place = np.log(np.arange(2, len(power) + 2))
-    smooth = np.polynomial.Polynomial.fit(place, np.log(power), 3, w=np.sqrt(1.0 / np.arange(2, len(power) + 2)))
-    return np.asarray(np.log(power) - smooth(place) - EULER)
+def _periodogram(series: np.ndarray) -> np.ndarray:
+    """Return the logarithm (frequencies,) of the power of ``series`` (steps,), the lowest and the highest left out."""
+    return np.asarray(np.log(np.maximum(np.abs(np.fft.rfft(series * np.hanning(len(series)))[2:-1]) ** 2, 1e-300)))
+
+
+def _above_smooth(height: np.ndarray) -> np.ndarray:
+    """Return by how much the periodogram ``height`` (frequencies,) exceeds a cubic."""
+    place = np.log(np.arange(2, len(height) + 2))
+    smooth = np.polynomial.Polynomial.fit(place, height, 3, w=np.sqrt(1.0 / np.arange(2, len(height) + 2)))
+    return np.asarray(height - smooth(place) - EULER)
+
+
+def _above_near(height: np.ndarray) -> np.ndarray:
+    """Return by how much the periodogram ``height`` (frequencies,) exceeds what the median around says of the mean power."""
+    places = np.arange(len(height))
+    distance = np.abs(places[:, None] - places)
+    around = np.where((distance >= NEAR) & (distance <= FAR), height, np.nan)
+    return np.asarray(height - np.nanmedian(around, axis=1) + np.log(np.log(2.0)))

@@ -13,7 +13,7 @@ def noise(rng: np.random.Generator, memory: float, steps: int = 300) -> np.ndarr
 
 def test_noise_of_any_memory_has_a_moment_as_often_as_the_level_says() -> None:
     rng, level = np.random.default_rng(1), 0.1
-    found = [at_moments([noise(rng, memory) for _ in range(2)], level, 60, rng) for memory in 60 * [0.0, 0.6, 0.95]]
+    found = [at_moments([noise(rng, memory) for _ in range(2)], level) for memory in 60 * [0.0, 0.6, 0.95]]
     assert 0.05 < np.mean(np.array(found) > 0.0) < 0.18
 
 
@@ -25,16 +25,16 @@ def test_moments_hold_their_share_of_the_power_wherever_they_come() -> None:
         for run in seen:
             run[rng.choice(300, many, replace=False)] += 12.0 * rng.choice([-1.0, 1.0], (many, 3))
         added = 3 * 144.0 * many
-        assert abs(at_moments(seen, 0.01, 100, rng) - added / (added + 900.0)) < 0.1
+        assert abs(at_moments(seen, 0.001) - added / (added + 900.0)) < 0.1
 
 
 def test_what_comes_with_every_motion_is_no_moment() -> None:
     rng = np.random.default_rng(3)
     drive = np.sin(np.arange(300) / 7.0)[:, None]
     runs = [0.3 * rng.standard_normal((300, 3)) + drive**2 * rng.standard_normal((300, 3)) for _ in range(2)]
-    assert at_moments(runs, 0.01, 200, rng) < 0.15
+    assert at_moments(runs, 0.001) < 0.15
 
 
 def test_a_louder_run_is_no_moment() -> None:
     rng = np.random.default_rng(4)
-    assert at_moments([noise(rng, 0.5), 5.0 * noise(rng, 0.5)], 0.01, 200, rng) < 0.02
+    assert at_moments([noise(rng, 0.5), 5.0 * noise(rng, 0.5)], 0.001) < 0.02

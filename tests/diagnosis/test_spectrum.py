@@ -1,6 +1,7 @@
 """A swing shows in a spectrum of any smooth shape, and none where there is none."""
 
 import numpy as np
+from scipy.signal import butter, sosfilt
 
 from softrl.diagnosis.spectrum import spectral_line
 from tests.diagnosis.series import coloured
@@ -15,3 +16,13 @@ def test_a_line_in_the_spectrum_is_told_from_a_smooth_one() -> None:
     line = swing + 0.3 * coloured(rng, 400, 0.5)[:, None]
     assert spectral_line([line], still) < 1e-8
     assert spectral_line([line], [swing + 0.1 * coloured(rng, 400, 0.5)[:, None]]) > 1e-8, "the drive swings so itself"
+
+
+def test_a_spectrum_that_falls_onto_a_floor_has_no_line() -> None:
+    """A cubic does not follow it."""
+    rng, still = np.random.default_rng(5), np.zeros((300, 3))
+    fall = butter(3, 0.2, output="sos")
+    runs = [sosfilt(fall, rng.standard_normal((300, 3)), axis=0) + 0.01 * rng.standard_normal((300, 3)) for _ in range(60)]
+    assert not any(spectral_line([run], [still]) < 1e-5 for run in runs)
+    swing = 0.05 * np.sin(2.5 * np.arange(300))[:, None]
+    assert spectral_line([runs[0] + swing], [still]) < 1e-8
