@@ -20,9 +20,10 @@ class ReducedModel(Artifact):
     ----------
     frame : (r, r) m^3 and m, z per y
     energy : (monomials,) J, elastic energy W; none of degree 0 and 1
-    mass_root, mass_factor : (r (r + 1) / 2, monomials), the upper triangle of a symmetric S, and a lower triangle L (r, r)
-        kg^0.5 m, of the mass ``L S'S L'`` in y
-    stiffness_root, stiffness_factor : likewise, (N m)^0.5, of T' K T in y, which stiffness-proportional damping multiplies
+    amplitudes : (k, monomials) kg^0.5 m, of modes of the displacement that are orthonormal in the mass, zero at rest; their
+        gradient A makes the mass ``A'A`` in y
+    stiffness_root, stiffness_factor : (r (r + 1) / 2, monomials), the upper triangle of a symmetric S, and a lower triangle
+        L (r, r) (N m)^0.5, of ``L S'S L'``, which is T' K T in y, what stiffness-proportional damping multiplies
     stiffness_root_by_gravity : (3 r (r + 1) / 2, monomials) s^2/m, change of ``stiffness_root`` by unit gravity along each
         axis, to which the body gives
     centre_of_mass : (3, monomials) m, displacement of the centre of mass
@@ -31,8 +32,8 @@ class ReducedModel(Artifact):
         held
     give_rotation : (9, monomials) rad s^2/m, turn of the tip by gravity, volumes and tip held
     give_root : (3 (r + 3), monomials) kg^0.5 s^2, A (r, 3) and B (3, 3) of the joint mass [R A; 0 B]'[R A; 0 B] of y and
-        the shapes by which the body gives to gravity or acceleration, R = S L'
-    drag_root : (3 (r + 3), monomials) (N/m)^0.5 s^2, likewise of the viscosity
+        the shapes by which the body gives to gravity or acceleration, R'R the mass, R upper triangular
+    drag_root : (3 (r + 3), monomials) (N/m)^0.5 s^2, likewise of the viscosity, R = S L'
     rest_tip : (3,) m;  rest_volume : (n,) m^3;  mass : kg
     gravity_m_s2 : (3,) in the base frame, acting unless another is given
     pressure_min_pa, pressure_max_pa : the robot's limits
@@ -49,13 +50,12 @@ class ReducedModel(Artifact):
     ``D = rayleigh_mass M + rayleigh_stiffness B``, B of ``stiffness_root``; beside them moves what the inside gives.
     """
 
-    schema: ClassVar[int] = 8
+    schema: ClassVar[int] = 9
     stage: ClassVar[str] = "pod"
 
     frame: np.ndarray
     energy: np.ndarray
-    mass_root: np.ndarray
-    mass_factor: np.ndarray
+    amplitudes: np.ndarray
     stiffness_root: np.ndarray
     stiffness_factor: np.ndarray
     stiffness_root_by_gravity: np.ndarray
@@ -98,8 +98,6 @@ class ReducedModel(Artifact):
         if self.frame.shape != (order, order):
             raise ArtifactError(f"ReducedModel.frame has shape {self.frame.shape}; expected {(order, order)}")
         for name, rows in (
-            ("mass_root", order * (order + 1) // 2),
-            ("mass_factor", order),
             ("stiffness_root", order * (order + 1) // 2),
             ("stiffness_factor", order),
             ("stiffness_root_by_gravity", 3 * order * (order + 1) // 2),
@@ -112,9 +110,13 @@ class ReducedModel(Artifact):
         ):
             if len(getattr(self, name)) != rows:
                 raise ArtifactError(f"ReducedModel.{name} has {len(getattr(self, name))} rows; expected {rows}")
-        for name in ("mass_factor", "stiffness_factor"):
-            if np.triu(getattr(self, name), 1).any():
-                raise ArtifactError(f"ReducedModel.{name} has entries above its diagonal; expected a lower triangle")
+        if len(self.amplitudes) < order or self.amplitudes[:, 0].any():
+            raise ArtifactError(
+                f"ReducedModel.amplitudes has {len(self.amplitudes)} rows, the first of {self.amplitudes[0, 0]:g} at rest; "
+                f"expected at least {order}, and zero at rest"
+            )
+        if np.triu(self.stiffness_factor, 1).any():
+            raise ArtifactError("ReducedModel.stiffness_factor has entries above its diagonal; expected a lower triangle")
         if np.abs(self.energy[: 1 + order]).max() > 0.0:
             raise ArtifactError("ReducedModel.energy has terms of degree 0 or 1; the rest must be free of load")
         if self.modes.ndim != 3 or self.modes.shape[2] != 3:

@@ -25,8 +25,9 @@ class Snapshots(Artifact):
     tangent_stiffness : (samples, n + 3, n + 3) T' K T with T = dx / d load and K what stiffness-proportional
         damping multiplies
     tangent_mass : (samples, n + 3, n + 3) T' M T with T = dx / d load
-    centre_of_mass : (samples, 3) m, displacement of the centre of mass
-    centre_slope : (samples, 3, n + 3) d centre_of_mass / d load
+    moments : (samples, a, 3) kg m, of the displacement, see ``fem.moments``; the first is mass times the centre's
+    moment_slope : (samples, a, 3, n + 3) d moments / d load
+    moment_gram : (a, a) kg, products of the moments' own polynomials
     give : (samples, 3, 3) kg s^2, change of mass times centre of mass by gravity, volumes and tip held
     give_spin : (samples, 3, 3) rad s^2/m, rotation of the plate by gravity, volumes and tip held
     give_mass : (samples, 3, 3) kg s^4, of the shapes by which the body gives to unit gravity
@@ -55,7 +56,7 @@ class Snapshots(Artifact):
     robot_name : the robot
     """
 
-    schema: ClassVar[int] = 8
+    schema: ClassVar[int] = 9
     stage: ClassVar[str] = "fem"
 
     loads: np.ndarray
@@ -64,8 +65,9 @@ class Snapshots(Artifact):
     compliance: np.ndarray
     tangent_stiffness: np.ndarray
     tangent_mass: np.ndarray
-    centre_of_mass: np.ndarray
-    centre_slope: np.ndarray
+    moments: np.ndarray
+    moment_slope: np.ndarray
+    moment_gram: np.ndarray
     give: np.ndarray
     give_spin: np.ndarray
     give_mass: np.ndarray
@@ -106,6 +108,6 @@ class Snapshots(Artifact):
     def validate(self) -> None:
         """Check that every per-sample array has one row per load."""
         super().validate()
-        for name in ("coordinate", "energy", "compliance", "give", "tip_quaternion", "displacement"):
+        for name in ("coordinate", "energy", "compliance", "moments", "give", "tip_quaternion", "displacement"):
             if len(getattr(self, name)) != len(self.loads):
                 raise ArtifactError(f"Snapshots.{name} has {len(getattr(self, name))} rows for {len(self.loads)} loads")

@@ -62,7 +62,8 @@ def row_of(model: FemModel, equilibrium: Equilibrium) -> Row:
     row = {
         "coordinate": model.coordinate(pose),
         "energy": np.asarray(model.elastic_energy(pose)),
-        "centre_of_mass": model.centre_of_mass(pose),
+        "moments": model.moments(pose.position - model.quadratic.points),
+        "moment_slope": np.moveaxis(model.moments(tangent.shapes), 0, -1),
         "tip_quaternion": model.tip_quaternion(pose),
         "viscosity_by_gravity": by_gravity,
         "displacement": (pose.position - model.quadratic.points)[: model.quadratic.corners].astype(np.float32),

@@ -16,6 +16,7 @@ from softrl.fem.elements import Solid, rigid_bodies, solid_of
 from softrl.fem.law import ENERGY, STRESS, TANGENT, VISCOUS
 from softrl.fem.loads import VOLUME_RULE, add_volume_gradient, add_volume_stiffness, enclosed_volumes
 from softrl.fem.material import Material
+from softrl.fem.moments import powers, products
 from softrl.fem.newton import NewtonSettings, Objective, Solve, Value, factorise, minimise
 from softrl.fem.solver import LinearSolver, linear_solver
 from softrl.fem.tangent import Nearby, Tangent
@@ -83,6 +84,7 @@ class FemModel:
         self.chambers, self.newton = mesh.chambers, newton
         self.rayleigh_mass_per_s, self.rayleigh_stiffness_s = rayleigh_mass_per_s, rayleigh_stiffness_s
         self.nodal_mass = solid.lumped_mass(density_kg_m3)
+        self._products = products(solid.points / np.abs(solid.points).max(), powers())
         self.gravity_m_s2 = np.array(gravity_m_s2, dtype=float)
         self._material = material
         self._parameters, self._bulk_pa = material.split() if mean_dilatation else (material.pack(), 0.0)
@@ -130,10 +132,14 @@ class FemModel:
         """Return the coordinate conjugate to a load, (V - V_rest, tip - tip_rest), m^3 and m."""
         return np.r_[self.volumes(pose) - self.rest_volume, self.tip(pose) - self.rest_tip]
 
-    def centre_of_mass(self, pose: Pose) -> np.ndarray:
-        """Return the displacement (3,) in m of the centre of mass."""
-        moved = self.nodal_mass @ (pose.position - self.solid.points)
-        return moved / self.nodal_mass.sum()
+    def moments(self, moved: np.ndarray) -> np.ndarray:
+        """Return the moments (..., a, 3) kg m of displacements ``moved`` (..., nodes, 3), see ``fem.moments``."""
+        return np.asarray(np.einsum("na,...ni->...ai", self.nodal_mass[:, None] * self._products, moved, optimize=True))
+
+    @property
+    def moment_gram(self) -> np.ndarray:
+        """The products (a, a) kg of the moments' own polynomials, summed over the mass."""
+        return np.asarray(self._products.T @ (self.nodal_mass[:, None] * self._products))
 
     def elastic_energy(self, pose: Pose) -> float:
         """Return the elastic energy above rest in J."""

@@ -242,6 +242,7 @@ def _collect(
         loads=loads[[number for number, _, _ in samples]],
         **columns,
         slopes=slopes,
+        moment_gram=model.moment_gram,
         nodal_mass=corner_mass(model),
         trajectory_time=clock,
         trajectory_load=np.array([t.load for t in trajectories]) if trajectories else empty,

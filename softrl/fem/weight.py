@@ -22,7 +22,6 @@ class Weight(NamedTuple):
 
     Attributes
     ----------
-    centre_slope : (3, w) d centre of mass / d load, m per Pa and N
     tip_spin : (3, w) rotation of the plate by the loads, rad per Pa and N
     give : (3, 3) change of mass times centre of mass by gravity, volumes and tip held, kg s^2
     give_spin : (3, 3) rotation of the plate by gravity, volumes and tip held, rad s^2/m
@@ -32,7 +31,6 @@ class Weight(NamedTuple):
         m s^2 per Pa and N times N/m
     """
 
-    centre_slope: np.ndarray
     tip_spin: np.ndarray
     give: np.ndarray
     give_spin: np.ndarray
@@ -61,7 +59,7 @@ def weight_of(model: FemModel, pose: Pose, tangent: Tangent, pull: np.ndarray, h
     heavy = mass * shapes
     tough = np.stack([multiply_blocks(tangent.viscous, model.pairs.first, model.pairs.second, shape) for shape in shapes])
     return Weight(
-        pull.T @ tangent.change / mass.sum(), tangent.change[spin], 0.5 * (give + give.T), held[spin],
+        tangent.change[spin], 0.5 * (give + give.T), held[spin],
         np.einsum("ani,bni->ab", shapes, heavy), np.einsum("ani,bni->ab", heavy, moved),
         np.einsum("ani,bni->ab", shapes, tough), np.einsum("ani,bni->ab", tough, moved),
     )

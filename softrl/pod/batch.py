@@ -13,11 +13,13 @@ import numpy as np
 
 from softrl.core.compiled import FAST
 from softrl.core.threads import one_thread
-from softrl.pod.chords import fill_inertias, fill_masses_of, fill_viscosities
+from softrl.pod.chords import fill_viscosities
+from softrl.pod.inertia import Course, make_course
+from softrl.pod.inertias import add_inertias, fill_amplitudes, fill_inertias, fill_kinetic, fill_work
 from softrl.pod.inside import AXES, Inside, make_inside
-from softrl.pod.insides import begin_insides, end_insides, fill_gives, shared_energies
-from softrl.pod.kernel import MAX_ITERATIONS
-from softrl.pod.lanes import Lanes, add, add_times, fill_monomials, make_lanes, scale_down, squares_of, take, to_balls
+from softrl.pod.insides import begin_insides, end_insides, fill_gives
+from softrl.pod.kernel import MAX_ITERATIONS, SCALINGS
+from softrl.pod.lanes import Lanes, add, add_times, fill_monomials, make_lanes, scale_down, to_balls
 from softrl.pod.newtons import converge
 from softrl.pod.potential import Tables
 
@@ -47,7 +49,8 @@ def run_batch(
 
 @nb.njit(cache=True, fastmath=FAST, error_model="numpy")
 def _begin(
-    start: np.ndarray, ahead: np.ndarray, velocity: np.ndarray, load: np.ndarray, dt: float, tables: Any, held: Lanes
+    start: np.ndarray, ahead: np.ndarray, velocity: np.ndarray, load: np.ndarray, dt: float, tables: Any, course: Course,
+    held: Lanes,
 ) -> None:
     """Fill what is constant in a step, and free flight ``ahead``, as ``pod.kernel.begin_step``; ``load`` (lanes, r)."""
     r, lanes = start.shape
@@ -57,36 +60,39 @@ def _begin(
             ahead[i, lane] = start[i, lane] + dt * velocity[i, lane]
     np.dot(tables.frame.T, load.T, held.right)
     for i in range(r):
-        for lane in range(lanes):
-            steep = free * (held.slopes[1, i, lane] - 2.0 * held.slopes[0, i, lane])
-            held.right[i, lane] += steep - drag * held.slopes[0, i, lane] - late * held.steep[i, lane]
+        add_times(held.right[i], -late, held.steep[i])
         for j in range(r):
-            for lane in range(lanes):
-                mass, back = held.mass[i, j, lane], held.back[i, j, lane]
-                inertia = free * (2.0 * mass - back) + drag * mass + late * held.stiff[i, j, lane]
-                held.inertia[i, j, lane] = inertia
-                held.right[i, lane] += inertia * start[j, lane] + free * back * dt * velocity[j, lane]
+            held.inertia[i, j] = late * held.stiff[i, j]
+            add(held.right[i], held.inertia[i, j], start[j])
+    add_inertias(free, drag, course, held)
 
 
 @nb.njit(cache=True, error_model="numpy")
 def _end(
-    y: np.ndarray, start: np.ndarray, velocity: np.ndarray, inner: np.ndarray, dt: float, insides: Inside, held: Lanes,
-    energies: tuple[np.ndarray, np.ndarray],
+    y: np.ndarray, start: np.ndarray, velocity: np.ndarray, inner: np.ndarray, dt: float, tables: Any, insides: Inside,
+    course: Course, held: Lanes, energies: tuple[np.ndarray, np.ndarray],
 ) -> None:
-    """Bring ``velocity``, ``inner`` and the energies (lanes,) up to date, as ``pod.kernel.end_step``."""
+    """Bring rates, amplitudes and the energies (lanes,) up to date, as ``pod.kernel.end_step``."""
     kinetic, bent = energies
-    now, most = held.some[3], held.some[4]
+    share, most = held.some[3], held.some[4]
     former, formerly = velocity.copy(), inner[1].copy()
     velocity[:] = (y - start) / dt
     end_insides(inner, y, dt, insides, held.some[0], bent)
-    _fill_work(velocity, former, inner[1], formerly, dt, insides, held, most)
-    _fill_kinetic(velocity, inner, insides, held, now)
-    for lane in range(len(now)):
+    fill_work(y, velocity, former, inner[1], formerly, dt, insides, course, held, most)
+    for lane in range(len(most)):
         most[lane] = max(kinetic[lane] + most[lane], 0.0)
-        kinetic[lane] = min(now[lane], most[lane])
-        most[lane] = math.sqrt(most[lane] / now[lane]) if now[lane] > most[lane] else 1.0
-    velocity *= most
-    inner[1] *= most
+    course.before[:] = course.now
+    fill_amplitudes(y, 0, False, tables, held, course.now, course.lead)
+    fill_kinetic(velocity, inner, dt, insides, course, held, kinetic)
+    for _ in range(SCALINGS):
+        if (kinetic <= most).all():
+            break
+        for lane in range(len(most)):
+            share[lane] = math.sqrt(most[lane] / kinetic[lane]) if kinetic[lane] > most[lane] else 1.0
+        velocity *= share
+        inner[1] *= share
+        fill_amplitudes(y - dt * velocity, 0, False, tables, held, course.before, course.lead)
+        fill_kinetic(velocity, inner, dt, insides, course, held, kinetic)
 
 
 @nb.njit(cache=True)
@@ -101,42 +107,6 @@ def _set_out(
     scale_down(inner[0], bent, insides.give, held.some)
 
 
-@nb.njit(cache=True)
-def _fill_kinetic(velocity: np.ndarray, inner: np.ndarray, insides: Inside, held: Lanes, kinetic: np.ndarray) -> None:
-    """Fill twice the kinetic energies (lanes,), as ``pod.inertia.kinetic_energy``."""
-    squares_of(held.mass, velocity, held.some[0], kinetic)
-    shared_energies(velocity, inner, insides, held.some[0], held.some[1])
-    kinetic += held.some[1]
-
-
-@nb.njit(cache=True)
-def _fill_work(
-    velocity: np.ndarray, former: np.ndarray, giving: np.ndarray, formerly: np.ndarray, dt: float, insides: Inside,
-    held: Lanes, work: np.ndarray,
-) -> None:
-    """Fill twice the works (lanes,), as ``pod.inertia.work_of_inertia``."""
-    changed, both, twice, force = giving - formerly, velocity + former, 2.0 * velocity, held.some[0]
-    work[:] = 0.0
-    for i in range(len(velocity)):
-        force[:] = 0.0
-        add_times(force, 2.0 / dt, held.slopes[0, i])
-        add_times(force, -1.0 / dt, held.slopes[1, i])
-        for j in range(len(velocity)):
-            add(force, held.mass[i, j], twice[j])
-            take(force, held.back[i, j], both[j])
-        for k in range(AXES):
-            add(force, insides.couple[i, k], changed[k])
-            held.some[1][:] = (velocity[i] - former[i]) * giving[k]
-            add(work, insides.couple[i, k], held.some[1])
-        add(work, force, velocity[i])
-    for j in range(AXES):
-        force[:] = 0.0
-        for k in range(AXES):
-            add(force, insides.own[j, k], changed[k])
-        add(work, force, giving[j])
-    work *= 2.0
-
-
 @nb.njit(cache=True, error_model="numpy", nogil=True)
 def run_block(
     y: np.ndarray, velocity: np.ndarray, dt: float, load: np.ndarray, tables: Any, path: np.ndarray
@@ -149,24 +119,27 @@ def run_block(
     insides, inner = make_inside(r, (lanes,)), np.zeros((2, AXES, lanes))
     to_balls(y, held.points, held.radius)
     failed, farthest = 0, held.radius.max()
-    fill_masses_of(y - dt * velocity, dt * velocity, tables, insides, held)
-    _fill_kinetic(velocity, inner, insides, held, kinetic)
+    course = make_course(r, len(tables.amplitudes), (lanes,))
+    fill_amplitudes(y - dt * velocity, 0, False, tables, held, course.before, course.lead)
+    fill_inertias(y, np.zeros((r, lanes)), tables, insides, course, held)
+    course.now[:] = course.ahead
+    fill_kinetic(velocity, inner, dt, insides, course, held, kinetic)
     _set_out(y, velocity, inner, bent, dt, tables, insides, held)
     for step in range(load.shape[1]):
         start[:] = y
-        for again in range(2):  # mass and viscosity are those half way to where the first iteration leads
+        for again in range(2):  # inertia is that where the first iteration leads, viscosity that half way there
             by = y - start if again else dt * velocity
-            fill_inertias(start, start - dt * velocity, by, tables, insides, held)
+            fill_inertias(start, by, tables, insides, course, held)
             if tables.scales[2] > 0.0:
                 fill_viscosities(start, by, tables, insides, held)
-            _begin(start, ahead, velocity, load[:, step].copy(), dt, tables, held)
+            _begin(start, ahead, velocity, load[:, step].copy(), dt, tables, course, held)
             begin_insides(inner, ahead, start, dt, tables, insides, held.trial, held.inertia, held.right)
             if not again:
                 y[:] = ahead
             missed = converge(y, waiting, progress, tables, held, MAX_ITERATIONS if again else 1)
         failed += missed
         path[:, step] = y.T
-        _end(y, start, velocity, inner, dt, insides, held, (kinetic, bent))
+        _end(y, start, velocity, inner, dt, tables, insides, course, held, (kinetic, bent))
         _set_out(y, velocity, inner, bent, dt, tables, insides, held)
         to_balls(y, held.points, held.radius)
         farthest = max(farthest, held.radius.max())

@@ -1,4 +1,4 @@
-"""The squares of many trajectories' steps, as ``pod.chord``, and what is made of them: the last axis is the lane."""
+"""The squares of many trajectories' steps in viscosity, as ``pod.chord`` and ``pod.viscosity``: the last axis is the lane."""
 
 from typing import Any
 
@@ -6,27 +6,9 @@ import numba as nb
 import numpy as np
 
 from softrl.pod.inside import Inside
-from softrl.pod.insides import fill_drags, fill_masses
+from softrl.pod.insides import fill_drags
 from softrl.pod.lanes import Lanes, add, add_times, fill_monomials, fill_rows, fill_squares, squares_of, take, to_balls
 from softrl.pod.viscosity import TINY
-
-
-@nb.njit(cache=True)
-def fill_inertias(
-    start: np.ndarray, before: np.ndarray, by: np.ndarray, tables: Any, insides: Inside, held: Lanes
-) -> None:
-    """Fill masses and the forces of their slopes for steps ``by`` (r, lanes), as ``pod.inertia.fill_inertia``."""
-    metric = tables.mass_root, tables.mass_factor
-    _fill_chords(metric, 0.5 * (start + before + by), start - before + by, 0, tables, held, held.back, held.slopes[1])
-    fill_masses_of(start, by, tables, insides, held)
-
-
-@nb.njit(cache=True)
-def fill_masses_of(start: np.ndarray, by: np.ndarray, tables: Any, insides: Inside, held: Lanes) -> None:
-    """Fill the masses half way of steps ``by`` (r, lanes), as ``pod.inertia.fill_masses_of``."""
-    metric, least = (tables.mass_root, tables.mass_factor), tables.give_root.shape[1]
-    _fill_chords(metric, start + 0.5 * by, by, least, tables, held, held.mass, held.slopes[0])
-    fill_masses(held.root, tables, held.values, insides)
 
 
 @nb.njit(cache=True, error_model="numpy")

@@ -10,12 +10,12 @@ from softrl.artifacts.snapshots import Snapshots
 STEP = 1e-4  # of the largest load, for differences: they are of second order
 Answers = dict[str, np.ndarray]
 
-# the axes of each answer after that of the samples: w as a load or coordinate, v a vector, s a spin
+# the axes of each answer after that of the samples: w as a load or coordinate, v a vector, s a spin, m a moment
 AXES = {
     "compliance": "ww",
     "stiffness": "ww",
     "mass": "ww",
-    "centre_of_mass": "v",
+    "moments": "mv",
     "give": "vv",
     "give_spin": "sv",
     "give_mass": "vv",
@@ -36,6 +36,7 @@ class Equilibria(NamedTuple):
     energy : (S,) J
     answers : by the names of ``AXES``, units as in ``Snapshots``, with rates of coordinates in place of loads
     slopes : likewise (S, n + 3, ...), their change with each load, as far as it is known
+    moment_gram : (a, a) kg, of all samples
     """
 
     load: np.ndarray
@@ -43,6 +44,7 @@ class Equilibria(NamedTuple):
     energy: np.ndarray
     answers: Answers
     slopes: Answers
+    moment_gram: np.ndarray
 
     @property
     def compliance(self) -> np.ndarray:
@@ -52,7 +54,8 @@ class Equilibria(NamedTuple):
     def rows(self, index: np.ndarray | slice) -> "Equilibria":
         """Return the samples ``index``."""
         arrays = (self.load[index], self.coordinate[index], self.energy[index])
-        return Equilibria(*arrays, *({n: v[index] for n, v in part.items()} for part in (self.answers, self.slopes)))
+        parts = ({n: v[index] for n, v in part.items()} for part in (self.answers, self.slopes))
+        return Equilibria(*arrays, *parts, self.moment_gram)
 
 
 def equilibria(snapshots: Snapshots) -> Equilibria:
@@ -62,14 +65,14 @@ def equilibria(snapshots: Snapshots) -> Equilibria:
     answers, slopes = _per_coordinate(loads), slopes_of(_per_coordinate, loads, snapshots.slopes, scale)
     rotation = rotation_vector(snapshots.tip_quaternion)
     moved = {
-        "centre_of_mass": (snapshots.centre_of_mass, snapshots.centre_slope),
+        "moments": (snapshots.moments, snapshots.moment_slope),
         "rotation": (rotation, per_spin(rotation) @ snapshots.tip_spin),
     }
     inverse = np.linalg.inv(snapshots.compliance)[:, None]
     answers |= {name: value for name, (value, _) in moved.items()}
     answers["viscosity_by_gravity"] = inverse @ snapshots.viscosity_by_gravity @ inverse
-    slopes |= {name: slope.transpose(0, 2, 1) for name, (_, slope) in moved.items()}
-    return Equilibria(snapshots.loads, snapshots.coordinate, snapshots.energy, answers, slopes)
+    slopes |= {name: np.moveaxis(slope, -1, 1) for name, (_, slope) in moved.items()}
+    return Equilibria(snapshots.loads, snapshots.coordinate, snapshots.energy, answers, slopes, snapshots.moment_gram)
 
 
 def slopes_of(

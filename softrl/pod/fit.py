@@ -103,7 +103,7 @@ def linear_model(model: ReducedModel) -> ReducedModel:
     return replace(
         model,
         energy=model.energy[:few].copy(),
-        mass_root=model.mass_root[:, :1].copy(),
+        amplitudes=model.amplitudes[:, : 1 + r].copy(),
         stiffness_root=model.stiffness_root[:, :1].copy(),
         stiffness_root_by_gravity=model.stiffness_root_by_gravity[:, :1].copy(),
         centre_of_mass=model.centre_of_mass[:, : 1 + r].copy(),
@@ -122,8 +122,7 @@ def _draft(robot: Robot, snapshots: Snapshots, samples: Equilibria, pod: PodBasi
     return ReducedModel(
         frame=frame,
         energy=np.zeros(1 + r),
-        mass_root=np.zeros((pairs, 1)),
-        mass_factor=np.eye(r),
+        amplitudes=np.eye(r, 1 + r, 1),
         stiffness_root=np.zeros((pairs, 1)),
         stiffness_factor=np.eye(r),
         stiffness_root_by_gravity=np.zeros((3 * pairs, 1)),

@@ -7,7 +7,7 @@ import numba as nb
 import numpy as np
 
 from softrl.core.compiled import FAST
-from softrl.pod.inertia import fill_inertia, fill_masses_of, kinetic_energy, work_of_inertia
+from softrl.pod.inertia import add_inertia, fill_amplitudes, fill_inertia, kinetic_energy, make_course, work_of_inertia
 from softrl.pod.inside import begin_inside, end_inside, fill_give, make_inside, stored_in
 from softrl.pod.linear import newton_direction
 from softrl.pod.ports import add_effects, commit_effects, fill_ports, make_ports
@@ -19,6 +19,7 @@ TOLERANCE = 1e-9  # change of y: below a nanometre at the tip
 CLOSE = 1e-6  # likewise where the Jacobian is exact: such a step leaves an error that is far below TOLERANCE
 MAX_ITERATIONS = 60
 LONGEST_STEP = 0.5  # of y, in one iteration
+SCALINGS = 5  # of rates, until they hold no more energy than they may
 
 
 @nb.njit(cache=True, fastmath=FAST)
@@ -28,23 +29,22 @@ def begin_step(
 ) -> None:
     """Fill what is constant in a step from ``start``: ``inertia`` (r, r) y - ``right`` (r,), and free flight ``ahead``.
 
-    ``held`` are the masses half way of this step and of it and the last (r, r), the forces of their slopes (2, r), viscosity
-    (r, r) and the force of its slope (r,), and the ``pod.inside``.
+    ``held`` are the mass (r, r), viscosity (r, r) and the force of its slope (r,), the ``pod.inside``, and the amplitudes'
+    ``pod.inertia.Course``.
     """
-    mass, back, slopes, stiff, steep, inside = held
+    _, stiff, steep, inside, _ = held
     r, free = len(start), tables.scales[0] / dt**2
     drag, late = tables.scales[1] / dt, tables.scales[2] / dt
     for i in range(r):
         ahead[i] = start[i] + dt * velocity[i]
-    for i in range(r):
-        total = free * (slopes[1, i] - 2.0 * slopes[0, i]) - drag * slopes[0, i] - late * steep[i]
+        total = -late * steep[i]
         for k in range(r):
             total += tables.frame[k, i] * load[k]
         for j in range(r):
-            damping = drag * mass[i, j] + late * stiff[i, j]
-            inertia[i, j] = free * (2.0 * mass[i, j] - back[i, j]) + damping
-            total += inertia[i, j] * start[j] + free * back[i, j] * dt * velocity[j]
+            inertia[i, j] = late * stiff[i, j]
+            total += inertia[i, j] * start[j]
         right[i] = total
+    add_inertia(free, drag, held, inertia, right)
     begin_inside(inner, ahead, start, dt, tables, inside, inertia, right)
 
 
@@ -87,32 +87,37 @@ def iterate(
 
 @nb.njit(cache=True)
 def end_step(
-    y: np.ndarray, velocity: np.ndarray, inner: np.ndarray, dt: float, held: Any, start: np.ndarray, kinetic: float
+    y: np.ndarray, velocity: np.ndarray, inner: np.ndarray, dt: float, tables: Any, work: Any, held: Any,
+    start: np.ndarray, kinetic: float,
 ) -> tuple[float, float]:
-    """Bring ``velocity`` and ``inner`` up to date; return twice the kinetic energy and twice what the inside stores.
+    """Bring rates and amplitudes up to date; return twice the kinetic energy and twice what the inside stores.
 
     ``kinetic`` was the former before the step. The rates are scaled down where it would grow by more than the work of the
     forces.
     """
-    former, formerly = velocity.copy(), inner[1].copy()
+    former, formerly, course = velocity.copy(), inner[1].copy(), held[4]
     for i in range(len(y)):
         velocity[i] = (y[i] - start[i]) / dt
-    bent = end_inside(inner, y, dt, held[5])
-    most = max(kinetic + work_of_inertia(velocity, former, inner[1], formerly, dt, held), 0.0)
-    now = kinetic_energy(velocity, inner, held)
-    if now > most:
+    bent = end_inside(inner, y, dt, held[3])
+    most = max(kinetic + work_of_inertia(y, velocity, former, inner[1], formerly, dt, held), 0.0)
+    course.before[:] = course.now
+    fill_amplitudes(y, 0, False, tables, work, course.now, course.lead)
+    now = kinetic_energy(velocity, inner, dt, held)
+    for _ in range(SCALINGS):
+        if now <= most:
+            break
         share = math.sqrt(most / now)
         velocity *= share
         inner[1] *= share
-    return min(now, most), bent
+        fill_amplitudes(y - dt * velocity, 0, False, tables, work, course.before, course.lead)
+        now = kinetic_energy(velocity, inner, dt, held)
+    return now, bent
 
 
 @nb.njit(cache=True)
-def _fill_resistance(
-    start: np.ndarray, velocity: np.ndarray, by: np.ndarray, dt: float, tables: Any, work: Any, held: Any
-) -> None:
-    """Fill inertia and viscosity of a step ``by`` (r,) from ``start``, where ``velocity`` led."""
-    fill_inertia(start, start - dt * velocity, by, tables, work, held)
+def _fill_resistance(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, held: Any) -> None:
+    """Fill inertia and viscosity of a step ``by`` (r,) from ``start``."""
+    fill_inertia(start, by, tables, work, held)
     if tables.scales[2] > 0.0:
         fill_viscosity(start, by, tables, work, held)
 
@@ -147,7 +152,7 @@ def run_kernel(
 ) -> tuple[int, float]:
     """Advance ``y``, ``velocity`` (r,) and ``inner`` (2, 3) by implicit Euler over ``load`` (steps, r) Pa and N.
 
-    Mass and viscosity are those half way to where the step's first iteration leads, see ``pod.inertia`` and
+    The amplitudes are taken where the step's first iteration leads, viscosity half way there, see ``pod.inertia`` and
     ``pod.viscosity``. ``velocity`` is the last step's way by ``dt``; after a step it is scaled down where the kinetic energy
     would grow by more than the forces' work. ``inner``, by which the inside gives to acceleration (``pod.inside``), is scaled
     down where it would gain energy.
@@ -170,7 +175,8 @@ def run_kernel(
     direction, trial, progress = np.empty(r), np.empty(r), np.empty(2)
     pairs = r * (r + 1) // 2
     work = (values, point, scratch, direction, np.empty(r * r), np.empty(pairs), np.empty(pairs), np.empty(len(values)))
-    held = (np.empty((r, r)), np.empty((r, r)), np.empty((2, r)), np.zeros((r, r)), np.zeros(r), make_inside(r, ()))
+    course = make_course(r, len(tables.amplitudes), ())
+    held = (np.empty((r, r)), np.zeros((r, r)), np.zeros(r), make_inside(r, ()), course)
     ports, bare = make_ports(n), np.empty(r)
     with_effects = len(hooks[0]) + len(hooks[3]) > 0
     close = TOLERANCE if with_effects else CLOSE
@@ -180,20 +186,22 @@ def run_kernel(
         fill_ports(y, rest, gradient, hessian, dt, load[0, :n], tables, ports, True)
         ports.strains[0], ports.tips[0] = ports.strains[1], ports.tips[1]
     farthest = to_ball(y, point)
-    fill_masses_of(y - dt * velocity, dt * velocity, tables, work, held)
-    kinetic = kinetic_energy(velocity, inner, held)
-    _set_out(y, velocity, inner, np.inf, dt, tables, work, held[5])
+    fill_amplitudes(y - dt * velocity, 0, False, tables, work, course.before, course.lead)
+    fill_inertia(y, np.zeros(r), tables, work, held)
+    course.now[:] = course.ahead
+    kinetic = kinetic_energy(velocity, inner, dt, held)
+    _set_out(y, velocity, inner, np.inf, dt, tables, work, held[3])
     for step in range(len(load)):
         pressure = load[step, :n]
         start[:] = y
-        _fill_resistance(start, velocity, dt * velocity, dt, tables, work, held)
+        _fill_resistance(start, dt * velocity, tables, work, held)
         begin_step(velocity, inner, load[step], dt, tables, held, start, ahead, inertia, right)
         y[:] = ahead
         progress[0] = -1.0
         longest = np.inf
         for iteration in range(MAX_ITERATIONS):
             if iteration == 1:
-                _fill_resistance(start, velocity, y - start, dt, tables, work, held)
+                _fill_resistance(start, y - start, tables, work, held)
                 begin_step(velocity, inner, load[step], dt, tables, held, start, ahead, inertia, right)
                 progress[0] = -1.0
             fill_potential(y, tables, values, point, gradient, hessian)
@@ -214,8 +222,8 @@ def run_kernel(
             failed += 1
         if with_effects:  # the potential's derivatives are those a last, negligible step ago
             commit_effects(y, rest, bare, hessian, dt, pressure, tables, hooks, ports)
-        kinetic, bent = end_step(y, velocity, inner, dt, held, start, kinetic)
-        _set_out(y, velocity, inner, bent, dt, tables, work, held[5])
+        kinetic, bent = end_step(y, velocity, inner, dt, tables, work, held, start, kinetic)
+        _set_out(y, velocity, inner, bent, dt, tables, work, held[3])
         farthest = max(farthest, to_ball(y, point))
         if len(path) > 0:
             path[step] = y

@@ -14,8 +14,8 @@ class Lanes(NamedTuple):
 
     Attributes
     ----------
-    mass, back, stiff, inertia, matrix : (r, r, lanes), the last one scratch
-    slopes : (2, r, lanes);  steep, right, gradient, direction, wanted, trial : (r, lanes)
+    mass, stiff, inertia, matrix : (r, r, lanes), the last one scratch
+    steep, right, gradient, direction, wanted, trial : (r, lanes)
     points : (r, lanes) in the unit ball;  radius : (lanes,) of the states they belong to
     root : (r r, lanes);  pairs : (r (r + 1) / 2, lanes)
     values : (k, lanes) monomials;  mixed : (k, lanes) polynomials, one a lane
@@ -23,11 +23,9 @@ class Lanes(NamedTuple):
     """
 
     mass: np.ndarray
-    back: np.ndarray
     stiff: np.ndarray
     inertia: np.ndarray
     matrix: np.ndarray
-    slopes: np.ndarray
     steep: np.ndarray
     right: np.ndarray
     gradient: np.ndarray
@@ -48,7 +46,7 @@ def make_lanes(r: int, lanes: int, tables: Any) -> Lanes:
     """Return room for ``lanes`` lanes."""
     full, one = (r, r, lanes), (r, lanes)
     return Lanes(
-        np.zeros(full), np.zeros(full), np.zeros(full), np.zeros(full), np.zeros(full), np.zeros((2, r, lanes)),
+        np.zeros(full), np.zeros(full), np.zeros(full), np.zeros(full),
         np.zeros(one), np.zeros(one), np.zeros(one), np.zeros(one), np.zeros(one), np.zeros(one), np.zeros(one),
         np.zeros(lanes), np.zeros((r * r, lanes)), np.zeros((r * (r + 1) // 2, lanes)),
         np.zeros((len(tables.parent), lanes)), np.zeros((len(tables.parent), lanes)), np.zeros((5, lanes)),
@@ -111,12 +109,12 @@ def to_balls(y: np.ndarray, points: np.ndarray, radius: np.ndarray) -> None:
 
 @nb.njit(cache=True)
 def fill_squares(root: np.ndarray, squares: np.ndarray) -> None:
-    """Fill ``squares`` (r, r, lanes) with R' R of ``root`` (r r, lanes)."""
+    """Fill ``squares`` (r, r, lanes) with R' R of ``root`` (k r, lanes)."""
     r = len(squares)
     for i in range(r):
         for j in range(i, r):
             squares[i, j] = 0.0
-            for k in range(r):
+            for k in range(len(root) // r):
                 add(squares[i, j], root[k * r + i], root[k * r + j])
             squares[j, i] = squares[i, j]
 

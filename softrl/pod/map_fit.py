@@ -1,4 +1,4 @@
-"""The maps of a reduced model besides its energy, fitted to equilibria: mass, viscosity, centre of mass, rotation."""
+"""The maps of a reduced model besides its energy, fitted to equilibria: amplitudes, viscosity, centre of mass, rotation."""
 
 import logging
 from typing import Any, NamedTuple
@@ -13,12 +13,13 @@ from softrl.robots.robot import Robot
 from softrl.robots.symmetry import images_of, symmetries
 
 log = logging.getLogger(__name__)
+ROUND_OFF = 1e-9  # of what is largest
 RIDGES = (1e-10, 1e-8, 1e-7, 1e-6, 1e-5)  # tried for every map
 
 
 ALIKE = (  # maps that are fitted together: those that vanish at rest, the others, and those whose slopes are not known
-    ("centre_of_mass", "rotation"),
-    ("mass_root", "stiffness_root", "give_root", "drag_root", "give", "give_rotation"),
+    ("amplitudes", "centre_of_mass", "rotation"),
+    ("stiffness_root", "give_root", "drag_root", "give", "give_rotation"),
     ("stiffness_root_by_gravity",),
 )
 
@@ -34,15 +35,15 @@ def fit_maps(
     images = images_of(robot)
     everything = reflected(samples, [*symmetries(robot.chamber_direction)[:1], *images])
     largest = np.abs(everything.load).max(axis=0)
-    terms = Terms(frame, *(_mean_factor(everything, frame, name) for name in ("mass", "stiffness")))
+    modes = modes_of(everything, largest, settings.amplitudes_max)
+    terms = Terms(frame, _mean_factor(everything, frame, "stiffness"), modes, float(samples.moment_gram[0, 0]))
     goals = _goals(everything, terms, largest)
     goals["stiffness_root_by_gravity"] = _stiffness_root_by_gravity(everything.answers, terms)
     seen = Seen(
         np.linalg.solve(frame, everything.coordinate.T).T, np.linalg.solve(frame, everything.compliance) * largest
     )
-    counts = {"mass_root": _entry_weights(everything, terms)}
     folds, own = np.tile(fold, 1 + len(images)), slice(0, len(fold))
-    maps: dict[str, Any] = {"mass_factor": terms.mass_factor, "stiffness_factor": terms.stiffness_factor}
+    maps: dict[str, Any] = {"stiffness_factor": terms.stiffness_factor}
     for names in ALIKE:
         degrees, at_origin = {name: _degree_max(name, settings) for name in names}, names == ALIKE[0]
         parts = {
@@ -50,18 +51,46 @@ def fit_maps(
             for weight in settings.image_weights_of(robot)
         }
         forms = {
-            weight: best_forms(
-                here, {name: value * counts.get(name, 1.0) for name, value in values.items()}, each, folds[: len(each)], own,
-                degrees, at_origin, RIDGES,
-            )
+            weight: best_forms(here, values, each, folds[: len(each)], own, degrees, at_origin, RIDGES)
             for weight, (here, values, each) in parts.items()
-        }  # fmt: skip
+        }
         for name in names:
             trusted = weight_to_trust({weight: np.sqrt(form[name].error) for weight, form in forms.items()})
             form, (here, values, each) = forms[trusted][name], parts[trusted]
             maps[name] = equations(here, values[name], each, form.degree, at_origin).solve(form.ridge)
             log.debug("%s of degree %d, ridge %g, images of weight %g", name, form.degree, form.ridge, trusted)
+    maps["amplitudes"] = _with_rest(maps["amplitudes"], goals["amplitudes"], seen, frame.T @ everything.answers["mass"] @ frame)
     return maps
+
+
+def modes_of(samples: Equilibria, largest: np.ndarray, most: int) -> np.ndarray:
+    """Return (k, a, 3) kg^-0.5, by which moments become amplitudes: of modes that are orthonormal in the mass.
+
+    They are those in which ``samples`` move most: where they are, and how they change under the ``largest`` load of each kind.
+    """
+    values, vectors = np.linalg.eigh(samples.moment_gram)
+    whole = values > ROUND_OFF * values[-1]
+    whitened = vectors[:, whole] / np.sqrt(values[whole])
+    moved = [samples.answers["moments"], *np.moveaxis(samples.slopes["moments"] * largest[:, None, None], 1, 0)]
+    fields = (whitened.T @ np.concatenate(moved)).reshape(len(largest) * len(samples.load) + len(samples.load), -1)
+    _, sizes, shapes = np.linalg.svd(fields, full_matrices=False)
+    kept = shapes[:most][sizes[:most] > ROUND_OFF * sizes[0]]
+    return np.asarray(whitened @ kept.reshape(len(kept), -1, 3))
+
+
+def _with_rest(coefficients: np.ndarray, goal: np.ndarray, seen: Seen, mass: np.ndarray) -> np.ndarray:
+    """Return the amplitudes (k + r, monomials) with r more, linear ones: what k of them leave of ``mass`` (S, r, r) near rest.
+
+    ``goal`` (S, 1 + n + 3, k) are the amplitudes and their changes along the moves that are ``seen``. So the mass is
+    exact at rest.
+    """
+    away = np.linalg.norm(seen.points, axis=1)
+    near = away < 1.01 * away.min()  # a sample and its images
+    lead = np.linalg.solve(seen.moves[near].transpose(0, 2, 1), goal[near, 1:])  # (S, r, k)
+    rest = symmetric_roots((mass[near] - lead @ lead.transpose(0, 2, 1)).mean(axis=0)[None])[0]
+    linear = np.zeros((len(rest), coefficients.shape[1]))
+    linear[:, 1 : 1 + len(rest)] = rest
+    return np.concatenate([coefficients, linear])
 
 
 def _part(
@@ -80,18 +109,19 @@ def _degree_max(name: str, settings: FitSettings) -> int:
     own = {
         "centre_of_mass": max(settings.energy_degree_max - 1, 2),  # weight is less than elasticity, and costs as much
         "rotation": settings.map_degree_max,
-        "mass_root": settings.mass_degree_max,
+        "amplitudes": settings.amplitude_degree_max,
         "stiffness_root": settings.viscosity_degree_max,
     }
     return own.get(name, settings.root_degree_max)
 
 
 class Terms(NamedTuple):
-    """In what terms maps are seen: the frame, and factors L with L L' the mean mass and the mean viscosity."""
+    """In what terms maps are seen: the frame, a factor L with L L' the mean viscosity, modes (k, a, 3), and the mass."""
 
     frame: np.ndarray
-    mass_factor: np.ndarray
     stiffness_factor: np.ndarray
+    modes: np.ndarray
+    mass: float
 
 
 def _goals(images: Equilibria, terms: Terms, largest: np.ndarray) -> dict[str, np.ndarray]:
@@ -107,11 +137,9 @@ def _goals(images: Equilibria, terms: Terms, largest: np.ndarray) -> dict[str, n
     }
 
 
-def _roots(answers: Answers, terms: Terms) -> tuple[np.ndarray, np.ndarray]:
-    """Return symmetric S (S, r, r) with ``L S S L'`` the mass and the viscosity."""
-    parts = (("mass", terms.mass_factor), ("stiffness", terms.stiffness_factor))
-    mass, viscous = (symmetric_roots(_apart(factor, terms.frame.T @ answers[name] @ terms.frame)) for name, factor in parts)
-    return mass, viscous
+def _root(answers: Answers, terms: Terms) -> np.ndarray:
+    """Return symmetric S (S, r, r) with ``L S S L'`` the viscosity."""
+    return symmetric_roots(_apart(terms.stiffness_factor, terms.frame.T @ answers["stiffness"] @ terms.frame))
 
 
 def _apart(factor: np.ndarray, matrices: np.ndarray) -> np.ndarray:
@@ -122,7 +150,7 @@ def _apart(factor: np.ndarray, matrices: np.ndarray) -> np.ndarray:
 
 def _stiffness_root_by_gravity(answers: Answers, terms: Terms) -> np.ndarray:
     """Return the changes (S, 1, 3 pairs) of the root of viscosity by unit gravity along each axis."""
-    values, vectors = np.linalg.eigh(_roots(answers, terms)[1])
+    values, vectors = np.linalg.eigh(_root(answers, terms))
     vectors = vectors[:, None]
     change = _apart(terms.stiffness_factor, terms.frame.T @ answers["viscosity_by_gravity"] @ terms.frame)
     turned = vectors.transpose(0, 1, 3, 2) @ change @ vectors / (values[:, :, None] + values[:, None])[:, None]
@@ -137,15 +165,17 @@ def _pairs(matrices: np.ndarray) -> np.ndarray:
 
 def _values(answers: Answers, terms: Terms) -> Answers:
     """Return the values (S, columns) of every map whose slopes are known."""
-    frame, (mass, viscous) = terms.frame, _roots(answers, terms)
+    frame, viscous = terms.frame, _root(answers, terms)
+    mass = np.linalg.cholesky(frame.T @ answers["mass"] @ frame).transpose(0, 2, 1)
+    moments = answers["moments"]
     drag_across, give_across = answers["give_drag"] @ frame, answers["give_coupling"] @ frame
     values = {
-        "mass_root": _pairs(mass),
+        "amplitudes": np.einsum("sai,kai->sk", moments, terms.modes),
         "stiffness_root": _pairs(viscous),
-        "give_root": _rows_beside(mass @ terms.mass_factor.T, give_across, answers["give_mass"]),
+        "give_root": _rows_beside(mass, give_across, answers["give_mass"]),
         "drag_root": _rows_beside(viscous @ terms.stiffness_factor.T, drag_across, answers["give_viscosity"]),
         "give": symmetric_roots(answers["give"]),
-        "centre_of_mass": answers["centre_of_mass"],
+        "centre_of_mass": moments[:, 0] / terms.mass,
         "rotation": answers["rotation"],
         "give_rotation": answers["give_spin"],
     }
@@ -161,11 +191,3 @@ def _rows_beside(root: np.ndarray, across: np.ndarray, own: np.ndarray) -> np.nd
 def _mean_factor(samples: Equilibria, frame: np.ndarray, name: str) -> np.ndarray:
     """Return the lower triangular factor of the mean of the answer ``name`` per ``frame``."""
     return np.linalg.cholesky((frame.T @ samples.answers[name] @ frame).mean(axis=0))
-
-
-def _entry_weights(samples: Equilibria, terms: Terms) -> np.ndarray:
-    """Return what each entry (pairs,) of the root of mass counts in the choice of a degree: least on stiff coordinates."""
-    frame = terms.frame
-    stiff = frame.T @ (np.linalg.inv(samples.compliance) + samples.answers["stiffness"]) @ frame
-    column = (terms.mass_factor**2 / np.diag(stiff.mean(axis=0))[:, None]).sum(axis=0)
-    return np.sqrt(_pairs(column[:, None] + column - np.diag(column)))

@@ -25,8 +25,8 @@ class Tables(NamedTuple):
     parent, variable, degrees : (k,) how monomials are made;  shares : (k,) 1 / (degree + 1)
     gradient : (r, k), hessian : (pairs, k) J, of elastic energy and weight together
     quadratic : (r, r) J, elastic Hessian at rest: what makes an indefinite Newton matrix definite
-    mass_root, stiffness_root : (pairs, k) entries of S, and mass_factor, stiffness_factor : (r, r) L, of mass and of
-        viscosity ``L S'S L'``, see ``pod.chord``
+    amplitudes : (k, m) kg^0.5 m;  amplitude_slope : (k r, m) their gradient, see ``pod.inertia``
+    stiffness_root : (pairs, k) entries of S, and stiffness_factor : (r, r) L, of viscosity ``L S'S L'``, see ``pod.chord``
     weight : (3, r, k) N/(m/s^2) m, mass times the gradient of the centre of mass by y
     rotation : (3, k) rad, with what weight turns
     give : (9, k) kg^0.5 s;  give_rotation : (9, k) rad s^2/m;  give_root, drag_root : (3 (r + 3), k), see ``pod.inside``
@@ -45,8 +45,8 @@ class Tables(NamedTuple):
     gradient: np.ndarray
     hessian: np.ndarray
     quadratic: np.ndarray
-    mass_root: np.ndarray
-    mass_factor: np.ndarray
+    amplitudes: np.ndarray
+    amplitude_slope: np.ndarray
     stiffness_root: np.ndarray
     stiffness_factor: np.ndarray
     weight: np.ndarray
@@ -229,12 +229,12 @@ def fill_rows(coefficients: np.ndarray, values: np.ndarray, rows: np.ndarray) ->
 
 @nb.njit(cache=True, fastmath=FAST)
 def fill_square(root: np.ndarray, square: np.ndarray) -> None:
-    """Fill ``square`` (r, r) with R' R, R row by row in ``root`` (r r,): never indefinite."""
+    """Fill ``square`` (r, r) with R' R, R row by row in ``root`` (k r,): never indefinite."""
     r = len(square)
     for i in range(r):
         for j in range(i, r):
             total = 0.0
-            for k in range(r):
+            for k in range(len(root) // r):
                 total += root[k * r + i] * root[k * r + j]
             square[i, j] = total
             square[j, i] = total

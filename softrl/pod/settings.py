@@ -16,7 +16,9 @@ class FitSettings:
     ----------
     energy_degree_max : highest degree tried for the condensed energy
     map_degree_max : likewise for the rotation
-    mass_degree_max, viscosity_degree_max : for the roots of mass and of viscosity
+    amplitude_degree_max : for the amplitudes, whose gradient makes the mass;  amplitudes_max : at most so many besides the
+        n + 3 of what they leave
+    viscosity_degree_max : for the root of viscosity
     root_degree_max : for the roots of what the inside gives
     ridges : tried for the energy, relative
     image_weights : tried for the samples' images under the robot's symmetries, beside the samples' own weight of 1
@@ -29,7 +31,8 @@ class FitSettings:
 
     energy_degree_max: int
     map_degree_max: int
-    mass_degree_max: int
+    amplitude_degree_max: int
+    amplitudes_max: int
     viscosity_degree_max: int
     root_degree_max: int
     ridges: tuple[float, ...]
@@ -42,7 +45,8 @@ class FitSettings:
 
     def __post_init__(self) -> None:
         for name, least in {
-            "energy_degree_max": 2, "map_degree_max": 1, "mass_degree_max": 0, "viscosity_degree_max": 0,
+            "energy_degree_max": 2, "map_degree_max": 1, "amplitude_degree_max": 1, "amplitudes_max": 0,
+            "viscosity_degree_max": 0,
             "root_degree_max": 0, "value_weight": 0, "hessian_weight": 0, "third_weight": 0, "folds": 2,
         }.items():  # fmt: skip
             if getattr(self, name) < least:

@@ -110,7 +110,7 @@ def equilibria_of(model: ReducedModel, loads: np.ndarray) -> Equilibria:
     bent = -np.einsum("sia,sjb,skc,sabc->sijk", moved, moved, moved, third[stable] @ model.energy, optimize=True)
     return Equilibria(
         (slope[stable] @ model.energy) @ inverse, points @ model.frame.T, table.values(points) @ model.energy,
-        {"compliance": compliance}, {"compliance": bent},
+        {"compliance": compliance}, {"compliance": bent}, np.zeros((0, 0)),
     )
 
 

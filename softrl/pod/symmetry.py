@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from softrl.fem.moments import turned
 from softrl.pod.equilibria import AXES, Equilibria
 from softrl.robots.symmetry import Symmetry
 
@@ -13,7 +14,8 @@ def reflected(samples: Equilibria, operations: list[Symmetry]) -> Equilibria:
     images = [_image(samples, operation) for operation in operations]
     arrays = (np.concatenate([getattr(image, name) for image in images]) for name in ("load", "coordinate", "energy"))
     parts = ([getattr(image, name) for image in images] for name in ("answers", "slopes"))
-    return Equilibria(*arrays, *({n: np.concatenate([part[n] for part in of]) for n in of[0]} for of in parts))
+    joined = ({n: np.concatenate([part[n] for part in of]) for n in of[0]} for of in parts)
+    return Equilibria(*arrays, *joined, samples.moment_gram)
 
 
 def weight_to_trust(errors: dict[float, float]) -> float:
@@ -28,17 +30,19 @@ def weight_to_trust(errors: dict[float, float]) -> float:
 
 def _image(samples: Equilibria, operation: Symmetry) -> Equilibria:
     g, vector = operation
-    turns = {"w": g, "v": vector, "s": np.linalg.det(vector) * vector}
+    moments = turned(vector, len(samples.moment_gram))
+    turns = {"w": g, "v": vector, "s": np.linalg.det(vector) * vector, "m": moments}
 
-    def turned(values: np.ndarray, axes: str) -> np.ndarray:
+    def image(values: np.ndarray, axes: str) -> np.ndarray:
         for place, axis in enumerate(axes, start=1):
             values = np.moveaxis(np.tensordot(values, turns[axis], axes=(place, 1)), -1, place)
         return values
 
     return Equilibria(
-        turned(samples.load, "w"),
-        turned(samples.coordinate, "w"),
+        image(samples.load, "w"),
+        image(samples.coordinate, "w"),
         samples.energy,
-        {name: turned(values, AXES[name]) for name, values in samples.answers.items()},
-        {name: turned(values, "w" + AXES[name]) for name, values in samples.slopes.items()},
+        {name: image(values, AXES[name]) for name, values in samples.answers.items()},
+        {name: image(values, "w" + AXES[name]) for name, values in samples.slopes.items()},
+        samples.moment_gram,
     )

@@ -7,7 +7,7 @@ from softrl.pod.polynomial import basis, degree_of, sum_of_squares
 from softrl.pod.potential import Tables
 
 WALL = 3.0  # of the largest curvature at rest: what rises outside the samples
-MAPS = ("mass_root", "give_root", "drag_root")
+MAPS = ("amplitudes", "give_root", "drag_root")
 
 
 def tables_of(
@@ -63,8 +63,8 @@ def tables_of(
                 gradient,
                 hessian,
                 quadratic,
-                model.mass_root,
-                model.mass_factor,
+                model.amplitudes,
+                gradient_of(model.amplitudes, r).transpose(1, 0, 2).reshape(len(model.amplitudes) * r, -1),
                 stiffness_root,
                 model.stiffness_factor,
                 mass * weight.transpose(1, 0, 2),
@@ -114,7 +114,5 @@ def elastic_hessian_at_rest(model: ReducedModel) -> np.ndarray:
 
 def mass_at_rest(model: ReducedModel) -> np.ndarray:
     """Return the mass (r, r) kg m^2 in y at rest."""
-    upper = np.zeros((model.order, model.order))
-    upper[np.triu_indices(model.order)] = model.mass_root[:, 0]
-    root = (upper + np.triu(upper, 1).T) @ model.mass_factor.T
-    return np.asarray(root.T @ root)
+    lead = model.amplitudes[:, 1 : 1 + model.order]
+    return np.asarray(lead.T @ lead)

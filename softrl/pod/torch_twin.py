@@ -1,11 +1,13 @@
 """The energy ROM in torch: batched and differentiable, the same equations as ``pod.kernel`` to round-off."""
 
+from typing import Any
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from softrl.artifacts.reduced_model import ReducedModel
-from softrl.pod.kernel import LONGEST_STEP
+from softrl.pod.kernel import LONGEST_STEP, SCALINGS
 from softrl.pod.tables import gradient_of, tables_of
 from softrl.pod.viscosity import TINY
 
@@ -32,11 +34,11 @@ class TorchRom(torch.nn.Module):
     inverse: Tensor
     gradient: Tensor
     hessian: Tensor
-    mass_root: Tensor
-    mass_factor: Tensor
+    amplitudes: Tensor
+    amplitude_slope: Tensor
+    amplitude_bend: Tensor
     stiffness_root: Tensor
     stiffness_factor: Tensor
-    mass_slope: Tensor
     give: Tensor
     give_root: Tensor
     drag_root: Tensor
@@ -56,20 +58,20 @@ class TorchRom(torch.nn.Module):
         tables = tables_of(model, gravity_m_s2, youngs_modulus_scale, damping_scale, mass_scale)
         self.order = r = model.order
         for name in (
-            "frame", "inverse", "gradient", "mass_factor", "stiffness_factor", "degrees", "quadratic",
-            "give", "give_root", "drag_root",
+            "frame", "inverse", "gradient", "amplitudes", "amplitude_slope", "stiffness_factor", "degrees", "quadratic", "give",
+            "give_root", "drag_root",
         ):  # fmt: skip
             self.register_buffer(name, torch.tensor(getattr(tables, name), dtype=dtype))
         pairs = np.zeros((r, r), dtype=int)
         pairs[np.triu_indices(r)] = np.arange(r * (r + 1) // 2)
         pairs = pairs + np.triu(pairs, 1).T
-        for name in ("hessian", "mass_root", "stiffness_root"):
+        for name in ("hessian", "stiffness_root"):
             self.register_buffer(name, torch.tensor(getattr(tables, name)[pairs.ravel()], dtype=dtype))
-        slope = gradient_of(tables.mass_root[pairs.ravel()], r)
-        self.register_buffer("mass_slope", torch.tensor(slope.reshape(r**3, slope.shape[-1]), dtype=dtype))
+        bend = gradient_of(tables.amplitude_slope, r)
+        self.register_buffer("amplitude_bend", torch.tensor(bend.reshape(-1, bend.shape[-1]), dtype=dtype))
         scales = [float(scale) for scale in tables.scales]
         self.mass_scale, self.mass_damping, self.stiffness_damping, self.wall = scales
-        roots = tables.mass_root, tables.stiffness_root, tables.give, tables.give_root, tables.drag_root
+        roots = tables.amplitudes, tables.stiffness_root, tables.give, tables.give_root, tables.drag_root
         self._few = max(root.shape[1] for root in roots)
         most = max(tables.gradient.shape[1], self._few)
         self._levels: list[tuple[Tensor, Tensor]] = []
@@ -85,11 +87,11 @@ class TorchRom(torch.nn.Module):
         """
         y, rate, change = z @ self.inverse.T, velocity @ self.inverse.T, acceleration @ self.inverse.T
         u, radius = self._ball(y)
-        values = self._monomials(u, max(self.mass_root.shape[1], self.stiffness_root.shape[1]))
-        root, stiff = self._root("mass", values), _square(self._root("stiffness", values))
-        mass, turning = _square(root), self._turning(root, values, u, radius, rate)
-        viscous = _times(self.stiffness_damping * stiff + self.mass_damping * mass, rate)
-        inside = self.mass_scale * (_times(mass, change) - turning) + viscous + self._slope(y)
+        values = self._monomials(u, self._few)
+        lead, bent = self._lead(values), self._bent(values, u, radius, rate)
+        along = self.mass_scale * (_times(lead, change) + bent) + self.mass_damping * _times(lead, rate)
+        viscous = self.stiffness_damping * _times(_square(self._root(values)), rate)
+        inside = _times(lead.transpose(1, 2), along) + viscous + self._slope(y)
         return inside @ self.inverse - load
 
     def step(
@@ -102,15 +104,15 @@ class TorchRom(torch.nn.Module):
         """
         start, rate = z @ self.inverse.T, velocity @ self.inverse.T
         gives, giving = inner.unbind(1)
-        before, ahead, outer = start - dt_s * rate, start + dt_s * rate, load @ self.frame
+        ahead, outer = start + dt_s * rate, load @ self.frame
+        before, now = self._amplitudes(start - dt_s * rate), self._amplitudes(start)
         give = self._give(start + 0.5 * dt_s * rate)
-        mass, _, couple, own = self._masses(before, dt_s * rate)
-        kinetic = _kinetic(rate, giving, mass, couple, own)
-        held = *self._inertia(start, before, dt_s * rate), *self._resistance(start, dt_s * rate), give
-        inertia, right, *_ = self._sides(held, start, rate, inner, outer, dt_s)
+        kinetic = _kinetic(rate, giving, (now - before) / dt_s, *self._inertia(start)[2:])
+        held = self._inertia(ahead), self._resistance(start, dt_s * rate), give, (before, now)
+        inertia, right, *_ = self._sides(held, ahead, start, rate, inner, outer, dt_s)
         first = ahead - self._direction(ahead, inertia, self._slope(ahead) + _times(inertia, ahead) - right)
-        held = *self._inertia(start, before, first - start), *self._resistance(start, first - start), give
-        inertia, right, apart, push, pull = self._sides(held, start, rate, inner, outer, dt_s)
+        held = self._inertia(first), self._resistance(start, first - start), give, (before, now)
+        inertia, right, apart, push, pull = self._sides(held, first, start, rate, inner, outer, dt_s)
         with torch.no_grad():
             y = self._solve(ahead, inertia, right)
             jacobian = self._curvature(y) + inertia
@@ -118,26 +120,38 @@ class TorchRom(torch.nn.Module):
         y = y - torch.linalg.solve(jacobian, left.unsqueeze(-1)).squeeze(-1)
         given = _times(apart, push - _times(pull.transpose(1, 2), y))
         moved, given_by = (y - start) / dt_s, (given - gives) / dt_s
-        most = kinetic + _work(moved, rate, given_by, giving, held, dt_s)
-        mass, _, _, _, couple, own, *_ = held
-        share = _share_of(most, _kinetic(moved, given_by, mass, couple, own))
-        moved, given_by = share * moved, share * given_by
+        most = kinetic + _work(y - first, moved, rate, given_by, giving, held, dt_s)
+        arrived, (_, _, couple, own) = self._amplitudes(y), held[0]
+        by = (arrived - now) / dt_s
+        for _ in range(SCALINGS):
+            energy = _kinetic(moved, given_by, by, couple, own)
+            if not (energy > most.clamp(min=0.0)).any():
+                break
+            share = _share_of(most, energy)
+            moved, given_by = share * moved, share * given_by
+            by = (arrived - self._amplitudes(y - dt_s * moved)) / dt_s
         after = self._give(y + 0.5 * dt_s * moved)
         given = given * _share_of(_dot(given, _times(give, given)), _dot(given, _times(after, given)))
         return y @ self.frame.T, moved @ self.frame.T, torch.stack([given, given_by], dim=1)
 
     def _sides(
-        self, held: tuple[Tensor, ...], start: Tensor, rate: Tensor, inner: Tensor, outer: Tensor, dt_s: float
+        self, held: tuple[tuple[Tensor, ...], tuple[Tensor, ...], Tensor, tuple[Tensor, Tensor]], aim: Tensor, start: Tensor,
+        rate: Tensor, inner: Tensor, outer: Tensor, dt_s: float,
     ) -> tuple[Tensor, ...]:
-        """Return what is constant in a step, ``inertia`` y - ``right``, and by what the inside follows from y."""
-        mass, back, slope, behind, couple, own, stiff, steep, drag, tough, give = held
+        """Return what is constant in a step, ``inertia`` y - ``right``, and by what the inside follows from y.
+
+        Amplitudes are taken at ``aim`` (B, r).
+        """
+        (amplitudes, lead, couple, own), (stiff, steep, drag, tough), give, (before, now) = held
         free, rub, viscous = self.mass_scale / dt_s**2, self.mass_damping / dt_s, self.stiffness_damping / dt_s
         gives, giving = inner.unbind(1)
         flown = free * (gives + dt_s * giving) + rub * gives
         moved = free * (start + dt_s * rate) + rub * start
-        inertia = free * (2.0 * mass - back) + rub * mass + viscous * stiff
-        right = outer + free * (behind - 2.0 * slope) - rub * slope - viscous * steep
-        right = right + _times(inertia, start) + free * dt_s * _times(back, rate)
+        mass = (free + rub) * _square(lead)
+        force = free * (amplitudes - 2.0 * now + before) + rub * (amplitudes - now)
+        inertia = mass + viscous * stiff
+        right = outer - _times(lead.transpose(1, 2), force) - viscous * steep
+        right = right + _times(mass, aim) + viscous * _times(stiff, start)
         right = right + _times(couple, flown) + viscous * _times(drag, gives)
         pull = (free + rub) * couple + viscous * drag
         push = _times(own, flown) + viscous * _times(tough, gives)
@@ -154,44 +168,56 @@ class TorchRom(torch.nn.Module):
         step = torch.linalg.solve(jacobian, left.unsqueeze(-1)).squeeze(-1)
         return step / (step.abs().amax(1, keepdim=True) / LONGEST_STEP).clamp(min=1.0)
 
-    def _inertia(self, start: Tensor, before: Tensor, by: Tensor) -> tuple[Tensor, ...]:
-        """Return masses half way of a step ``by`` from ``start`` and of that from ``before``, then their slopes (B, r) alike.
+    def _inertia(self, aim: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return amplitudes (B, k) at ``aim``, their gradient (B, k, r), and the inside's mass with y and its own there."""
+        values = self._monomials(self._ball(aim)[0], self._few)
+        lead = self._lead(values)
+        root = torch.linalg.cholesky(_square(lead), upper=True)
+        rows = values[:, : self.give_root.shape[1]] @ self.give_root.T
+        return self._amplitudes(aim), lead, *_beside(root, rows)
 
-        After them come the inside's mass with the coordinates (B, r, 3) and its own (B, 3, 3).
-        """
-        back, behind, *_ = self._chord("mass", 0.5 * (before + start + by), start - before + by)
-        mass, slope, couple, own = self._masses(start, by)
-        return mass, back, slope, behind, couple, own
+    def _amplitudes(self, y: Tensor) -> Tensor:
+        """Return the amplitudes (B, k), which go on straight outside the ball."""
+        u, _ = self._ball(y)
+        values = self._monomials(u, self._few)
+        inside = values[:, : self.amplitudes.shape[1]] @ self.amplitudes.T
+        return inside + _times(self._lead(values), y - u)
 
-    def _masses(self, start: Tensor, by: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return the mass half way of a step ``by`` from ``start``, its slope (B, r), and the inside's masses."""
-        mass, slope, root, values = self._chord("mass", start + 0.5 * by, by)
-        return mass, slope, *_beside(root, values[:, : self.give_root.shape[1]] @ self.give_root.T)
+    def _lead(self, values: Tensor) -> Tensor:
+        """Return the amplitudes' gradient (B, k, r) at monomials ``values``."""
+        lead = values[:, : self.amplitude_slope.shape[1]] @ self.amplitude_slope.T
+        return lead.reshape(len(values), -1, self.order)
+
+    def _bent(self, values: Tensor, u: Tensor, radius: Tensor, rate: Tensor) -> Tensor:
+        """Return by how much the amplitudes' rates (B, k) change at constant ``rate``; ``values`` are the monomials at ``u``."""
+        inward = torch.where(radius > 1.0, rate - u * _dot(u, rate).unsqueeze(1), rate) / radius
+        bend = (values[:, : self.amplitude_bend.shape[1]] @ self.amplitude_bend.T).reshape(len(u), self.order, -1, self.order)
+        return torch.einsum("bjai,bi,bj->ba", bend, rate, inward)
 
     def _resistance(self, start: Tensor, by: Tensor) -> tuple[Tensor, ...]:
         """Return viscosity half way of a step ``by`` (B, r), the force (B, r) of its slope, and the inside's viscosities."""
-        stiff, steep, root, values = self._chord("stiffness", start + 0.5 * by, by)
+        stiff, steep, root, values = self._chord(start + 0.5 * by, by)
         driven = -_dot(steep, by) / _dot(by, _times(stiff, by)).clamp(min=TINY)
         drag = _beside(root, values[:, : self.drag_root.shape[1]] @ self.drag_root.T)
         return stiff, steep / driven.clamp(min=1.0).unsqueeze(1), *drag
 
-    def _chord(self, name: str, half: Tensor, by: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return a matrix ``half`` way of a step ``by``, what ``pod.chord`` adds, its root and the monomials there."""
+    def _chord(self, half: Tensor, by: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return viscosity ``half`` way of a step ``by``, what ``pod.chord`` adds, its root and the monomials there."""
         keep = torch.is_grad_enabled() and half.requires_grad
         with torch.enable_grad():
             middle = half if keep else half.detach().requires_grad_()
             values = self._monomials(self._ball(middle)[0], self._few)
-            root = self._root(name, values)
+            root = self._root(values)
             moved = _times(root, by)
             square = _dot(moved, moved) + 0.0 * middle.sum(1)  # constant maps have a gradient, too
             (slope,) = torch.autograd.grad(square.sum(), middle, create_graph=keep)
         root, values = (part if keep else part.detach() for part in (root, values))
         return _square(root), 0.25 * slope, root, values
 
-    def _root(self, name: str, values: Tensor) -> Tensor:
-        """Return S L' (B, r, r) of mass or stiffness at monomials ``values``."""
-        entries, factor = getattr(self, f"{name}_root"), getattr(self, f"{name}_factor")
-        return (values[:, : entries.shape[1]] @ entries.T).reshape(-1, self.order, self.order) @ factor.T
+    def _root(self, values: Tensor) -> Tensor:
+        """Return S L' (B, r, r) of viscosity at monomials ``values``."""
+        entries = values[:, : self.stiffness_root.shape[1]] @ self.stiffness_root.T
+        return entries.reshape(-1, self.order, self.order) @ self.stiffness_factor.T
 
     def _give(self, y: Tensor) -> Tensor:
         """Return the inside's stiffness (B, 3, 3)."""
@@ -263,24 +289,6 @@ class TorchRom(torch.nn.Module):
         bending = bending + 6.0 * self.wall * beyond
         return inner + cross + cross.transpose(1, 2) + (bending - along) * outer + along * identity
 
-    def _turning(self, root: Tensor, values: Tensor, u: Tensor, radius: Tensor, rate: Tensor) -> Tensor:
-        """Return the force (B, r) of inertia at constant ``rate``, at scale 1: grad(v'M v) / 2 - M' v.
-
-        ``root`` (B, r, r) is that of the mass and ``values`` the monomials at ``u`` (B, r), the image in the ball.
-        """
-        r = self.order
-        slope = (values[:, : self.mass_slope.shape[1]] @ self.mass_slope.T).reshape(-1, r, r, r)  # by, row, column
-        slope = slope @ self.mass_factor.T
-
-        def tangent(x: Tensor) -> Tensor:
-            return torch.where(radius > 1.0, x - u * _dot(u, x).unsqueeze(1), x) / radius
-
-        moved, turned = _times(root, rate), torch.einsum("bjai,bi->bja", slope, rate)
-        along = tangent(rate)
-        changed = torch.einsum("bja,bj->ba", turned, along)
-        force = tangent(_times(turned, moved)) - _times(root.transpose(1, 2), changed)
-        return force - torch.einsum("bjai,bj,ba->bi", slope, along, moved)
-
 
 def _ray(degree: Tensor, radius: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return w_d and its two derivatives (B, k) at ``radius`` (B, 1); see ``pod.kernel``."""
@@ -303,18 +311,18 @@ def _share_of(goal: Tensor, now: Tensor) -> Tensor:
     return ratio.clamp(min=1e-30).sqrt().unsqueeze(1)
 
 
-def _kinetic(rate: Tensor, giving: Tensor, mass: Tensor, couple: Tensor, own: Tensor) -> Tensor:
-    """Return twice the kinetic energies (B,), those of the inside in them."""
-    return _dot(rate, _times(mass, rate) + 2.0 * _times(couple, giving)) + _dot(giving, _times(own, giving))
+def _kinetic(rate: Tensor, giving: Tensor, moved: Tensor, couple: Tensor, own: Tensor) -> Tensor:
+    """Return twice the kinetic energies (B,), those of the inside in them; ``moved`` (B, k) are the amplitudes' rates."""
+    return _dot(moved, moved) + 2.0 * _dot(rate, _times(couple, giving)) + _dot(giving, _times(own, giving))
 
 
 def _work(
-    rate: Tensor, former: Tensor, giving: Tensor, formerly: Tensor, held: tuple[Tensor, ...], dt_s: float
+    off: Tensor, rate: Tensor, former: Tensor, giving: Tensor, formerly: Tensor, held: tuple[Any, ...], dt_s: float
 ) -> Tensor:
-    """Return twice the works (B,) of ``pod.inertia.work_of_inertia``."""
-    mass, back, slope, behind, couple, own, *_ = held
-    force = (2.0 * slope - behind) / dt_s + _times(2.0 * mass - back, rate) - _times(back, former)
-    force = force + _times(couple, giving - formerly)
+    """Return twice the works (B,) of ``pod.inertia.work_of_inertia``; ``off`` (B, r) is how far from its aim a step ends."""
+    (amplitudes, lead, couple, own), _, _, (before, now) = held
+    change = (amplitudes - 2.0 * now + before + _times(lead, off)) / dt_s
+    force = _times(lead.transpose(1, 2), change) + _times(couple, giving - formerly)
     inner = _times(own, giving - formerly) + _times(couple.transpose(1, 2), rate - former)
     return 2.0 * (_dot(force, rate) + _dot(inner, giving))
 

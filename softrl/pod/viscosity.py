@@ -23,7 +23,7 @@ def fill_viscosity(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, he
     The force is never more than would turn what damps into what drives. ``work`` and ``held`` are those of ``pod.kernel``.
     """
     values, middle, root = work[0], work[3], work[4]
-    _, _, _, stiff, steep, inside = held
+    _, stiff, steep, inside, _ = held
     for i in range(len(by)):
         middle[i] = start[i] + 0.5 * by[i]
     metric = tables.stiffness_root, tables.stiffness_factor

@@ -12,7 +12,7 @@ from softrl.pod.settings import FitSettings
 from softrl.robots.robot import Robot
 from tests.pod.synthetic import robot_with, synthetic_snapshots
 
-SETTINGS = FitSettings(4, 3, 1, 1, 1, (1e-15,), (0.0, 1.0), (0.01,), 0.3, 0.3, 0.1, 2)
+SETTINGS = FitSettings(4, 3, 2, 18, 1, 1, (1e-15,), (0.0, 1.0), (0.01,), 0.3, 0.3, 0.1, 2)
 _made: dict[int, tuple[Robot, Snapshots, ReducedModel]] = {}
 
 

@@ -16,8 +16,8 @@ def mechanical_energy(
 ) -> np.ndarray:
     """Return kinetic, elastic and weight's energy (S,) J at z and its rate (S, n + 3), within the samples' ball.
 
-    ``inner`` (S, 2, 3) is how far the inside gives, and its rate. None: nothing. Rates of steps of ``dt_s`` belong to half
-    way of the step that led to z; the inside is as stiff as half way of the next.
+    ``inner`` (S, 2, 3) is how far the inside gives, and its rate. None: nothing. Rates of steps of ``dt_s`` are those of the
+    amplitudes in the step that led to z; the inside is as stiff as half way of the next.
     """
     r = model.order
     inverse = np.linalg.inv(model.frame)
@@ -27,24 +27,38 @@ def mechanical_energy(
     height = values[:, : model.centre_of_mass.shape[1]] @ model.centre_of_mass.T
     settling = 0.5 * ((_roots(model.give, values) @ gravity) ** 2).sum(axis=1)
     energy = values[:, : len(model.energy)] @ model.energy - model.mass * height @ gravity - settling
-    behind, ahead = _values(model, y - 0.5 * dt_s * rate), _values(model, y + 0.5 * dt_s * rate)
-    entries = behind[:, : model.mass_root.shape[1]] @ model.mass_root.T
-    upper = np.zeros((len(y), r, r))
-    upper[:, *np.triu_indices(r)] = entries
-    root = (upper + np.triu(upper, 1).transpose(0, 2, 1)) @ model.mass_factor.T
-    moving = np.einsum("sij,sj->si", root, rate)
+    lead = _lead(model, y)
+    step = dt_s or 1e-6
+    moving = (_amplitudes(model, y) - _amplitudes(model, y - step * rate)) / step
     energy += 0.5 * (moving**2).sum(axis=1)
     if inner is not None:
-        pushed = np.einsum("sij,sj->si", _roots(model.give_root, behind), inner[:, 1])
-        energy += 0.5 * (pushed**2).sum(axis=1) + (moving * pushed[:, :r]).sum(axis=1)
+        root = np.linalg.cholesky(lead.transpose(0, 2, 1) @ lead).transpose(0, 2, 1)
+        pushed = np.einsum("sij,sj->si", _roots(model.give_root, values), inner[:, 1])
+        energy += 0.5 * (pushed**2).sum(axis=1) + (np.einsum("sij,sj->si", root, rate) * pushed[:, :r]).sum(axis=1)
+        ahead = _values(model, y + 0.5 * dt_s * rate)
         energy += 0.5 * (np.einsum("sij,sj->si", _roots(model.give, ahead), inner[:, 0]) ** 2).sum(axis=1)
     return np.asarray(energy)
 
 
 def _values(model: ReducedModel, y: np.ndarray) -> np.ndarray:
-    maps = (model.energy, model.centre_of_mass, model.give, model.mass_root, model.give_root)
-    points = y / np.maximum(np.linalg.norm(y, axis=1, keepdims=True), 1.0)
-    return basis(model.order, degree_of(model.order, max(part.shape[-1] for part in maps))).values(points)
+    maps = (model.energy, model.centre_of_mass, model.give, model.amplitudes, model.give_root)
+    return basis(model.order, degree_of(model.order, max(part.shape[-1] for part in maps))).values(_in_ball(y))
+
+
+def _in_ball(y: np.ndarray) -> np.ndarray:
+    return np.asarray(y / np.maximum(np.linalg.norm(y, axis=1, keepdims=True), 1.0))
+
+
+def _lead(model: ReducedModel, y: np.ndarray) -> np.ndarray:
+    """Return the gradient (S, k, r) of the amplitudes, outside the ball that at its surface."""
+    table = basis(model.order, degree_of(model.order, model.amplitudes.shape[1]))
+    return np.asarray(np.einsum("srm,km->skr", table.gradient_rows(_in_ball(y)), model.amplitudes))
+
+
+def _amplitudes(model: ReducedModel, y: np.ndarray) -> np.ndarray:
+    """Return the amplitudes (S, k), which go on straight outside the ball."""
+    inside = _values(model, y)[:, : model.amplitudes.shape[1]] @ model.amplitudes.T
+    return np.asarray(inside + np.einsum("skr,sr->sk", _lead(model, y), y - _in_ball(y)))
 
 
 def _roots(coefficients: np.ndarray, values: np.ndarray) -> np.ndarray:

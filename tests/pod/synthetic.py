@@ -136,12 +136,19 @@ class Law:
                     break
         return z
 
+    def amplitudes(self, z: np.ndarray) -> np.ndarray:
+        """Return how far the body's masses are from rest (n + 6,) kg^0.5 m: its centre, and what follows z in proportion."""
+        own = np.r_[np.full(self.chambers, 0.1 / STROKE_N_PER_PA), np.full(3, 0.3)]
+        return np.r_[own * z, MASS_KG**0.5 * self.centre_of_mass(z)]
+
+    def lead(self, z: np.ndarray) -> np.ndarray:
+        """Return the gradient (n + 6, n + 3) of the amplitudes: differences are exact, they are of degree 2."""
+        steps = np.diag(np.r_[np.full(self.chambers, 1e-6), np.full(3, 1e-3)])
+        return np.array([(self.amplitudes(z + e) - self.amplitudes(z - e)) / (2.0 * e.sum()) for e in steps]).T
+
     def mass(self, z: np.ndarray) -> np.ndarray:
-        """Return M (n + 3, n + 3), positive: R'R with R linear in the tip."""
-        n = self.chambers
-        root = np.diag(np.r_[np.full(n, 0.1 / STROKE_N_PER_PA), np.full(3, 0.4)])
-        root[n:, n:] += np.outer([1.0, 1.0, 0.0], [1.0, 1.0, 0.0]) * 0.0 + np.eye(3) * 2.0 * z[n + 2]
-        return root.T @ root
+        """Return M (n + 3, n + 3)."""
+        return self.lead(z).T @ self.lead(z)
 
     def viscosity(self, z: np.ndarray) -> np.ndarray:
         """Return what stiffness-proportional damping multiplies (n + 3, n + 3): more of it where the body is longer."""
@@ -188,7 +195,7 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
 def march(law: Law, loads: np.ndarray, dt: float, mass_damping: float, stiffness_damping: float) -> np.ndarray:
     """Return z (steps, n + 3) by implicit Euler in SI, from rest, the inside's three coordinates solved for with the rest.
 
-    Forces of inertia and viscosity are derivatives of squared distances between states.
+    Forces of inertia are those of the amplitudes' differences; that of viscosity is the derivative of a squared distance.
     """
     r = loads.shape[1]
     path = [np.zeros(r + 3)] * 2
@@ -199,13 +206,13 @@ def march(law: Law, loads: np.ndarray, dt: float, mass_damping: float, stiffness
         ))  # fmt: skip
         damping = mass_damping / dt * mass + stiffness_damping / dt * viscosity
         for _ in range(60):
-            long, short, strain = (law.half_slope(metric, start[:r], trial[:r]) for metric, start in (
-                (law.mass, before), (law.mass, now), (law.viscosity, now),
-            ))  # fmt: skip
+            strain = law.half_slope(law.viscosity, now[:r], trial[:r])
+            at, start, behind = (law.amplitudes(z[:r]) for z in (trial, now, before))
+            pushed = (at - 2.0 * start + behind) / dt**2 + mass_damping / dt * (at - start)
             beside = joint(np.zeros((r, r)), GIVE_COUPLING, GIVE_MASS) @ (trial - 2.0 * now + before) / dt**2
             beside += mass_damping / dt * joint(np.zeros((r, r)), GIVE_COUPLING, GIVE_MASS) @ (trial - now)
             beside += stiffness_damping / dt * joint(np.zeros((r, r)), GIVE_DRAG, GIVE) @ (trial - now)
-            force = (2.0 * short - long) / dt**2 + mass_damping / dt * short + stiffness_damping / dt * strain
+            force = law.lead(trial[:r]).T @ pushed + stiffness_damping / dt * strain
             residual = beside + np.r_[force + law.gradient(trial[:r]) - load, GIVE @ trial[r:]]
             step = np.linalg.solve(joint(law.hessian(trial[:r]), 0.0 * GIVE, GIVE) + mass / dt**2 + damping, residual)
             trial = trial - step
@@ -247,8 +254,9 @@ def synthetic_snapshots(robot: Robot, samples: int, seed: int, trajectories: int
         energy=np.array([law.energy(point) for point in z]),
         **answers,
         slopes=slopes,
-        centre_of_mass=np.array([law.centre_of_mass(point) for point in z]),
-        centre_slope=np.array([differences(law.centre_of_mass, point) for point in z]) @ compliance,
+        moments=MASS_KG * np.array([law.centre_of_mass(point) for point in z])[:, None],
+        moment_slope=MASS_KG * (np.array([differences(law.centre_of_mass, point) for point in z]) @ compliance)[:, None],
+        moment_gram=np.full((1, 1), MASS_KG),
         tip_spin=np.linalg.inv(per_spin(turned)) @ np.array([differences(law.rotation, point) for point in z]) @ compliance,
         tip_quaternion=np.array([quaternion(turn) for turn in turned]),
         displacement=shape.astype(np.float32),

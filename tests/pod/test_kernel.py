@@ -9,6 +9,7 @@ import pytest
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
 from softrl.pod.chord import fill_chord
+from softrl.pod.inertia import add_inertia, fill_amplitudes, fill_inertia, make_course
 from softrl.pod.inside import make_inside
 from softrl.pod.kernel import run_kernel
 from softrl.pod.linear import solve_general
@@ -158,13 +159,11 @@ def test_a_long_step_is_the_equilibrium(tripod: Body) -> None:
 
 
 @pytest.mark.parametrize("radius", [0.5, 1.4])
-@pytest.mark.parametrize("name", ["mass", "stiffness"])
-def test_a_step_has_the_force_of_its_square(tripod: Body, name: str, radius: float) -> None:
+def test_a_step_has_the_force_of_its_square(tripod: Body, radius: float) -> None:
     """By the derivative by its arrival, the metric half way."""
     rng, r = np.random.default_rng(0), 6
-    tables = tables_of(replace(tripod[2], **{f"{name}_root": rng.standard_normal((21, 84))}))
-    metric = getattr(tables, f"{name}_root"), getattr(tables, f"{name}_factor")
-    work = room(tables)
+    tables = tables_of(replace(tripod[2], stiffness_root=rng.standard_normal((21, 84))))
+    metric, work = (tables.stiffness_root, tables.stiffness_factor), room(tables)
 
     def chord(start: np.ndarray, by: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         matrix, slope = np.empty((r, r)), np.empty(r)
@@ -190,16 +189,43 @@ def test_a_step_of_viscosity_never_drives(tripod: Body) -> None:
     rng, r = np.random.default_rng(0), 6
     tables = tables_of(replace(tripod[2], stiffness_root=rng.standard_normal((21, 84))))
     work = room(tables)
-    held = *np.empty((2, r, r)), np.empty((2, r)), np.empty((r, r)), np.empty(r), make_inside(r, ())
+    held = np.empty((r, r)), np.empty((r, r)), np.empty(r), make_inside(r, ()), make_course(r, 6, ())
     drives = 0
     for _ in range(200):
         middle, by = 0.3 * rng.standard_normal(r), 2.0 * rng.standard_normal(r)
         start = middle - 0.5 * by
-        fill_chord((tables.stiffness_root, tables.stiffness_factor), middle, by, 1, tables, work, held[3], held[4])
-        drives += by @ (held[3] @ by + held[4]) < 0.0
+        fill_chord((tables.stiffness_root, tables.stiffness_factor), middle, by, 1, tables, work, held[1], held[2])
+        drives += by @ (held[1] @ by + held[2]) < 0.0
         fill_viscosity(start, by, tables, work, held)
-        assert by @ (held[3] @ by + held[4]) >= -1e-9 * (by @ held[3] @ by)
+        assert by @ (held[1] @ by + held[2]) >= -1e-9 * (by @ held[1] @ by)
     assert drives > 0  # it would, without the limit
+
+
+def test_inertia_is_that_of_the_masses_on_their_curves(tripod: Body) -> None:
+    """Masses that are led by amplitudes a resist with the derivative of half |a(y) - 2 a_0 + a_-1|^2, however long the step."""
+    rng, r, dt = np.random.default_rng(0), 6, 0.02
+    wild = np.c_[np.zeros(9), rng.standard_normal((9, 209))]
+    tables = tables_of(replace(tripod[2], amplitudes=wild))
+    work, course = room(tables), make_course(r, 9, ())
+    held = np.empty((r, r)), np.empty((r, r)), np.empty(r), make_inside(r, ()), course
+
+    def place(y: np.ndarray) -> np.ndarray:
+        found = np.empty(9)
+        fill_amplitudes(y, 0, False, tables, work, found, course.lead)
+        return found
+
+    before, start, aim = 0.25 * rng.standard_normal((3, r))
+    course.before[:], course.now[:] = place(before), place(start)
+
+    def half_square(y: np.ndarray) -> float:
+        return float(0.5 * ((place(y) - 2.0 * course.now + course.before) ** 2).sum()) / dt**2
+
+    exact = np.array([half_square(aim + e) - half_square(aim - e) for e in 1e-6 * np.eye(r)]) / 2e-6
+    fill_inertia(start, aim - start, tables, work, held)
+    inertia, right = np.zeros((r, r)), np.zeros(r)
+    add_inertia(1.0 / dt**2, 0.0, held, inertia, right)
+    np.testing.assert_allclose(inertia @ aim - right, exact, atol=1e-6 * np.abs(exact).max())
+    np.testing.assert_allclose(inertia * dt**2, held[0], rtol=1e-12)
 
 
 def test_elimination_solves() -> None:
