@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softrl.bench.figures import draw_motions
+from softrl.bench.operator_inference import others_foretell
 from softrl.bench.watch import Watch, timing
 from softrl.core.errors import ConfigError
 from softrl.core.progress import progress
@@ -92,6 +93,8 @@ class RomBench:
             if full[rows]:
                 for name, paths in bodies.items():
                     metrics |= errors(f"{part}{name}", paths[rows], full[rows])
+                if len(full[rows]) > 1:
+                    metrics[f"{part}baseline_inferred_tip_rms_mm"] = _rms_mm(self._inferred(loads[rows], full[rows]))
                 metrics[f"{part}baseline_rest_tip_rms_mm"] = _rms_mm([path.tip - path.tip[0] for path in full[rows]])
         tips = {LABELS[name]: [path.tip for path in paths] for name, paths in bodies.items()}
         tracker.figure("unseen_motions", draw_motions(clock, [path.tip for path in full], tips))
@@ -113,6 +116,11 @@ class RomBench:
             "galerkin_modes": body.slope.shape[3], "galerkin_elements": body.elements,
             "galerkin_sampling_error_pct": 100.0 * body.sampling_error, "galerkin_build_s": built,
         }  # fmt: skip
+
+    def _inferred(self, loads: list[np.ndarray], full: list[Path]) -> list[np.ndarray]:
+        """Return by how much operator inference from all other motions misses the tips (steps, 3) m of each."""
+        motions = [(load, np.hstack([path.volume, path.tip])) for load, path in zip(loads, full, strict=True)]
+        return [told[:, -3:] - path.tip for told, path in zip(others_foretell(motions), full, strict=True)]
 
     @property
     def _full_model(self) -> FemSimulator:
