@@ -23,7 +23,7 @@ from softrl.pod.lanes import Lanes, add, add_times, fill_monomials, make_lanes, 
 from softrl.pod.newtons import converge
 from softrl.pod.potential import Tables
 
-LANES = 64  # trajectories in step: many for the matrix products, few enough for the cache
+LANES = 128  # trajectories in step: many for the matrix products, few enough for the cache
 
 
 def run_batch(

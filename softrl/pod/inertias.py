@@ -9,7 +9,18 @@ import numpy as np
 from softrl.pod.inertia import Course
 from softrl.pod.inside import AXES, Inside
 from softrl.pod.insides import fill_masses, shared_energies
-from softrl.pod.lanes import Lanes, add, add_times, fill_monomials, fill_rows, fill_squares, take, to_balls
+from softrl.pod.lanes import (
+    Lanes,
+    add,
+    add_scaled,
+    add_times,
+    combine,
+    fill_monomials,
+    fill_rows,
+    fill_squares,
+    take,
+    to_balls,
+)
 
 
 @nb.njit(cache=True)
@@ -67,10 +78,9 @@ def add_inertias(free: float, drag: float, course: Course, held: Lanes) -> None:
     for i in range(r):
         for j in range(r):
             add_times(held.inertia[i, j], free + drag, held.mass[i, j])
-            force[:] = (free + drag) * held.mass[i, j]
-            add(held.right[i], force, course.aim[j])
+            add_scaled(held.right[i], free + drag, held.mass[i, j], course.aim[j])
     for a in range(len(course.now)):
-        force[:] = (free + drag) * (course.ahead[a] - course.now[a]) - free * (course.now[a] - course.before[a])
+        combine(free + drag, course.ahead[a], -2.0 * free - drag, course.now[a], free, course.before[a], force)
         for i in range(r):
             take(held.right[i], course.lead[a * r + i], force)
 
@@ -81,9 +91,10 @@ def fill_kinetic(
 ) -> None:
     """Fill twice the kinetic energies (lanes,), as ``pod.inertia.kinetic_energy``."""
     shared_energies(velocity, inner, insides, held.some[0], kinetic)
+    rate = held.some[0]
     for a in range(len(course.now)):
-        held.some[0][:] = (course.now[a] - course.before[a]) / dt
-        add(kinetic, held.some[0], held.some[0])
+        combine(1.0 / dt, course.now[a], -1.0 / dt, course.before[a], 0.0, course.now[a], rate)
+        add(kinetic, rate, rate)
 
 
 @nb.njit(cache=True)
@@ -92,19 +103,21 @@ def fill_work(
     insides: Inside, course: Course, held: Lanes, work: np.ndarray,
 ) -> None:
     """Fill twice the works (lanes,), as ``pod.inertia.work_of_inertia``."""
-    r, rate, moved, changed = len(velocity), held.some[0], held.some[1], giving - formerly
-    by = (y - course.aim) / dt
+    r, rate, moved = len(velocity), held.some[0], held.some[1]
+    by, changed, gained = (y - course.aim) / dt, giving - formerly, velocity - former
     work[:] = 0.0
     for a in range(len(course.now)):
         moved[:] = 0.0
-        rate[:] = (course.ahead[a] - 2.0 * course.now[a] + course.before[a]) / dt
+        combine(1.0 / dt, course.ahead[a], -2.0 / dt, course.now[a], 1.0 / dt, course.before[a], rate)
         for i in range(r):
             add(rate, course.lead[a * r + i], by[i])
             add(moved, course.lead[a * r + i], velocity[i])
         add(work, rate, moved)
     for i in range(r):
         for k in range(AXES):
-            moved[:] = velocity[i] * changed[k] + (velocity[i] - former[i]) * giving[k]
+            moved[:] = 0.0
+            add(moved, velocity[i], changed[k])
+            add(moved, gained[i], giving[k])
             add(work, insides.couple[i, k], moved)
     for j in range(AXES):
         rate[:] = 0.0

@@ -7,7 +7,7 @@ import numpy as np
 
 from softrl.core.compiled import summing
 from softrl.pod.inside import AXES, LEAST
-from softrl.pod.lanes import add, fill_rows, squares_of, take
+from softrl.pod.lanes import add, add_scaled, fill_rows, squares_of, take
 
 
 @nb.njit(cache=True)
@@ -80,11 +80,11 @@ def begin_insides(
             _blend(insides.own[j, k], free + rub, insides.tough[j, k], late, inverse[j, k])
             _blend(inverse[j, k], 1.0, insides.give[j, k], 1.0, inverse[j, k])
             add(push[j], insides.own[j, k], flown[k])
-            _add_scaled(push[j], late, insides.tough[j, k], inner[0, k])
+            add_scaled(push[j], late, insides.tough[j, k], inner[0, k])
         for i in range(r):
             _blend(couple[i, j], free + rub, drag[i, j], late, pull[i, j])
             add(push[j], couple[i, j], scratch[i])
-            _add_scaled(push[j], late, drag[i, j], start[i])
+            add_scaled(push[j], late, drag[i, j], start[i])
     _invert(inverse)
     for i in range(r):
         for k in range(AXES):
@@ -92,17 +92,10 @@ def begin_insides(
             for j in range(AXES):
                 add(share, pull[i, j], inverse[j, k])
             add(right[i], couple[i, k], flown[k])
-            _add_scaled(right[i], late, drag[i, k], inner[0, k])
+            add_scaled(right[i], late, drag[i, k], inner[0, k])
             take(right[i], share, push[k])
             for j in range(r):
                 take(inertia[i, j], share, pull[j, k])
-
-
-@summing
-def _add_scaled(total: np.ndarray, scale: float, left: np.ndarray, right: np.ndarray) -> None:
-    """Add ``scale * left * right`` to ``total``, (lanes,) each."""
-    for lane in range(len(total)):
-        total[lane] += scale * left[lane] * right[lane]
 
 
 @nb.njit(cache=True)
@@ -128,7 +121,7 @@ def shared_energies(velocity: np.ndarray, inner: np.ndarray, insides: Any, part:
     for i in range(len(velocity)):
         part[:] = 0.0
         for k in range(AXES):
-            _add_scaled(part, 2.0, insides.couple[i, k], inner[1, k])
+            add_scaled(part, 2.0, insides.couple[i, k], inner[1, k])
         add(total, part, velocity[i])
 
 

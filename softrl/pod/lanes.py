@@ -74,6 +74,20 @@ def add_times(total: np.ndarray, scale: float, right: np.ndarray) -> None:
         total[lane] += scale * right[lane]
 
 
+@summing
+def add_scaled(total: np.ndarray, scale: float, left: np.ndarray, right: np.ndarray) -> None:
+    """Add ``scale * left * right`` to ``total``, (lanes,) each."""
+    for lane in range(len(total)):
+        total[lane] += scale * left[lane] * right[lane]
+
+
+@summing
+def combine(a: float, x: np.ndarray, b: float, y: np.ndarray, c: float, z: np.ndarray, out: np.ndarray) -> None:
+    """Fill ``out`` (lanes,) with a x + b y + c z."""
+    for lane in range(len(out)):
+        out[lane] = a * x[lane] + b * y[lane] + c * z[lane]
+
+
 @nb.njit(cache=True)
 def fill_monomials(points: np.ndarray, tables: Any, values: np.ndarray) -> None:
     """Fill the monomials ``values`` (k, lanes) at ``points`` (r, lanes)."""
