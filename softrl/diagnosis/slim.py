@@ -6,9 +6,11 @@ from softrl.diagnosis.hypothesis import GATES, Choice, Hypothesis, effect_axes, 
 from softrl.diagnosis.judge import Judge
 from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem
+from softrl.diagnosis.search import jacobian_at
 from softrl.diagnosis.trial import Search, Trial, columns_of
 
 SILENT = 1e-6  # of the largest column: a parameter with less influence on the residual has none
+DIFFERENCE = 0.02  # scaled step of derivatives
 
 
 def slim(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Path) -> Trial:
@@ -39,9 +41,20 @@ def pinned(trial: Trial, choice: Choice, name: str) -> tuple[Hypothesis, np.ndar
     return Hypothesis(effects, trial.hypothesis.tuned), np.delete(trial.fit.point, column), place
 
 
+def _influence(fitting: Problem, trial: Trial) -> np.ndarray:
+    """Return the size (p,) of each parameter's derivatives, taken anew: those of a race are in part its rival's."""
+
+    def moved(point: np.ndarray) -> np.ndarray:
+        return fitting.residual(trial.hypothesis, point, trial.placed).flat
+
+    low, high = fitting.space(trial.hypothesis).bounds
+    columns = jacobian_at(moved, trial.fit.point, moved(trial.fit.point), low, high, DIFFERENCE)
+    return np.asarray(np.linalg.norm(columns, axis=0))
+
+
 def _without_silent(fitting: Problem, trial: Trial, search: Search, path: Path) -> Trial:
     """Return ``trial`` with the parameters of its effects pinned that have no influence any more."""
-    size = np.linalg.norm(trial.fit.jacobian, axis=0)
+    size = _influence(fitting, trial)
     for choice in trial.hypothesis.effects:
         columns = columns_of(trial, choice)
         for column, axis in zip(columns, effect_axes(choice), strict=True):
