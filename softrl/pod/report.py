@@ -10,6 +10,7 @@ from softrl.artifacts.snapshots import Snapshots
 from softrl.core.tracking import Tracker
 from softrl.pod.equilibria import Equilibria, rotation_vector
 from softrl.pod.kernel import run_kernel
+from softrl.pod.polynomial import basis, degree_of
 from softrl.pod.rom import STILL, no_hooks, roll_poses, static_coordinates, static_points, tip_poses
 from softrl.pod.tables import tables_of
 
@@ -61,9 +62,20 @@ def report_statics(
     tracker.metric(f"{split}/static_volume_error_percent", 100.0 * prediction.volume_error())
     tracker.metric(f"{split}/static_orientation_deg", np.rad2deg(rms(orientation_errors(model, samples))))
     tracker.metric(f"{split}/static_failed", failed)
+    tracker.metric(f"{split}/mass_error_percent", 100.0 * rms(mass_errors(model, samples)))
     tracker.metric(f"{split}/baseline_linear_static_tip_rms_mm", 1e3 * rms(baseline.tip_errors()))
     tracker.metric(f"{split}/motion_tip_rms_mm", 1e3 * rms(np.linalg.norm(samples.coordinate[:, -3:], axis=1)))
     return prediction
+
+
+def mass_errors(model: ReducedModel, samples: Equilibria) -> np.ndarray:
+    """Return the relative errors (S, n + 3) of the kinetic energy as each load changes, all of it at the samples."""
+    r, rate = model.order, np.linalg.solve(model.frame, samples.compliance)
+    points = np.linalg.solve(model.frame, samples.coordinate.T).T
+    table = basis(r, degree_of(r, model.amplitudes.shape[1]))
+    moved = np.einsum("srm,km,srl->skl", table.gradient_rows(points), model.amplitudes, rate, optimize=True)
+    full = np.einsum("sil,sij,sjl->sl", samples.compliance, samples.answers["mass"], samples.compliance, optimize=True)
+    return np.asarray((moved**2).sum(axis=1) / full - 1.0)
 
 
 def report_motions(model: ReducedModel, linear: ReducedModel, snapshots: Snapshots, tracker: Tracker) -> Prediction:

@@ -14,7 +14,7 @@ from softrl.pod.equilibria import equilibria
 from softrl.pod.fit import fit_model, linear_model
 from softrl.pod.map_fit import fit_maps
 from softrl.pod.polynomial import basis
-from softrl.pod.report import motions, orientation_errors, statics
+from softrl.pod.report import mass_errors, motions, orientation_errors, statics
 from softrl.pod.settling import equilibria_of
 from softrl.pod.tables import tables_of
 from softrl.robots.robot import Robot
@@ -50,6 +50,15 @@ def test_unseen_motion_is_recovered(body: Body) -> None:
     # half way of a step is that of its first iteration, where the law's own march takes the last
     assert prediction.tip_errors().max() < 1e-3 * travel
     assert motions(linear_model(model), snapshots).tip_errors().max() > 5.0 * prediction.tip_errors().max()
+
+
+def test_amplitudes_know_all_of_the_mass(body: Body) -> None:
+    """The centre's from its moments, what these leave as that at rest."""
+    robot, snapshots, model = body
+    unseen = equilibria(synthetic_snapshots(robot, 20, seed=11, trajectories=0))
+    assert np.abs(mass_errors(model, unseen)).max() < 1e-4
+    few = replace(model, amplitudes=model.amplitudes[-model.order :])
+    assert np.abs(mass_errors(few, unseen)).max() > 0.1
 
 
 def test_viscosity_is_that_under_the_weight(tripod: Body) -> None:
