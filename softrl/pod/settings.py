@@ -45,9 +45,9 @@ class FitSettings:
 
     def __post_init__(self) -> None:
         for name, least in {
-            "energy_degree_max": 2, "map_degree_max": 1, "amplitude_degree_max": 1, "amplitudes_max": 0,
-            "viscosity_degree_max": 0,
-            "root_degree_max": 0, "value_weight": 0, "hessian_weight": 0, "third_weight": 0, "folds": 2,
+            "energy_degree_max": 2, "map_degree_max": 1, "amplitude_degree_max": 1, "amplitudes_max": 1,
+            "viscosity_degree_max": 0, "root_degree_max": 0, "value_weight": 0, "hessian_weight": 0, "third_weight": 0,
+            "folds": 2,
         }.items():  # fmt: skip
             if getattr(self, name) < least:
                 raise ConfigError(f"stage.{name}={getattr(self, name):g} must be at least {least}")

@@ -170,18 +170,22 @@ class TorchRom(torch.nn.Module):
 
     def _inertia(self, aim: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return amplitudes (B, k) at ``aim``, their gradient (B, k, r), and the inside's mass with y and its own there."""
-        values = self._monomials(self._ball(aim)[0], self._few)
+        u, _ = self._ball(aim)
+        values = self._monomials(u, self._few)
         lead = self._lead(values)
         root = torch.linalg.cholesky(_square(lead), upper=True)
         rows = values[:, : self.give_root.shape[1]] @ self.give_root.T
-        return self._amplitudes(aim), lead, *_beside(root, rows)
+        return self._straight(aim, u, values, lead), lead, *_beside(root, rows)
 
     def _amplitudes(self, y: Tensor) -> Tensor:
-        """Return the amplitudes (B, k), which go on straight outside the ball."""
+        """Return the amplitudes (B, k) at ``y``."""
         u, _ = self._ball(y)
         values = self._monomials(u, self._few)
-        inside = values[:, : self.amplitudes.shape[1]] @ self.amplitudes.T
-        return inside + _times(self._lead(values), y - u)
+        return self._straight(y, u, values, self._lead(values))
+
+    def _straight(self, y: Tensor, u: Tensor, values: Tensor, lead: Tensor) -> Tensor:
+        """Return the amplitudes, which go on straight outside the ball, by the monomials and the gradient at ``u`` in it."""
+        return values[:, : self.amplitudes.shape[1]] @ self.amplitudes.T + _times(lead, y - u)
 
     def _lead(self, values: Tensor) -> Tensor:
         """Return the amplitudes' gradient (B, k, r) at monomials ``values``."""
