@@ -41,6 +41,11 @@ class Mesh(Artifact):
         """Number of cavities."""
         return int(self.cavity_of_triangle.max()) + 1
 
+    @property
+    def layers(self) -> int:
+        """Number of layers, one more than ribs."""
+        return int(self.element_layer.max()) + 1
+
     def volume(self) -> float:
         """Return the volume of the solid in m^3."""
         return float(tetrahedron_volumes(self.points, self.tetrahedra).sum())

@@ -34,6 +34,10 @@ class ReducedModel(Artifact):
     give_root : (3 (r + 3), monomials) kg^0.5 s^2, A (r, 3) and B (3, 3) of the joint mass [R A; 0 B]'[R A; 0 B] of y and
         the shapes by which the body gives to gravity or acceleration, R'R the mass, R upper triangular
     drag_root : (3 (r + 3), monomials) (N/m)^0.5 s^2, likewise of the viscosity, R = S L'
+    layer_energy : (layers, monomials) J, what each layer of the wall stores, from below; zero at rest
+    layer_give : (layers (layers + 1) / 2, monomials) J, upper triangle;  layer_drop : (3 layers, monomials) kg m, for each axis
+        all layers;  layer_spin : (3 layers, monomials) rad, likewise: how the body gives where layers are stiffer, see
+        ``pod.layers``
     rest_tip : (3,) m;  rest_volume : (n,) m^3;  mass : kg
     gravity_m_s2 : (3,) in the base frame, acting unless another is given
     pressure_min_pa, pressure_max_pa : the robot's limits
@@ -50,7 +54,7 @@ class ReducedModel(Artifact):
     ``D = rayleigh_mass M + rayleigh_stiffness B``, B of ``stiffness_root``; beside them moves what the inside gives.
     """
 
-    schema: ClassVar[int] = 9
+    schema: ClassVar[int] = 10
     stage: ClassVar[str] = "pod"
 
     frame: np.ndarray
@@ -65,6 +69,10 @@ class ReducedModel(Artifact):
     give_rotation: np.ndarray
     give_root: np.ndarray
     drag_root: np.ndarray
+    layer_energy: np.ndarray
+    layer_give: np.ndarray
+    layer_drop: np.ndarray
+    layer_spin: np.ndarray
     rest_tip: np.ndarray
     rest_volume: np.ndarray
     mass: float
@@ -87,6 +95,11 @@ class ReducedModel(Artifact):
         return len(self.rest_volume)
 
     @property
+    def layers(self) -> int:
+        """Number of layers of the wall."""
+        return len(self.layer_energy)
+
+    @property
     def order(self) -> int:
         """Number of coordinates, chambers + 3."""
         return len(self.frame)
@@ -107,6 +120,9 @@ class ReducedModel(Artifact):
             ("give_rotation", 9),
             ("give_root", 3 * (order + 3)),
             ("drag_root", 3 * (order + 3)),
+            ("layer_give", self.layers * (self.layers + 1) // 2),
+            ("layer_drop", 3 * self.layers),
+            ("layer_spin", 3 * self.layers),
         ):
             if len(getattr(self, name)) != rows:
                 raise ArtifactError(f"ReducedModel.{name} has {len(getattr(self, name))} rows; expected {rows}")

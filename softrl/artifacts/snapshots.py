@@ -36,6 +36,10 @@ class Snapshots(Artifact):
         damping multiplies
     viscosity_by_gravity : (samples, 3, n + 3, n + 3) change of ``tangent_stiffness`` by unit gravity along each axis, volumes
         and tip held
+    layer_energy : (samples, layers) J, elastic energy of each layer of the wall, from below; layer_slope : (samples, layers,
+        n + 3) its change with the load
+    layer_give : (samples, layers, layers) J;  layer_drop, layer_spin : (samples, 3, layers) kg m and rad, how the body gives
+        where layers are stiffer, volumes and tip held, see ``fem.layers``
     tip_spin : (samples, 3, n + 3) rotation of the plate by the loads, rad per Pa and N
     tip_quaternion : (samples, 4) w x y z of the plate relative to rest
     slopes : by the name of each of ``ANSWERS``, its change with the load, the load first: (samples, n + 3, ...); that of
@@ -56,7 +60,7 @@ class Snapshots(Artifact):
     robot_name : the robot
     """
 
-    schema: ClassVar[int] = 9
+    schema: ClassVar[int] = 10
     stage: ClassVar[str] = "fem"
 
     loads: np.ndarray
@@ -75,6 +79,11 @@ class Snapshots(Artifact):
     give_viscosity: np.ndarray
     give_drag: np.ndarray
     viscosity_by_gravity: np.ndarray
+    layer_energy: np.ndarray
+    layer_slope: np.ndarray
+    layer_give: np.ndarray
+    layer_drop: np.ndarray
+    layer_spin: np.ndarray
     tip_spin: np.ndarray
     tip_quaternion: np.ndarray
     slopes: dict[str, np.ndarray]

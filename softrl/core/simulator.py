@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -83,4 +83,18 @@ class Simulator(Protocol):
 
         ``time`` is uniform, s. ``body`` and ``load`` effects act inside the equations of motion.
         """
+        ...
+
+
+@runtime_checkable
+class Layered(Protocol):
+    """A body whose wall is told apart in layers, which may be stiffer or softer than its model's."""
+
+    @property
+    def layers(self) -> int:
+        """Number of layers."""
+        ...
+
+    def with_layers(self, scales: tuple[float, ...]) -> Simulator:
+        """Return a copy whose layers, from below, are ``scales`` (layers,) times as stiff as the model's."""
         ...

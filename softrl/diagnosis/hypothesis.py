@@ -200,12 +200,19 @@ def has_chamber(name: str) -> bool:
     return any(field.name == "chamber" for field in fields(effect_class(name)))
 
 
-def candidates(names: Sequence[str], sites: Sequence[str], robot: Robot, excited: Sequence[int]) -> list[Choice]:
-    """Return every effect out of ``names`` at ``sites``: for all chambers, and for each that was driven."""
+def candidates(
+    names: Sequence[str], sites: Sequence[str], robot: Robot, excited: Sequence[int], layers: bool = False
+) -> list[Choice]:
+    """Return every effect out of ``names`` at ``sites``: for all chambers, and for each that was driven.
+
+    ``layers`` says whether the body has layers, without which some effects cannot be shown.
+    """
     found = []
     for name in names:
         effect = effect_class(name)
         if effect.site not in sites or not effect.suits(robot) or (effect.together and len(excited) < robot.chambers):
+            continue
+        if effect.layered and not layers:
             continue
         found.append(Choice(name))
         if has_chamber(name) and robot.chambers > 1 and len(excited) > 1:
@@ -267,7 +274,7 @@ def neutral(choice: Choice) -> np.ndarray:
 def may_be_gated(choice: Choice) -> list[str]:
     """Return the fields of the gates that ``choice`` may have: a time, and where pressure acts a pressure."""
     effect = effect_class(choice.name)
-    if effect.together:
+    if effect.together or effect.layered:
         return []
     times = [] if effect.clock is not None else ["since_s"]
     return times + ["above_share"] * (effect.site in ("valve", "chamber", "body"))

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from softrl.core.simulator import Layered
 from softrl.diagnosis.blocks import correlation_time
 from softrl.diagnosis.data import Data
 from softrl.diagnosis.examine import Finding, Part
@@ -49,7 +50,7 @@ def part_behind(valve: Finding, whole: Problem, data: Data, effects: list[str]) 
 def _motion_part(problem: Problem, data: Data, title: str, effects: list[str], sites: tuple[str, ...]) -> Part:
     wanted = [name for name in effects if not (problem.register and name == "frame")]
     choices = in_one_session(wanted, *([run.session for run in side] for side in (data.training, data.heldout)))
-    choices += candidates(wanted, sites, problem.robot, data.check.excited)
+    choices += candidates(wanted, sites, problem.robot, data.check.excited, isinstance(problem.simulator, Layered))
     turned = ORIENTATION_LEVER * problem.robot.length_m * data.turn_noise if problem.orientation else 0.0
     floor = floor_in_bin(float(np.hypot(data.noise, turned)), data, problem)
     tuned = tuple(problem.simulator.parameters)

@@ -3,11 +3,13 @@
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
-from softrl.core.simulator import Hook, Motion, Simulator
+from softrl.core.errors import ConfigError
+from softrl.core.identity import Same
+from softrl.core.simulator import Hook, Layered, Motion, Simulator
 from softrl.effects.call import pack, run_signals
 from softrl.effects.effect import SITES, Effect
 from softrl.effects.gate import hook_of
@@ -49,11 +51,36 @@ class EffectChain:
 
     def hooks(self, site: str) -> list[Hook]:
         """Return fresh hooks of the port effects at ``site``, for a body's kernel."""
-        return [hook_of(e, self.robot, self.before_s) for e in self.at(site)]
+        return [hook_of(e, self.robot, self.before_s) for e in self.at(site) if not e.layered]
+
+    def body(self, simulator: Simulator) -> Simulator:
+        """Return ``simulator`` with its layers as stiff as the effects make them.
+
+        Raises
+        ------
+        ConfigError
+            If an effect asks for layers of a body that has none.
+        """
+        inside = [e for e in self.ordered if e.layered]
+        if not inside:
+            return simulator
+        if not isinstance(simulator, Layered):
+            raise ConfigError(
+                f"effect {inside[0].name()} needs a body with layers, which {type(simulator).__name__} has not; "
+                "expected simulator=rom or fem"
+            )
+        scales = np.prod([e.layers(simulator.layers) for e in inside], axis=0)
+        return _with_layers(Same(simulator), *map(float, scales))
 
     def filter(self, sites: Sequence[str], values: np.ndarray, dt_s: float) -> np.ndarray:
         """Return ``values`` (steps, n), one row per ``dt_s``, after the signal effects at ``sites``, from rest."""
         return SignalFilter(self, *sites).advance(values, dt_s)
+
+
+@lru_cache(maxsize=64)
+def _with_layers(body: Same[Layered], *scales: float) -> Simulator:
+    """Return a body with other layers, made once for all runs."""
+    return body.thing.with_layers(scales)
 
 
 class SignalFilter:
@@ -100,7 +127,8 @@ class Plant:
         self, time: np.ndarray, supplied: np.ndarray, acting: np.ndarray, tip_force: np.ndarray | None
     ) -> Motion:
         """Return what the sensors report of a body on which ``acting`` acts."""
-        motion = self.simulator.simulate(time, acting, tip_force, self.chain.hooks("body"), self.chain.hooks("load"))
+        body = self.chain.body(self.simulator)
+        motion = body.simulate(time, acting, tip_force, self.chain.hooks("body"), self.chain.hooks("load"))
         shown = self.chain.reported(supplied, float(time[1] - time[0]))
         if all(effect.channel == "pressure" for effect in self.chain.at("sensor")):
             return replace(motion, pressure=shown)

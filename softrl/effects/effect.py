@@ -98,6 +98,8 @@ class Effect:
     exact : whether its law has no other form: a turned frame explains nearly all where it acts, a wall's law may not
     clock : slot of the state that counts the seconds since the first sample, if there is one
     sticks : whether a small change and its taking back leave something behind, as dry friction does
+    layered : whether it changes the layers of the body itself, before anything moves: it has ``layers`` in place of a kernel,
+        and no gate
     stores : whether its first parameter is a flow into a store of each chamber's, which stays when a gate stops the flow
     above_share : share of the robot's largest pressure above which it acts; ``EVERYWHERE`` for all pressures
     since_s : time of each run from which it acts, s; 0 for always
@@ -105,7 +107,7 @@ class Effect:
 
     site: ClassVar[str]
     title: ClassVar[str]
-    kernel: ClassVar[Any]
+    kernel: ClassVar[Any] = None
     channel: ClassVar[str] = "pose"
     variant_of: ClassVar[str] = ""
     together: ClassVar[bool] = False
@@ -113,6 +115,7 @@ class Effect:
     clock: ClassVar[int | None] = None
     sticks: ClassVar[bool] = False
     stores: ClassVar[bool] = False
+    layered: ClassVar[bool] = False
 
     above_share: float = dataclasses.field(default=EVERYWHERE, kw_only=True, metadata=_gate("1", EVERYWHERE, 1.0, 0.3))
     since_s: float = dataclasses.field(default=0.0, kw_only=True, metadata=_gate("s", 0.0, 600.0, 10.0))
@@ -124,6 +127,8 @@ class Effect:
                 raise ConfigError(
                     f"effect {self.name()}.{field.name}={value:g} {field.metadata['unit']} is outside {low:g}..{high:g}"
                 )
+        if self.layered and self.gated:
+            raise ConfigError(f"effect {self.name()} is how the body is made; expected neither above_share nor since_s")
 
     @classmethod
     def name(cls) -> str:
@@ -186,6 +191,10 @@ class Effect:
     def undo(self, robot: Robot, reported: np.ndarray) -> np.ndarray:
         """Return the pressures (steps, chambers) Pa behind what a gauge with this error ``reported``."""
         raise NotImplementedError(f"effect {self.name()} does not act on a pressure sensor")
+
+    def layers(self, count: int) -> np.ndarray:
+        """Return the factors (count,) on the stiffness of the body's layers, from below."""
+        raise NotImplementedError(f"effect {self.name()} does not act on layers")
 
     def apply(self, robot: Robot, state: np.ndarray, value: np.ndarray, dt_s: float) -> tuple[np.ndarray, np.ndarray]:
         """Return (state, value) after one step, inputs untouched: the pure form of a kernel call."""

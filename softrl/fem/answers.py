@@ -20,11 +20,13 @@ class Answers(NamedTuple):
 
     Attributes
     ----------
-    free : (unknowns, 3) to unit gravity along each axis
+    pull : (unknowns, 3) force of unit gravity along each axis
+    free : (unknowns, 3) to that force
     gives : (3, nodes, 3) by which shapes the body gives to unit gravity along each axis, volumes and tip held
     row : what ``Snapshots`` keeps of them
     """
 
+    pull: np.ndarray
     free: np.ndarray
     gives: np.ndarray
     row: Row
@@ -43,7 +45,7 @@ def answers_at(
         "tangent_stiffness": tangent.stiffness,
         "tangent_mass": tangent.mass,
     }
-    return Answers(free, np.stack([model.coupling.expand(x, pose) for x in held.T]), row | weight._asdict())
+    return Answers(pull, free, np.stack([model.coupling.expand(x, pose) for x in held.T]), row | weight._asdict())
 
 
 def slopes_at(

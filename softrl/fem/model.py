@@ -16,7 +16,7 @@ from softrl.fem.elements import Solid, rigid_bodies, solid_of
 from softrl.fem.law import ENERGY, STRESS, TANGENT, VISCOUS
 from softrl.fem.loads import VOLUME_RULE, add_volume_gradient, add_volume_stiffness, enclosed_volumes
 from softrl.fem.material import Material
-from softrl.fem.moments import powers, products
+from softrl.fem.moments import products
 from softrl.fem.newton import NewtonSettings, Objective, Solve, Value, factorise, minimise
 from softrl.fem.solver import LinearSolver, linear_solver
 from softrl.fem.tangent import Nearby, Tangent
@@ -64,6 +64,7 @@ class FemModel:
     newton : settings of the iteration
     gravity_m_s2 : (3,) zero unless given
     stiffness_scale : factor on the elastic energy
+    layer_scales : (layers,) further factors, of the layers from below; ones if None
     solver : linear solver; the best one installed if None
     mean_dilatation : changes of volume are weighed by their mean over an element, where the law weighs them by J;
         else at each integration point: stiffer where the material is nearly incompressible, but exact in bending
@@ -74,17 +75,17 @@ class FemModel:
         self, mesh: Mesh, material: Material, density_kg_m3: float, rayleigh_mass_per_s: float,
         rayleigh_stiffness_s: float, newton: NewtonSettings, gravity_m_s2: tuple[float, ...] = (0.0, 0.0, 0.0),
         stiffness_scale: float = 1.0, solver: LinearSolver | None = None, element_order: int = 2,
-        mean_dilatation: bool = True,
+        mean_dilatation: bool = True, layer_scales: Sequence[float] | None = None,
     ) -> None:
         if density_kg_m3 <= 0:
             raise ConfigError(f"density {density_kg_m3:g} kg/m^3 must be positive")
         if not (mesh.node_region == PLATE).any():
             raise MeshError(f"mesh of {mesh.robot_name} has no plate (node region {PLATE}), so it has no tip")
         self.solid = solid = solid_of(mesh, element_order)
-        self.chambers, self.newton = mesh.chambers, newton
+        self.chambers, self.layers, self.newton = mesh.chambers, mesh.layers, newton
         self.rayleigh_mass_per_s, self.rayleigh_stiffness_s = rayleigh_mass_per_s, rayleigh_stiffness_s
         self.nodal_mass = solid.lumped_mass(density_kg_m3)
-        self._products = products(solid.points / np.abs(solid.points).max(), powers())
+        self._products = products(solid.points / np.abs(solid.points).max())
         self.gravity_m_s2 = np.array(gravity_m_s2, dtype=float)
         self._material = material
         self._parameters, self._bulk_pa = material.split() if mean_dilatation else (material.pack(), 0.0)
@@ -94,7 +95,9 @@ class FemModel:
         deformable = ~((region == region[:, :1]).all(axis=1) & (region[:, 0] != 0))
         self._elements = np.ascontiguousarray(solid.elements[deformable])
         self._gradients = np.ascontiguousarray(solid.gradients[deformable])
-        self._weights = np.ascontiguousarray(solid.weights[deformable]) * stiffness_scale
+        self._layer = mesh.element_layer[deformable]
+        stiffer = np.ones(mesh.layers) if layer_scales is None else np.asarray(layer_scales, dtype=float)
+        self._weights = np.ascontiguousarray(solid.weights[deformable]) * (stiffness_scale * stiffer[self._layer])[:, None]
         self.pairs = node_pairs(len(solid.points), self._elements, solid.cavity_triangles)
         self.coupling = self._couple()
         self._tip_share = self.coupling.spread(0)[:, None]
@@ -144,6 +147,11 @@ class FemModel:
     def elastic_energy(self, pose: Pose) -> float:
         """Return the elastic energy above rest in J."""
         return self._elastic(pose, ENERGY).energy
+
+    def elastic_by_layer(self, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
+        """Return each layer's elastic energy (layers,) J above rest, and its gradient (layers, nodes, 3) N."""
+        parts = [self._elastic(pose, STRESS, only=self._layer == k) for k in range(self.layers)]
+        return np.array([part.energy for part in parts]), np.stack([part.gradient for part in parts])
 
     # equilibria
 
@@ -299,14 +307,21 @@ class FemModel:
         centres[0] = q.plate_centroid()  # so that a force on the tip makes no moment
         return Coupling(q.points, q.region, bodies, np.array(centres), self.pairs)
 
-    def _elastic(self, pose: Pose, order: int, rub: np.ndarray = NO_RUB, before: np.ndarray | None = None) -> Value:
-        """Return the elastic energy, and what a change from ``before`` costs, with as many derivatives as ``order`` asks."""
+    def _elastic(
+        self, pose: Pose, order: int, rub: np.ndarray = NO_RUB, before: np.ndarray | None = None,
+        only: np.ndarray | None = None,
+    ) -> Value:
+        """Return the elastic energy, and what a change from ``before`` costs, with as many derivatives as ``order`` asks.
+
+        ``only`` (elements,) tells of which elements; of all if None.
+        """
         gradient = np.zeros_like(pose.position)
         blocks = np.zeros((len(self.pairs.first) if order >= TANGENT else 1, 3, 3))
+        parts = (self._elements, self._gradients, self._weights, self.pairs.element_slots)
+        elements, gradients, weights, slots = parts if only is None else (part[only] for part in parts)
         energy = self._assemble(
             type(self._material).kernel, self._parameters, self._bulk_pa, rub, pose.position,
-            pose.position if before is None else before, self._elements, self._gradients, self._weights, order,
-            self.pairs.element_slots, gradient, blocks,
+            pose.position if before is None else before, elements, gradients, weights, order, slots, gradient, blocks,
         )
         return Value(energy, gradient, blocks if order >= TANGENT else None)
 

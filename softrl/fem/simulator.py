@@ -71,6 +71,7 @@ class FemSimulator:
     rayleigh_mass_per_s, rayleigh_stiffness_s : damping (a M + b K) v
     tolerance_m, max_iterations, reuse_below : see ``fem.newton.NewtonSettings``
     youngs_modulus_scale, damping_scale, mass_scale : factors on elastic energy, damping, inertia and weight
+    layer_scales : (layers,) factors on the elastic energy of each layer, from below; ones if None
 
     Notes
     -----
@@ -93,6 +94,7 @@ class FemSimulator:
     youngs_modulus_scale: float
     damping_scale: float
     mass_scale: float
+    layer_scales: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         for name in TUNABLE:
@@ -133,8 +135,17 @@ class FemSimulator:
             self.damping_scale * self.rayleigh_mass_per_s, self.damping_scale * self.rayleigh_stiffness_s,
             NewtonSettings(self.tolerance_m, self.max_iterations, self.reuse_below), self.robot.gravity_m_s2,
             self.youngs_modulus_scale, element_order=self.element_order,
-            mean_dilatation=self.mean_dilatation,
+            mean_dilatation=self.mean_dilatation, layer_scales=self.layer_scales,
         )
+
+    @property
+    def layers(self) -> int:
+        """Number of layers of the wall."""
+        return self.mesh.layers
+
+    def with_layers(self, scales: tuple[float, ...]) -> "FemSimulator":
+        """Return a copy whose layers, from below, are ``scales`` times as stiff as the model's."""
+        return replace(self, layer_scales=tuple(scales))
 
     @cached_property
     def _rest(self) -> Pose:

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from softrl.core.polynomial import basis, multinomials
 from softrl.pod.equilibria import Equilibria
-from softrl.pod.polynomial import basis, multinomials
 
 log = logging.getLogger(__name__)
 CHUNK, THIRD_CHUNK = 64, 8  # samples in memory at once

@@ -10,7 +10,7 @@ from softrl.artifacts.snapshots import Snapshots
 STEP = 1e-4  # of the largest load, for differences: they are of second order
 Answers = dict[str, np.ndarray]
 
-# the axes of each answer after that of the samples: w as a load or coordinate, v a vector, s a spin, m a moment
+# the axes of each answer after that of the samples: w as a load or coordinate, v a vector, s a spin, m a moment, l a layer
 AXES = {
     "compliance": "ww",
     "stiffness": "ww",
@@ -24,6 +24,10 @@ AXES = {
     "give_drag": "vw",
     "rotation": "s",
     "viscosity_by_gravity": "vww",
+    "layer_energy": "l",
+    "layer_give": "ll",
+    "layer_drop": "vl",
+    "layer_spin": "sl",
 }
 
 
@@ -67,10 +71,12 @@ def equilibria(snapshots: Snapshots) -> Equilibria:
     moved = {
         "moments": (snapshots.moments, snapshots.moment_slope),
         "rotation": (rotation, per_spin(rotation) @ snapshots.tip_spin),
+        "layer_energy": (snapshots.layer_energy, snapshots.layer_slope),
     }
     inverse = np.linalg.inv(snapshots.compliance)[:, None]
     answers |= {name: value for name, (value, _) in moved.items()}
     answers["viscosity_by_gravity"] = inverse @ snapshots.viscosity_by_gravity @ inverse
+    answers |= {name: getattr(snapshots, name) for name in ("layer_give", "layer_drop", "layer_spin")}
     slopes |= {name: np.moveaxis(slope, -1, 1) for name, (_, slope) in moved.items()}
     return Equilibria(snapshots.loads, snapshots.coordinate, snapshots.energy, answers, slopes, snapshots.moment_gram)
 

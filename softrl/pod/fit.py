@@ -112,12 +112,16 @@ def linear_model(model: ReducedModel) -> ReducedModel:
         give_rotation=model.give_rotation[:, :1].copy(),
         give_root=model.give_root[:, :1].copy(),
         drag_root=model.drag_root[:, :1].copy(),
+        layer_energy=model.layer_energy[:, :few].copy(),
+        layer_give=model.layer_give[:, :few].copy(),
+        layer_drop=model.layer_drop[:, : 1 + r].copy(),
+        layer_spin=model.layer_spin[:, : 1 + r].copy(),
     )
 
 
 def _draft(robot: Robot, snapshots: Snapshots, samples: Equilibria, pod: PodBasis, frame: np.ndarray) -> ReducedModel:
     """Return the model before its maps are fitted."""
-    r = len(frame)
+    r, layers = len(frame), snapshots.layer_energy.shape[1]
     pairs = r * (r + 1) // 2
     return ReducedModel(
         frame=frame,
@@ -132,6 +136,10 @@ def _draft(robot: Robot, snapshots: Snapshots, samples: Equilibria, pod: PodBasi
         give_rotation=np.zeros((9, 1)),
         give_root=np.zeros((3 * (r + 3), 1)),
         drag_root=np.zeros((3 * (r + 3), 1)),
+        layer_energy=np.zeros((layers, 1)),
+        layer_give=np.zeros((layers * (layers + 1) // 2, 1)),
+        layer_drop=np.zeros((3 * layers, 1)),
+        layer_spin=np.zeros((3 * layers, 1)),
         rest_tip=snapshots.rest_tip,
         rest_volume=snapshots.rest_volume,
         mass=snapshots.mass,

@@ -17,11 +17,13 @@ ROUND_OFF = 1e-9  # of what is largest
 RIDGES = (1e-10, 1e-8, 1e-7, 1e-6, 1e-5)  # tried for every map
 
 
-ALIKE = (  # maps that are fitted together: those that vanish at rest, the others, and those whose slopes are not known
-    ("amplitudes", "centre_of_mass", "rotation"),
+ALIKE = (  # maps that are fitted together: in turn those that vanish at rest and the others, with slopes and without
+    ("amplitudes", "centre_of_mass", "rotation", "layer_energy"),
     ("stiffness_root", "give_root", "drag_root", "give", "give_rotation"),
+    ("layer_give", "layer_drop", "layer_spin"),
     ("stiffness_root_by_gravity",),
 )
+AT_REST = ALIKE[0], ALIKE[2]  # those that vanish at rest
 
 
 def fit_maps(
@@ -39,13 +41,15 @@ def fit_maps(
     terms = Terms(frame, _mean_factor(everything, frame, "stiffness"), modes, float(samples.moment_gram[0, 0]))
     goals = _goals(everything, terms, largest)
     goals["stiffness_root_by_gravity"] = _stiffness_root_by_gravity(everything.answers, terms)
+    goals |= {name: _flat(everything.answers[name]) for name in ("layer_drop", "layer_spin")}
+    goals["layer_give"] = _flat(_pairs(everything.answers["layer_give"]))
     seen = Seen(
         np.linalg.solve(frame, everything.coordinate.T).T, np.linalg.solve(frame, everything.compliance) * largest
     )
     folds, own = np.tile(fold, 1 + len(images)), slice(0, len(fold))
     maps: dict[str, Any] = {"stiffness_factor": terms.stiffness_factor}
     for names in ALIKE:
-        degrees, at_origin = {name: _degree_max(name, settings) for name in names}, names == ALIKE[0]
+        degrees, at_origin = {name: _degree_max(name, settings) for name in names}, names in AT_REST
         parts = {
             weight: _part(weight, seen, {name: goals[name] for name in names}, len(fold))
             for weight in settings.image_weights_of(robot)
@@ -108,6 +112,10 @@ def _degree_max(name: str, settings: FitSettings) -> int:
     """Return the highest degree that is tried for a map."""
     own = {
         "centre_of_mass": max(settings.energy_degree_max - 1, 2),  # weight is less than elasticity, and costs as much
+        "layer_energy": max(settings.energy_degree_max - 1, 2),
+        "layer_drop": settings.map_degree_max,
+        "layer_spin": settings.map_degree_max,
+        "layer_give": settings.map_degree_max,
         "rotation": settings.map_degree_max,
         "amplitudes": settings.amplitude_degree_max,
         "stiffness_root": settings.viscosity_degree_max,
@@ -154,7 +162,12 @@ def _stiffness_root_by_gravity(answers: Answers, terms: Terms) -> np.ndarray:
     vectors = vectors[:, None]
     change = _apart(terms.stiffness_factor, terms.frame.T @ answers["viscosity_by_gravity"] @ terms.frame)
     turned = vectors.transpose(0, 1, 3, 2) @ change @ vectors / (values[:, :, None] + values[:, None])[:, None]
-    return _pairs(vectors @ turned @ vectors.transpose(0, 1, 3, 2)).reshape(len(values), 1, -1)
+    return _flat(_pairs(vectors @ turned @ vectors.transpose(0, 1, 3, 2)))
+
+
+def _flat(values: np.ndarray) -> np.ndarray:
+    """Return ``values`` (S, ...), whose slopes are not known, as what a map is fitted to (S, 1, columns)."""
+    return values.reshape(len(values), 1, -1)
 
 
 def _pairs(matrices: np.ndarray) -> np.ndarray:
@@ -178,6 +191,7 @@ def _values(answers: Answers, terms: Terms) -> Answers:
         "centre_of_mass": moments[:, 0] / terms.mass,
         "rotation": answers["rotation"],
         "give_rotation": answers["give_spin"],
+        "layer_energy": answers["layer_energy"],
     }
     return {name: value.reshape(len(value), -1) for name, value in values.items()}
 

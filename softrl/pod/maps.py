@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from softrl.pod.polynomial import basis, count, multinomials
+from softrl.core.polynomial import basis, count, multinomials
 
 
 class Seen(NamedTuple):

@@ -36,7 +36,7 @@ def tip_pose(
     """
     n, r = len(y) - 3, len(y)
     beyond = max(to_ball(y, point) - 1.0, 0.0)
-    few = values[: max(tables.rotation.shape[1], tables.give_rotation.shape[1])]
+    few = values[: max(tables.rotation.shape[1], tables.turn.shape[1], tables.give_rotation.shape[1])]
     fill_monomials(point, tables.parent, tables.variable, few)
     square = given = 0.0
     for k in range(3):
@@ -54,7 +54,7 @@ def tip_pose(
     w, a, b, c = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
     turn = (0.0, 0.0, 0.0)
     for k in range(3):
-        angle = 0.0
+        angle = 0.5 * polynomial(tables.turn[k], few)
         for j in range(AXES):
             angle += 0.5 * polynomial(tables.give_rotation[k * AXES + j], few) * gives[j]
         given += angle * angle

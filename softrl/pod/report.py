@@ -7,10 +7,10 @@ import numpy as np
 
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
+from softrl.core.polynomial import basis, degree_of
 from softrl.core.tracking import Tracker
 from softrl.pod.equilibria import Equilibria, rotation_vector
 from softrl.pod.kernel import run_kernel
-from softrl.pod.polynomial import basis, degree_of
 from softrl.pod.rom import STILL, no_hooks, roll_poses, static_coordinates, static_points, tip_poses
 from softrl.pod.tables import tables_of
 

@@ -10,12 +10,12 @@ import numpy as np
 from scipy.stats.qmc import Sobol
 
 from softrl.artifacts.reduced_model import ReducedModel
+from softrl.core.polynomial import basis, degree_of
 from softrl.pod.equilibria import Equilibria
 from softrl.pod.kernel import run_kernel
-from softrl.pod.polynomial import basis, degree_of
 from softrl.pod.potential import Tables, fill_potential
 from softrl.pod.rom import EMPTY, STILL, no_hooks, static_points
-from softrl.pod.tables import elastic_hessian_at_rest, gradient_of, mass_at_rest, tables_of
+from softrl.pod.tables import gradient_of, hessian_at_rest, mass_at_rest, tables_of
 from softrl.robots.robot import Robot
 
 LOST = 0.1  # of the mean motion: a body that rests farther off was caught by a well
@@ -33,7 +33,7 @@ def settles(model: ReducedModel, loads: np.ndarray, thrown: bool) -> bool:
     """
     if not stands(model):
         return False
-    root = np.linalg.inv(np.linalg.cholesky(elastic_hessian_at_rest(model)))
+    root = np.linalg.inv(np.linalg.cholesky(hessian_at_rest(model.energy, model.order)))
     slowest = 1.0 / np.sqrt(np.linalg.eigvalsh(root @ mass_at_rest(model) @ root.T)[-1])
     points, lost = static_points(tables_of(model), loads)
     if lost.any() or _least_stiffness(tables_of(model), points) <= 0.0:
@@ -55,7 +55,7 @@ def settles(model: ReducedModel, loads: np.ndarray, thrown: bool) -> bool:
 
 def stands(model: ReducedModel) -> bool:
     """Return whether the body is stable at rest."""
-    return bool(np.linalg.eigvalsh(elastic_hessian_at_rest(model)).min() > 0.0)
+    return bool(np.linalg.eigvalsh(hessian_at_rest(model.energy, model.order)).min() > 0.0)
 
 
 def trial_loads(robot: Robot, samples: Equilibria) -> np.ndarray:

@@ -49,6 +49,7 @@ class RomSimulator:
     youngs_modulus_scale : of the elastic energy, and of the stiffness in the damping
     damping_scale : of the Rayleigh damping
     mass_scale : of inertia and weight
+    layer_scales : (layers,) of the elastic energy of each layer, from below; ones if None
 
     Notes
     -----
@@ -62,6 +63,7 @@ class RomSimulator:
     youngs_modulus_scale: float
     damping_scale: float
     mass_scale: float
+    layer_scales: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         for name in TUNABLE:
@@ -88,9 +90,19 @@ class RomSimulator:
             )
         return replace(self, **values)
 
+    @property
+    def layers(self) -> int:
+        """Number of layers of the wall."""
+        return self.reduced_model.layers
+
+    def with_layers(self, scales: tuple[float, ...]) -> "RomSimulator":
+        """Return a copy whose layers, from below, are ``scales`` times as stiff as the model's."""
+        return replace(self, layer_scales=tuple(scales))
+
     @cached_property
     def _tables(self) -> Tables:
-        return tables_of(self.reduced_model, np.array(self.robot.gravity_m_s2), **self.parameters)
+        gravity = np.array(self.robot.gravity_m_s2)
+        return tables_of(self.reduced_model, gravity, **self.parameters, layer_scales=self.layer_scales)
 
     @cached_property
     def _rest(self) -> np.ndarray:

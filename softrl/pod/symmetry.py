@@ -35,6 +35,8 @@ def _image(samples: Equilibria, operation: Symmetry) -> Equilibria:
 
     def image(values: np.ndarray, axes: str) -> np.ndarray:
         for place, axis in enumerate(axes, start=1):
+            if axis == "l":
+                continue  # a symmetry leaves each layer in its place
             values = np.moveaxis(np.tensordot(values, turns[axis], axes=(place, 1)), -1, place)
         return values
 

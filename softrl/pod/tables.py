@@ -1,9 +1,12 @@
 """What compiled code reads of a reduced model: its polynomials with their derivatives, under a gravity and scales."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from softrl.artifacts.reduced_model import ReducedModel
-from softrl.pod.polynomial import basis, degree_of, sum_of_squares
+from softrl.core.polynomial import basis, count, degree_of, sum_of_squares
+from softrl.pod.layers import layered, sum_of
 from softrl.pod.potential import Tables
 
 WALL = 3.0  # of the largest curvature at rest: what rises outside the samples
@@ -16,6 +19,7 @@ def tables_of(
     youngs_modulus_scale: float = 1.0,
     damping_scale: float = 1.0,
     mass_scale: float = 1.0,
+    layer_scales: Sequence[float] | None = None,
 ) -> Tables:
     """Return the kernels' tables of ``model``.
 
@@ -25,30 +29,28 @@ def tables_of(
     youngs_modulus_scale : of the elastic energy and of the stiffness that damps
     damping_scale : of both Rayleigh coefficients
     mass_scale : of inertia and weight
+    layer_scales : (layers,) of the elastic energy of each layer, from below; ones if None
     """
     gravity = np.array(model.gravity_m_s2 if gravity_m_s2 is None else gravity_m_s2, dtype=float)
     r, n = model.order, model.chambers
     mass = mass_scale * model.mass
-    weight = gradient_of(model.centre_of_mass, r)  # (r, 3, k)
+    energy, centre_of_mass, turned = layered(model, layer_scales)
+    weight = gradient_of(centre_of_mass, r)  # (r, 3, k)
     more = mass_scale / youngs_modulus_scale  # heavier, and softer, a body gives more
     give, give_rotation = (mass_scale * more) ** 0.5 * model.give, more * model.give_rotation
     pressed = np.einsum("j,ijk->ik", gravity, give.reshape(3, 3, -1))
-    drop, settling = mass * gravity @ model.centre_of_mass, 0.5 * sum_of_squares(r, pressed)
-    turn = np.einsum("j,ijk->ik", gravity, give_rotation.reshape(3, 3, -1))
-    degree = max(2, *(degree_of(r, len(part)) for part in (model.energy, drop, settling)))
-    potential = np.zeros(basis(r, degree).monomials)
-    potential[: len(model.energy)] = youngs_modulus_scale * model.energy
-    potential[: len(drop)] -= drop
-    potential[: len(settling)] -= settling
+    drop, settling = mass * gravity @ centre_of_mass, 0.5 * sum_of_squares(r, pressed)
+    turn = sum_of(turned, np.einsum("j,ijk->ik", gravity, give_rotation.reshape(3, 3, -1)))
+    potential = sum_of(np.zeros(count(r, 2)), sum_of(youngs_modulus_scale * energy, -sum_of(drop, settling)))
+    degree = degree_of(r, len(potential))
     gradient, hessian = basis(r, degree).derivative(potential), basis(r, degree).hessian(potential)
     by_gravity = model.stiffness_root_by_gravity
     weighed = np.einsum("j,jik->ik", more * gravity, by_gravity.reshape(3, -1, by_gravity.shape[1]))
-    stiffness_root = _sum(model.stiffness_root, weighed)
-    rotation = _sum(model.rotation, turn)
-    maps = (gradient, weight, rotation, stiffness_root, give, give_rotation, *(getattr(model, name) for name in MAPS))
+    stiffness_root = sum_of(model.stiffness_root, weighed)
+    maps = (gradient, weight, model.rotation, turn, stiffness_root, give, give_rotation, *(getattr(model, name) for name in MAPS))
     full = basis(r, max(degree_of(r, table.shape[-1]) for table in maps if table.shape[-1]))
     inverse = np.linalg.inv(model.frame)
-    quadratic = youngs_modulus_scale * elastic_hessian_at_rest(model)
+    quadratic = youngs_modulus_scale * hessian_at_rest(energy, r)
     compliance = np.linalg.inv(inverse.T @ quadratic @ inverse)
     return Tables(
         *map(
@@ -68,7 +70,8 @@ def tables_of(
                 stiffness_root,
                 model.stiffness_factor,
                 mass * weight.transpose(1, 0, 2),
-                rotation,
+                model.rotation,
+                turn,
                 give,
                 more * model.give_root,
                 more * model.drag_root,
@@ -90,24 +93,15 @@ def tables_of(
     )
 
 
-def _sum(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Return the sum of two maps (rows, monomials), which may be of different degree."""
-    total = np.zeros((len(left), max(left.shape[1], right.shape[1])))
-    total[:, : left.shape[1]] += left
-    total[:, : right.shape[1]] += right
-    return total
-
-
 def gradient_of(coefficients: np.ndarray, order: int) -> np.ndarray:
     """Return the gradient (order, ..., monomials) of polynomials ``coefficients`` (..., monomials)."""
     return basis(order, degree_of(order, coefficients.shape[-1])).derivative(coefficients)
 
 
-def elastic_hessian_at_rest(model: ReducedModel) -> np.ndarray:
-    """Return the Hessian (r, r) of the elastic energy by y at rest, J."""
-    r = model.order
+def hessian_at_rest(energy: np.ndarray, r: int) -> np.ndarray:
+    """Return the Hessian (r, r) by y at rest, J, of an ``energy`` (monomials,)."""
     full = np.zeros((r, r))
-    quadratic = model.energy[1 + r : 1 + r + r * (r + 1) // 2]
+    quadratic = energy[1 + r : 1 + r + r * (r + 1) // 2]
     full[np.triu_indices(r)] = np.pad(quadratic, (0, r * (r + 1) // 2 - len(quadratic)))
     return full + full.T
 

@@ -35,7 +35,7 @@ class Run:
 
     def __init__(self, route: Route, tip_force: np.ndarray | None = None) -> None:
         self._route, self._chain = route, route.plant.chain
-        self._body = route.plant.simulator
+        self._body = self._chain.body(route.plant.simulator)
         self._valve, self._chamber, self._sensor = (SignalFilter(self._chain, s) for s in ("valve", "chamber", "sensor"))
         self._sensed = any(effect.channel == "pose" for effect in self._chain.at("sensor"))
         self._average = MovingAverage(route.average_window)

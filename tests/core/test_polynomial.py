@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrl.pod.polynomial import basis, count, degree_of, multinomials
+from softrl.core.polynomial import basis, count, degree_of, multinomials
 
 STEP = 1e-6
 

@@ -19,6 +19,8 @@ from softrl.robots.robot import Robot
 CONF = Path(__file__).parents[2] / "conf"
 NODES = {path.stem: yaml.safe_load(path.read_text()) for path in sorted((CONF / "effect").glob("*.yaml"))}
 NAMES = [name for name, node in NODES.items() if node and "_target_" in node]
+LAYERED = [name for name in NAMES if library.effect_class(name).layered]  # tests/pod/test_layers.py: bodies that have layers
+ACTING = [name for name in NAMES if name not in LAYERED]
 ROBOTS = ("tripod", "three_chamber_segment", "single_chamber_finger")
 
 
@@ -89,6 +91,15 @@ def test_config_mirrors_the_class_and_round_trips(name: str) -> None:
     assert {"_target_": NODES[name]["_target_"], **own} == NODES[name]
 
 
+@pytest.mark.parametrize("name", LAYERED)
+def test_what_changes_the_body_has_no_gate_and_needs_layers(name: str) -> None:
+    with pytest.raises(ConfigError, match="neither above_share nor since_s"):
+        dataclasses.replace(typical(name), since_s=4.0)
+    with pytest.raises(ConfigError, match="needs a body with layers"):
+        simulate([typical(name)])
+    np.testing.assert_array_equal(library.effect_class(name).neutral().layers(7), np.ones(7))
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_declared_parameters_are_consistent(name: str) -> None:
     cls = library.effect_class(name)
@@ -104,7 +115,7 @@ def test_declared_parameters_are_consistent(name: str) -> None:
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ACTING)
 def test_neutral_is_identity(name: str, robot: str) -> None:
     with_neutral = simulate([library.effect_class(name).neutral()], robot=robot)
     bare = simulate([], robot=robot)
@@ -112,7 +123,7 @@ def test_neutral_is_identity(name: str, robot: str) -> None:
         np.testing.assert_allclose(getattr(with_neutral, channel), getattr(bare, channel), rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", [n for n in NAMES if library.effect_class(n).clock is None])
+@pytest.mark.parametrize("name", [n for n in ACTING if library.effect_class(n).clock is None])
 def test_from_a_time_on_nothing_happens_before_and_the_same_at_last(name: str) -> None:
     """A gate that opens at 4 s leaves the motion before it alone; one that opens at once changes nothing."""
     bare, late = simulate([]), simulate([dataclasses.replace(typical(name), since_s=4.0)])
@@ -125,14 +136,14 @@ def test_from_a_time_on_nothing_happens_before_and_the_same_at_last(name: str) -
     assert max(changed) > 1e-5
 
 
-@pytest.mark.parametrize("name", [n for n in NAMES if library.effect_class(n).site in ("valve", "chamber", "body")])
+@pytest.mark.parametrize("name", [n for n in ACTING if library.effect_class(n).site in ("valve", "chamber", "body")])
 def test_above_the_highest_pressure_nothing_happens(name: str) -> None:
     bare, above = simulate([]), simulate([dataclasses.replace(typical(name), above_share=0.95)])
     for channel in ("position", "quaternion", "pressure"):
         np.testing.assert_allclose(getattr(above, channel), getattr(bare, channel), rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ACTING)
 def test_apply_is_pure_and_keeps_shape(name: str) -> None:
     robot, effect = simulator().robot, typical(name)
     state, value = effect.reset(robot), example_input(effect, robot)
@@ -145,7 +156,7 @@ def test_apply_is_pure_and_keeps_shape(name: str) -> None:
         assert one.shape == shape and one.dtype == np.float64 and np.isfinite(one).all()
 
 
-@pytest.mark.parametrize("name", [n for n in NAMES if library.effect_class(n).site in ("body", "load")])
+@pytest.mark.parametrize("name", [n for n in ACTING if library.effect_class(n).site in ("body", "load")])
 def test_port_changes_its_state_only_on_commit(name: str) -> None:
     robot, effect = simulator().robot, typical(name)
     state, port = effect.reset(robot), example_input(effect, robot)
@@ -154,12 +165,12 @@ def test_port_changes_its_state_only_on_commit(name: str) -> None:
     np.testing.assert_array_equal(state, kept)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ACTING)
 def test_same_input_same_output(name: str) -> None:
     np.testing.assert_array_equal(simulate([typical(name)]).position, simulate([typical(name)]).position)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ACTING)
 def test_halving_the_step_changes_the_result_in_first_order(name: str) -> None:
     coarse, middle, fine = (simulate([typical(name)], dt).position for dt in (0.01, 0.005, 0.0025))
     first = np.sqrt(np.mean((coarse - middle[1::2]) ** 2))
@@ -168,7 +179,7 @@ def test_halving_the_step_changes_the_result_in_first_order(name: str) -> None:
     assert second < 0.7 * first, f"{1e6 * first:.2f} um, then {1e6 * second:.2f} um"
 
 
-VISIBLE = [(n, r) for n in NAMES for r in ROBOTS if (n, r) != ("crosstalk", "single_chamber_finger")]  # no neighbour
+VISIBLE = [(n, r) for n in ACTING for r in ROBOTS if (n, r) != ("crosstalk", "single_chamber_finger")]  # no neighbour
 
 
 @pytest.mark.parametrize(("name", "robot"), VISIBLE)
@@ -197,7 +208,7 @@ def test_one_chamber_can_be_meant(name: str) -> None:
         simulate([dataclasses.replace(typical(name), chamber=3)])
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ACTING)
 def test_a_run_in_pieces_is_the_run(name: str) -> None:
     """What an effect remembers stands in its state alone: a filter that goes on equals one that never stopped."""
     effect, robot = typical(name), simulator().robot
@@ -213,7 +224,7 @@ def test_a_run_in_pieces_is_the_run(name: str) -> None:
     np.testing.assert_array_equal(again, whole)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ACTING)
 def test_approaching_neutral_it_vanishes_continuously(name: str) -> None:
     """Half way to neutral it does less than at its typical values: a search can find the way back."""
     cls = library.effect_class(name)
@@ -244,7 +255,7 @@ def test_members_within_their_bounds_converge_together() -> None:
     rng = np.random.default_rng(7)
     for _ in range(40):
         chosen = []
-        for name in rng.choice(NAMES, 3, replace=False):
+        for name in rng.choice(ACTING, 3, replace=False):
             cls = library.effect_class(str(name))
             values = {
                 f.name: float(rng.choice([f.metadata["neutral"], f.metadata["typical"], rng.uniform(0.5, 2.0)]))
@@ -255,7 +266,7 @@ def test_members_within_their_bounds_converge_together() -> None:
         assert np.isfinite(simulate(chosen).position).all(), chosen
 
 
-@pytest.mark.parametrize("name", [n for n in NAMES if library.effect_class(n).site in ("body", "load")])
+@pytest.mark.parametrize("name", [n for n in ACTING if library.effect_class(n).site in ("body", "load")])
 def test_stepping_with_hooks_is_simulating(name: str) -> None:
     body = simulator()
     time, pressure = program(body.robot, 0.01, duration_s=2.0)

@@ -74,7 +74,7 @@ def hollow_box(
     region = np.zeros(len(points), dtype=int)
     region[points[:, 2] < 1e-9] = BASE
     region[points[:, 2] > height * cells / (cells + walls) - 1e-9] = PLATE
-    cavity, layer = owner >= 0, np.zeros(len(solid), int)
+    cavity, layer = owner >= 0, (2 * cell[number < 0, 2] >= shape[2]).astype(int)
     return Mesh(points, renumbered.reshape(-1, 4), region, layer, new[faces[cavity]], owner[cavity], "box")
 
 

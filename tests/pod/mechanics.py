@@ -3,7 +3,7 @@
 import numpy as np
 
 from softrl.artifacts.reduced_model import ReducedModel
-from softrl.pod.polynomial import basis, degree_of
+from softrl.core.polynomial import basis, degree_of
 
 
 def mechanical_energy(

@@ -12,6 +12,7 @@ from softrl.robots.robot import Robot
 YOUNG_PA, MASS_KG = 1e6, 0.5
 STROKE_N_PER_PA = 1e-3  # effective area of a chamber
 GIVE = np.diag([8e-5, 7e-5, 4e-5])  # kg s^2, the inside; with mass and viscosity of its own, and shared with the tip
+LAYERS = np.array([0.5, 0.3, 0.2])  # share of each in the energy: they bear one load in series
 GIVE_MASS, GIVE_COUPLING, GIVE_DRAG = 2e-8 * np.eye(3), 0.3 * GIVE, 0.02 * np.eye(3)
 
 
@@ -174,6 +175,17 @@ class Law:
         tip = z[self.chambers :]
         return 8.0 * np.array([-tip[1], tip[0], 0.0]) * (1.0 - 3.0 * tip[2])
 
+    def layers(self, z: np.ndarray) -> dict[str, np.ndarray]:
+        """Return by the names of ``Snapshots`` what its layers have to do with z."""
+        energy, sway = self.energy(z), np.array([1.0, -1.0, 0.0])
+        return {
+            "layer_energy": energy * LAYERS,
+            "layer_slope": np.outer(LAYERS, self.gradient(z) @ np.linalg.inv(self.hessian(z))),
+            "layer_give": 2.0 * energy * (np.diag(LAYERS) - np.outer(LAYERS, LAYERS)),
+            "layer_drop": 0.1 * MASS_KG * np.outer(self.centre_of_mass(z), sway),
+            "layer_spin": 0.1 * np.outer(self.rotation(z), sway),
+        }
+
 
 def differences(map_of: Callable[[np.ndarray], np.ndarray], z: np.ndarray) -> np.ndarray:
     """Return the gradient (3, n + 3) of a map of degree 2 at ``z``: differences are exact."""
@@ -237,6 +249,7 @@ def synthetic_snapshots(robot: Robot, samples: int, seed: int, trajectories: int
     z = np.array([law.equilibrium(load) for load in loads])
     answers, slopes = ({name: np.array([row[name] for row in rows]) for name in rows[0]}
                        for rows in ([law.answers(point) for point in z], [law.slopes(point) for point in z]))
+    parts = [law.layers(point) for point in z]
     compliance, turned = answers["compliance"], np.array([law.rotation(point) for point in z])
     nodes = np.stack([rng.uniform(-0.05, 0.05, 40), rng.uniform(-0.05, 0.05, 40), rng.uniform(0, 0.18, 40)], axis=1)
     tip = z[:, n:]
@@ -253,6 +266,7 @@ def synthetic_snapshots(robot: Robot, samples: int, seed: int, trajectories: int
         coordinate=z,
         energy=np.array([law.energy(point) for point in z]),
         **answers,
+        **{name: np.array([part[name] for part in parts]) for name in parts[0]},
         slopes=slopes,
         moments=MASS_KG * np.array([law.centre_of_mass(point) for point in z])[:, None],
         moment_slope=MASS_KG * (np.array([differences(law.centre_of_mass, point) for point in z]) @ compliance)[:, None],

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from softrl.core.polynomial import basis, count
 from softrl.pod.maps import Seen, best_forms, equations
-from softrl.pod.polynomial import basis, count
 
 ORDER, DEGREE = 6, 3
 

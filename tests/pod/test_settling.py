@@ -6,10 +6,10 @@ import numpy as np
 
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
+from softrl.core.polynomial import basis
 from softrl.pod.fit import linear_model
-from softrl.pod.polynomial import basis
 from softrl.pod.settling import settles
-from softrl.pod.tables import elastic_hessian_at_rest
+from softrl.pod.tables import hessian_at_rest
 from softrl.robots.robot import Robot
 
 BARRIER = 0.8  # |y| beyond which the body no longer comes back
@@ -18,7 +18,7 @@ BARRIER = 0.8  # |y| beyond which the body no longer comes back
 def test_a_well_behind_an_overshoot_is_found_by_throwing(tripod: tuple[Robot, Snapshots, ReducedModel]) -> None:
     """Under nine tenths of the largest force that it bears a body stands, but flies past it when that acts at once."""
     straight = replace(linear_model(tripod[2]), gravity_m_s2=np.zeros(3), rayleigh_stiffness_s=0.0, rayleigh_mass_per_s=0.1)
-    size, axes = np.linalg.eigh(elastic_hessian_at_rest(straight))
+    size, axes = np.linalg.eigh(hessian_at_rest(straight.energy, straight.order))
     along, stiffness = axes[:, 0], float(size[0])
     cubic = stiffness / (3.0 * BARRIER)
     table, points = basis(straight.order, 3), np.random.default_rng(0).normal(size=(400, straight.order))

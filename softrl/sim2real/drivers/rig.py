@@ -126,7 +126,7 @@ class Rig:
     def __init__(self, hardware: Hardware, seed: Sequence[int], surface: Surface | None = None) -> None:
         rng = np.random.default_rng(seed)
         hidden = self._hidden = hardware.hidden
-        self._body = hardware.body
+        self._body = hidden.body(hardware.body)
         self._substeps = round(hardware.physics_rate_hz / hardware.rate_hz)
         self._period_s = 1.0 / hardware.rate_hz
         self._watchdog_s = hardware.watchdog_s
@@ -136,7 +136,7 @@ class Rig:
         self._setpoint = np.zeros(hidden.robot.chambers)
         self._ticks = self._silent_ticks = 0
         # under its loads the robot hangs elsewhere than without; it has come to rest before it is switched on
-        self._state = hardware.body.reset(rng)
+        self._state = self._body.reset(rng)
         self._robot, self._surface = hidden.robot, surface
         self._line, self._line_goal = np.ones(hidden.robot.chambers), np.ones(hidden.robot.chambers)
         self._hook()
