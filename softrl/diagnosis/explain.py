@@ -96,7 +96,7 @@ def where(choice: Choice) -> str:
         place = "all chambers" if choice.chamber < 0 else f"chamber {choice.chamber + 1}"
     else:
         places = {"valve": "all valves", "load": "tip", "sensor": "pose sensor", "chamber": "all chambers"}
-        place = places.get(choice.site, "whole body")
+        place = "one layer" if effect_class(choice.name).layered else places.get(choice.site, "whole body")
     return f"{place}, {GATES[choice.gate.field]}" if choice.gate else place
 
 

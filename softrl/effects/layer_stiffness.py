@@ -21,7 +21,7 @@ class LayerStiffness(Effect):
     """
 
     site: ClassVar[str] = "body"
-    title: ClassVar[str] = "stiffness of one layer of the wall"
+    title: ClassVar[str] = "stiffness of the wall"
     layered: ClassVar[bool] = True
 
     scale: float = parameter("1", 0.4, 2.5, 1.0, typical=0.7)

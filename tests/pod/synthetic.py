@@ -182,8 +182,8 @@ class Law:
             "layer_energy": energy * LAYERS,
             "layer_slope": np.outer(LAYERS, self.gradient(z) @ np.linalg.inv(self.hessian(z))),
             "layer_give": 2.0 * energy * (np.diag(LAYERS) - np.outer(LAYERS, LAYERS)),
-            "layer_drop": 0.1 * MASS_KG * np.outer(self.centre_of_mass(z), sway),
-            "layer_spin": 0.1 * np.outer(self.rotation(z), sway),
+            "layer_drop": 0.4 * MASS_KG * np.outer(self.centre_of_mass(z), sway),
+            "layer_spin": 0.4 * np.outer(self.rotation(z), sway),
         }
 
 
