@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softrl.bench.figures import draw_motions
+from softrl.bench.layers import layer_metrics
 from softrl.bench.operator_inference import others_foretell
 from softrl.bench.watch import Watch, timing
 from softrl.core.errors import ConfigError
@@ -46,6 +47,7 @@ class RomBench:
         ``galerkin`` may be left out
     lumped : the lumped body, for its speed
     motions : unseen ones of ``duration_s`` with pressures and tip forces held ``hold_s``, on the time step ``dt_s``
+    layered : equilibria with one layer of the wall stiffer or softer, see ``bench.layers``
     violent : further ones, in which every pressure jumps between the robot's limits, beside the largest tip force
     effects : on the body, whose cost in a step is told
     rate_steps : of a timed run of the ROM
@@ -58,6 +60,7 @@ class RomBench:
     lumped: PccSimulator
     motions: int
     violent: int
+    layered: int
     effects: dict[str, Effect]
     duration_s: float
     hold_s: float
@@ -70,8 +73,9 @@ class RomBench:
         for name in ("motions", "duration_s", "hold_s", "dt_s", "rate_steps", "batch", "batch_steps"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"bench.rom.{name}={getattr(self, name):g} must be positive")
-        if self.violent < 0:
-            raise ConfigError(f"bench.rom.violent={self.violent} must not be negative")
+        for name in ("violent", "layered"):
+            if getattr(self, name) < 0:
+                raise ConfigError(f"bench.rom.{name}={getattr(self, name)} must not be negative")
 
     def measure(self, watch: Watch, seed: int, tracker: Tracker) -> dict[str, float]:
         """Return the metrics; those of the violent motions begin with ``violent_``."""
@@ -98,6 +102,8 @@ class RomBench:
                 metrics[f"{part}baseline_rest_tip_rms_mm"] = _rms_mm([path.tip - path.tip[0] for path in full[rows]])
         tips = {LABELS[name]: [path.tip for path in paths] for name, paths in bodies.items()}
         tracker.figure("unseen_motions", draw_motions(clock, [path.tip for path in full], tips))
+        if self.layered:
+            metrics |= layer_metrics(self.rom, self._full_model, self.layered, np.random.default_rng([seed, STREAM, 1]))
         return metrics | self._rates(watch, rng)
 
     def _galerkin(self, watch: Watch, loads: list[np.ndarray]) -> tuple[list[Path], dict[str, float]]:
