@@ -22,14 +22,12 @@ from softrl.fem.figures import draw_newton, draw_shapes, draw_stretch, draw_tips
 from softrl.fem.material import Material, material_of
 from softrl.fem.model import FemModel
 from softrl.fem.newton import NewtonSettings
-from softrl.fem.refinement import where_they_disagree
 from softrl.fem.sampling import load_scale, paths, sobol_loads, step_program, with_waypoints
 from softrl.fem.trajectory import Trajectory, roll_out
 from softrl.fem.weight import pull_at_rest
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
-CANDIDATES = 64  # for each further equilibrium
 
 
 @dataclass(frozen=True)
@@ -42,7 +40,6 @@ class Config:
     element_order: int  # 2: quadratic tetrahedra; 1: linear ones, which are far too stiff
     mean_dilatation: bool  # changes of volume are weighed by their mean over an element; see FemModel
     equilibria: int  # Sobol samples of the loads
-    refined: int  # further ones where these disagree most about the tip, see ``fem.refinement``
     faces_share: float  # share of them with one pressure at its limit
     tip_force_scale: float  # largest sampled tip force over the robot's: inertia and weight pull at a body like more
     weight_share: float  # of the weight's pull at the tip at rest, about which tip forces are sampled
@@ -62,7 +59,7 @@ class Config:
     seed: int
 
     def __post_init__(self) -> None:
-        least = {"equilibria": 1, "refined": 0, "paths": 1, "trajectories": 0, "processes": 1}
+        least = {"equilibria": 1, "paths": 1, "trajectories": 0, "processes": 1}
         if self.element_order not in (1, 2):
             raise ConfigError(f"stage.element_order={self.element_order}; expected 2 (quadratic) or 1 (linear)")
         for key, low in least.items():
@@ -115,10 +112,6 @@ def run(
     began = time.monotonic()
     kept = Kept("fem", _mark(body))
     samples, misses, trajectories, reused = _compute(body, loads, chains, programs, parallel or LOCAL, kept)
-    if config.refined:
-        loads, chains = _refined(config, pulled, loads, samples, centre)
-        further = _compute(body, loads, chains, [], parallel or LOCAL, kept, "refined")
-        samples, misses, reused = samples + further[0], misses + further[1], reused + further[3]
     tracker.metric("parts_resumed", reused)
     log.info("%d equilibria and %d trajectories in %.0f s", len(samples), len(trajectories), time.monotonic() - began)
     _record_failures(loads, misses, tracker)
@@ -150,28 +143,15 @@ def _pulled(body: Body) -> Robot:
     return replace(body.robot, tip_force_max_n=body.config.tip_force_scale * body.robot.tip_force_max_n)
 
 
-def _refined(
-    config: Config, pulled: Robot, loads: np.ndarray, samples: list[Found], centre: np.ndarray
-) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Return ``loads`` with further ones at their end, where ``samples`` disagree most, and the chains of these."""
-    scale, seed = load_scale(pulled), config.seed + 1
-    candidates = sobol_loads(pulled, CANDIDATES * config.refined, config.faces_share, centre, seed)
-    chosen = candidates[where_they_disagree(candidates, loads, samples, scale, config.refined)]
-    more, chains = with_waypoints(chosen, paths(chosen, scale, config.paths), scale, config.load_step)
-    log.info("%d further equilibria where those at hand disagree most about the tip", len(more))
-    return np.vstack([loads, more]), [len(loads) + chain for chain in chains]
-
-
 def _compute(
-    body: Body, loads: np.ndarray, chains: list[np.ndarray], programs: list[np.ndarray], parallel: Parallel, kept: Kept,
-    label: str = "chain",
+    body: Body, loads: np.ndarray, chains: list[np.ndarray], programs: list[np.ndarray], parallel: Parallel, kept: Kept
 ) -> tuple[list[Found], list[Lost], list[Trajectory], int]:
     """Work off all chains and programs in parallel; the result does not depend on where, or after how many kills.
 
     Returns equilibria and misses in the order of ``loads``, trajectories in that of ``programs``, and how many parts
     an earlier run had kept.
     """
-    tasks = {f"{label}_{k}": (_trace, body, loads, chain) for k, chain in enumerate(chains)}
+    tasks = {f"chain_{k}": (_trace, body, loads, chain) for k, chain in enumerate(chains)}
     tasks |= {f"trajectory_{k}": (_move, body, program) for k, program in enumerate(programs)}
     # in memory from here on: another run of the same samples may end first, and clears the folder
     parts = {name: kept.load(name) for name in tasks if name in kept}
@@ -182,7 +162,7 @@ def _compute(
     for number, arrays in progress(results, "FEM: chains of equilibria, then trajectories", len(waiting)):
         parts[waiting[number]] = arrays
         kept.save(waiting[number], arrays)
-    traced = [chain_of(parts[f"{label}_{k}"]) for k in range(len(chains))]
+    traced = [chain_of(parts[f"chain_{k}"]) for k in range(len(chains))]
     samples = sorted((found for chain in traced for found in chain.found), key=lambda f: f[0])
     misses = sorted(lost for chain in traced for lost in chain.missed)
     moved = [parts[f"trajectory_{k}"] for k in range(len(programs))]

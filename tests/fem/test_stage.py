@@ -23,7 +23,6 @@ CONFIG = Config(
     element_order=2,
     mean_dilatation=True,
     equilibria=5,
-    refined=0,
     faces_share=0.2,
     tip_force_scale=1.0,
     weight_share=0.0,
