@@ -16,7 +16,7 @@ from softrl.pipeline import STAGES
 
 def softrl(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "softrl", *words], cwd=folder, capture_output=True, text=True, check=False, timeout=600
+        [sys.executable, "-m", "softrl", *words], cwd=folder, capture_output=True, text=True, check=False, timeout=1800
     )
 
 
