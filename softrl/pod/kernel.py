@@ -10,13 +10,12 @@ from softrl.core.compiled import FAST
 from softrl.pod.inertia import add_inertia, fill_amplitudes, fill_inertia, kinetic_energy, make_course, work_of_inertia
 from softrl.pod.inside import begin_inside, end_inside, fill_give, make_inside, stored_in
 from softrl.pod.linear import newton_direction
-from softrl.pod.ports import add_effects, commit_effects, fill_ports, make_ports
+from softrl.pod.ports import add_effects, commit_effects, fill_ports, go_on, make_ports
 from softrl.pod.pose import tip_pose
 from softrl.pod.potential import fill_monomials, fill_potential, to_ball
 from softrl.pod.viscosity import fill_viscosity
 
-TOLERANCE = 1e-9  # change of y: below a nanometre at the tip
-CLOSE = 1e-6  # likewise where the Jacobian is exact: such a step leaves an error that is far below TOLERANCE
+CLOSE = 1e-6  # change of y in an iteration after which what is left is below a nanometre at the tip
 MAX_ITERATIONS = 60
 LONGEST_STEP = 0.5  # of y, in one iteration
 SCALINGS = 5  # of rates, until they hold no more energy than they may
@@ -178,13 +177,12 @@ def run_kernel(
     course = make_course(r, len(tables.amplitudes), ())
     held = (np.empty((r, r)), np.zeros((r, r)), np.zeros(r), make_inside(r, ()), course)
     ports, bare = make_ports(n), np.empty(r)
-    with_effects = len(hooks[0]) + len(hooks[3]) > 0
-    close = TOLERANCE if with_effects else CLOSE
+    with_effects = len(hooks[0].kernels) + len(hooks[1].kernels) > 0
     failed = 0
     if with_effects:
         fill_potential(y, tables, values, point, gradient, hessian)
         fill_ports(y, rest, gradient, hessian, dt, load[0, :n], tables, ports, True)
-        ports.strains[0], ports.tips[0] = ports.strains[1], ports.tips[1]
+        go_on(ports)
     farthest = to_ball(y, point)
     fill_amplitudes(y - dt * velocity, 0, False, tables, work, course.before, course.lead)
     fill_inertia(y, np.zeros(r), tables, work, held)
@@ -216,9 +214,9 @@ def run_kernel(
             longest = iterate(
                 y, gradient, jacobian, inertia, right, tables, not with_effects, scratch, direction, trial, progress
             )
-            if longest < close and iteration > 0:
+            if longest < CLOSE and iteration > 0:
                 break
-        if longest >= close:
+        if longest >= CLOSE:
             failed += 1
         if with_effects:  # the potential's derivatives are those a last, negligible step ago
             commit_effects(y, rest, bare, hessian, dt, pressure, tables, hooks, ports)

@@ -5,6 +5,8 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 
+from softrl.core.compiled import borrowing, summing
+from softrl.effects.call import run_ports
 from softrl.effects.effect import (
     ADDED,
     ADDED_SLOPE,
@@ -25,10 +27,6 @@ from softrl.effects.effect import (
 from softrl.pod.potential import polynomial
 
 PROBE = 1e-4  # of the stiffness scale: change of the elastic pressure by which effects are probed
-
-
-
-
 
 
 class Ports(NamedTuple):
@@ -66,7 +64,7 @@ def make_ports(n: int) -> Ports:
     )
 
 
-@nb.njit(cache=True)
+@borrowing
 def fill_ports(
     y: np.ndarray,
     rest: np.ndarray,
@@ -107,7 +105,7 @@ def fill_ports(
             load[row, k] = 0.0
 
 
-@nb.njit(cache=True, fastmath={"reassoc", "contract"})
+@summing
 def _hessian_of_coordinate(hessian: np.ndarray, inverse: np.ndarray, half: np.ndarray, out: np.ndarray) -> None:
     """Fill ``out`` with the Hessian by z of what has ``hessian`` by y; ``half`` is scratch."""
     r = len(hessian)
@@ -126,7 +124,7 @@ def _hessian_of_coordinate(hessian: np.ndarray, inverse: np.ndarray, half: np.nd
             out[j, i] = total
 
 
-@nb.njit(cache=True)
+@borrowing
 def _slope(hessian: np.ndarray, n: int, chamber: int) -> float:
     """Return d pressure / d volume of one chamber, other volumes held and tip free, from the Hessian by z."""
     a, b, c = hessian[n, n], hessian[n, n + 1], hessian[n, n + 2]
@@ -141,14 +139,7 @@ def _slope(hessian: np.ndarray, n: int, chamber: int) -> float:
     return hessian[chamber, chamber] - (squares + 2.0 * products) / determinant
 
 
-@nb.njit(cache=True)
-def run_hooks(kernels: Any, parameters: Any, states: Any, port: np.ndarray, dt: float, commit: bool) -> None:
-    """Let every effect add its reaction to ``port``."""
-    for k in range(len(kernels)):
-        kernels[k](parameters[k], states[k], port, dt, commit)
-
-
-@nb.njit(cache=True)
+@borrowing
 def commit_effects(
     y: np.ndarray,
     rest: np.ndarray,
@@ -162,12 +153,20 @@ def commit_effects(
 ) -> None:
     """Let the effects take the trial state as the state; ``gradient`` and ``hessian`` are the bare body's."""
     fill_ports(y, rest, gradient, hessian, dt, pressure, tables, ports, False)
-    run_hooks(hooks[0], hooks[1], hooks[2], ports.body, dt, True)
-    run_hooks(hooks[3], hooks[4], hooks[5], ports.load, dt, True)
-    ports.strains[0], ports.tips[0] = ports.strains[1], ports.tips[1]
+    run_ports(hooks[0], ports.body, dt, True)
+    run_ports(hooks[1], ports.load, dt, True)
+    go_on(ports)
 
 
-@nb.njit(cache=True)
+@borrowing
+def go_on(ports: Any) -> None:
+    """Take the trial strains and tip as those of the last step."""
+    for seen in (ports.strains, ports.tips):
+        for i in range(seen.shape[1]):
+            seen[0, i] = seen[1, i]
+
+
+@borrowing
 def add_effects(
     y: np.ndarray,
     rest: np.ndarray,
@@ -189,33 +188,33 @@ def add_effects(
     asks for it, else it is the share found last. It speeds Newton's iteration and does not change its end.
     """
     fill_ports(y, rest, gradient, hessian, dt, pressure, tables, ports, probe)
-    if len(hooks[0]) > 0:
-        _add_body(gradient, hessian, dt, tables, hooks, ports, jacobian, probe)
-    if len(hooks[3]) > 0:
-        _add_load(gradient, dt, tables, hooks, ports, values, jacobian)
+    if len(hooks[0].kernels) > 0:
+        _add_body(gradient, hessian, dt, tables, hooks[0], ports, jacobian, probe)
+    if len(hooks[1].kernels) > 0:
+        _add_load(gradient, dt, tables, hooks[1], ports, values, jacobian)
 
 
-@nb.njit(cache=True)
+@borrowing
 def _add_body(
     gradient: np.ndarray,
     hessian: np.ndarray,
     dt: float,
     tables: Any,
-    hooks: Any,
+    calls: Any,
     ports: Any,
     jacobian: np.ndarray,
     probe: bool,
 ) -> None:
     body, shares, slopes = ports.body, ports.shares, ports.half[0]
     n, r = body.shape[1], len(gradient)
-    run_hooks(hooks[0], hooks[1], hooks[2], body, dt, False)
+    run_ports(calls, body, dt, False)
     for i in range(n):
         shares[1, i], slopes[i] = body[ADDED, i], body[ADDED_SLOPE, i]
     if probe:
         for i in range(n):
             body[ELASTIC, i] += PROBE * tables.rest_slope[i]
             body[ADDED, i] = body[ADDED_SLOPE, i] = 0.0
-        run_hooks(hooks[0], hooks[1], hooks[2], body, dt, False)
+        run_ports(calls, body, dt, False)
         for i in range(n):
             shares[0, i] = (body[ADDED, i] - shares[1, i]) / (PROBE * tables.rest_slope[i])
     for i in range(n):
@@ -231,13 +230,13 @@ def _add_body(
                 jacobian[j, k] += tables.frame[i, j] * slope
 
 
-@nb.njit(cache=True)
+@borrowing
 def _add_load(
-    gradient: np.ndarray, dt: float, tables: Any, hooks: Any, ports: Any, values: np.ndarray, jacobian: np.ndarray
+    gradient: np.ndarray, dt: float, tables: Any, calls: Any, ports: Any, values: np.ndarray, jacobian: np.ndarray
 ) -> None:
     load, r = ports.load, len(gradient)
     n = r - 3
-    run_hooks(hooks[3], hooks[4], hooks[5], load, dt, False)
+    run_ports(calls, load, dt, False)
     for a in range(3):
         tilt = load[GRAVITY, a] - tables.gravity[a]
         for j in range(r):

@@ -11,7 +11,7 @@ from softrl.core.polynomial import basis, degree_of
 from softrl.core.tracking import Tracker
 from softrl.pod.equilibria import Equilibria, rotation_vector
 from softrl.pod.kernel import run_kernel
-from softrl.pod.rom import STILL, no_hooks, roll_poses, static_coordinates, static_points, tip_poses
+from softrl.pod.rom import NO_HOOKS, STILL, roll_poses, static_coordinates, static_points, tip_poses
 from softrl.pod.tables import tables_of
 
 NO_WEIGHT = np.zeros(3)  # the equilibria are without weight
@@ -112,7 +112,7 @@ def report_speed(model: ReducedModel, snapshots: Snapshots, rng: np.random.Gener
         model.pressure_min_pa + (model.pressure_max_pa - model.pressure_min_pa) * level, 50, axis=0
     )
     position, quaternion = np.empty((SPEED_STEPS, 3)), np.empty((SPEED_STEPS, 4))
-    run = (tables, no_hooks(), np.empty((0, r)), position, quaternion)
+    run = (tables, NO_HOOKS, np.empty((0, r)), position, quaternion)
     dt = _time_step(snapshots)
     still = [*np.zeros((2, r)), STILL, np.zeros(r)]
     run_kernel(*(part.copy() for part in still), dt, load[:1], *run[:3], position[:1], quaternion[:1])

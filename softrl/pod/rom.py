@@ -1,15 +1,13 @@
 """The energy ROM from Python: equilibria, inverse statics, trajectories."""
 
 import logging
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numba as nb
 import numpy as np
-from numba.typed import List
 
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.core.errors import SolverError
-from softrl.effects.effect import PORT_KERNEL
+from softrl.effects.call import pack
 from softrl.pod.batch import run_batch
 from softrl.pod.inside import AXES
 from softrl.pod.inverse import solve_pressures
@@ -23,33 +21,7 @@ log = logging.getLogger(__name__)
 FAILED_SHARE = 0.01  # of the steps: more that do not converge are no motion
 QUASI_STATIC_S = 1e6  # one implicit step of this length is an equilibrium
 LOAD_STEPS = 4  # an equilibrium is approached in this many equal steps of the load
-PORT = nb.types.FunctionType(PORT_KERNEL)
-
-
-def typed_hooks(body: Any = (), load: Any = ()) -> tuple[Any, ...]:
-    """Return kernels, parameters and states of the body's, then of the load's hooks, as compiled code takes them."""
-    lists: list[Any] = []
-    for hooks in (body, load):
-        kernels = List.empty_list(PORT)
-        parameters, states = List.empty_list(nb.float64[::1]), List.empty_list(nb.float64[::1])
-        for hook in hooks:
-            kernels.append(hook.kernel)
-            parameters.append(hook.parameters)
-            states.append(hook.state)
-        lists += [kernels, parameters, states]
-    return tuple(lists)
-
-
-_NO_HOOKS: list[tuple[Any, ...]] = []
-
-
-def no_hooks() -> tuple[Any, ...]:
-    """Return the empty hooks, made once: typed lists are slow to build."""
-    if not _NO_HOOKS:
-        _NO_HOOKS.append(typed_hooks())
-    return _NO_HOOKS[0]
-
-
+NO_HOOKS = (pack(()), pack(()))  # on the body, on the load
 STILL = np.zeros((2, AXES))  # an inside that gives to nothing
 EMPTY = (np.empty((0, 3)), np.empty((0, 4)))
 
@@ -90,13 +62,13 @@ def static_points(tables: Tables, loads: np.ndarray) -> tuple[np.ndarray, np.nda
             QUASI_STATIC_S,
             np.ascontiguousarray(ramp * load),
             tables,
-            no_hooks(),
+            NO_HOOKS,
             path,
             *EMPTY,
         )
         again = y.copy()
         still = np.zeros(r), STILL.copy(), np.zeros(r)
-        missed, _ = run_kernel(again, *still, QUASI_STATIC_S, load[None].copy(), tables, no_hooks(), path[:0], *EMPTY)
+        missed, _ = run_kernel(again, *still, QUASI_STATIC_S, load[None].copy(), tables, NO_HOOKS, path[:0], *EMPTY)
         found[s], failed[s] = again, missed > 0 or not np.isfinite(again).all()
     return found, failed
 
@@ -128,7 +100,7 @@ def pressure_for_tip(
     limits = np.array([model.pressure_min_pa, model.pressure_max_pa])
     goal = np.ascontiguousarray(tip, dtype=float) - model.rest_tip
     pressure, distance = np.empty((len(goal), model.chambers)), np.empty(len(goal))
-    solve_pressures(goal, limits, tables, no_hooks(), QUASI_STATIC_S, pressure, distance)
+    solve_pressures(goal, limits, tables, NO_HOOKS, QUASI_STATIC_S, pressure, distance)
     if not np.isfinite(distance).all():
         raise SolverError(f"inverse statics diverged for {int((~np.isfinite(distance)).sum())} of {len(goal)} tips")
     return pressure, distance
@@ -176,7 +148,7 @@ def roll_poses(
     failed, farthest = 0, 0.0
     for b in range(batch):
         moving = first[b].copy(), rate[b].copy(), STILL.copy(), np.zeros(r)
-        missed, far = run_kernel(*moving, dt_s, held[b], tables, no_hooks(), path[b], position, quaternion[b])
+        missed, far = run_kernel(*moving, dt_s, held[b], tables, NO_HOOKS, path[b], position, quaternion[b])
         failed, farthest = failed + missed, max(farthest, far)
     _check(path, failed, farthest, model, dt_s)
     return Rolled(path @ model.frame.T, quaternion)

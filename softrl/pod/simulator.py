@@ -4,17 +4,18 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.core.errors import ArtifactError, ConfigError, SolverError
 from softrl.core.simulator import Hook, Motion
+from softrl.effects.call import Calls, pack, unpack
 from softrl.pod.kernel import run_kernel
 from softrl.pod.pose import tip_pose
 from softrl.pod.potential import Tables
-from softrl.pod.rom import LOAD_STEPS, QUASI_STATIC_S, STILL, no_hooks, typed_hooks, warn_beyond
+from softrl.pod.rom import LOAD_STEPS, NO_HOOKS, QUASI_STATIC_S, STILL, warn_beyond
 from softrl.pod.tables import tables_of
 from softrl.robots.robot import Robot
 
@@ -107,12 +108,12 @@ class RomSimulator:
     @cached_property
     def _rest(self) -> np.ndarray:
         """The equilibrium y (r,) under weight alone."""
-        return self._equilibrium(no_hooks())
+        return self._equilibrium(NO_HOOKS)
 
-    def _equilibrium(self, hooks: tuple[Any, ...], pressure: np.ndarray | None = None) -> np.ndarray:
+    def _equilibrium(self, hooks: tuple[Calls, Calls], pressure: np.ndarray | None = None) -> np.ndarray:
         """Return the equilibrium y (r,) under weight, load effects and ``pressure`` (n,) Pa."""
         r, n = self.reduced_model.order, self.robot.chambers
-        loads_only = (*no_hooks()[:3], *hooks[3:])
+        loads_only = NO_HOOKS[0], hooks[1]
         load = np.zeros((LOAD_STEPS, r))
         if pressure is not None:
             load[:, :n] = np.linspace(0.0, 1.0, LOAD_STEPS + 1)[1:, None] * pressure
@@ -136,7 +137,7 @@ class RomSimulator:
         rest: np.ndarray,
         dt_s: float,
         load: np.ndarray,
-        hooks: tuple[Any, ...],
+        hooks: tuple[Calls, Calls],
         poses: int,
         failed_share: float = FAILED_SHARE,
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -173,7 +174,7 @@ class RomSimulator:
 
     def equilibrium(self, pressure: np.ndarray) -> RomState:
         """Return the state at rest under ``pressure`` (n,) Pa and weight."""
-        z = self.reduced_model.frame @ self._equilibrium(no_hooks(), np.asarray(pressure, dtype=float))
+        z = self.reduced_model.frame @ self._equilibrium(NO_HOOKS, np.asarray(pressure, dtype=float))
         return RomState(z, np.zeros_like(z), STILL.copy())
 
     def reset(self, rng: np.random.Generator | None = None) -> RomState:
@@ -199,7 +200,10 @@ class RomSimulator:
         y, velocity = (tables.inverse @ part for part in state[:2])
         inner = state.inner.copy()
         held = self._loads(pressure, tip_force)
-        self._run(y, velocity, inner, self._rest, float(dt_s), held, _running(body, load), 0)
+        hooks = pack(body), pack(load)
+        self._run(y, velocity, inner, self._rest, float(dt_s), held, hooks, 0)
+        unpack(hooks[0], body)
+        unpack(hooks[1], load)
         return RomState(*(tables.frame @ part for part in (y, velocity)), inner)
 
     def observe(self, state: RomState) -> tuple[np.ndarray, np.ndarray]:
@@ -222,21 +226,9 @@ class RomSimulator:
 
         Rest is the equilibrium under weight and the load effects; strains that body effects see count from there.
         """
-        hooks = typed_hooks(body, load) if body or load else no_hooks()
+        hooks = pack(body), pack(load)
         rest = self._equilibrium(hooks) if load else self._rest
         held = self._loads(pressure, tip_force)
         moving = rest.copy(), np.zeros(len(rest)), STILL.copy()
         position, quaternion = self._run(*moving, rest, float(time[1] - time[0]), held, hooks, len(held))
         return Motion(np.asarray(time, dtype=float), position, quaternion, held[:, : self.robot.chambers].copy())
-
-
-_RUNNING: list[Any] = []
-
-
-def _running(body: Sequence[Hook], load: Sequence[Hook]) -> tuple[Any, ...]:
-    """Return the typed hooks of a caller who steps: the same sequences as in the call before are typed once."""
-    if not (body or load):
-        return no_hooks()
-    if not _RUNNING or _RUNNING[0] is not body or _RUNNING[1] is not load:
-        _RUNNING[:] = [body, load, typed_hooks(body, load)]
-    return _RUNNING[2]

@@ -14,7 +14,7 @@ from softrl.pod.inside import make_inside
 from softrl.pod.kernel import run_kernel
 from softrl.pod.linear import solve_general
 from softrl.pod.potential import Tables, fill_potential
-from softrl.pod.rom import no_hooks, roll, static_coordinates
+from softrl.pod.rom import NO_HOOKS, roll, static_coordinates
 from softrl.pod.tables import tables_of
 from softrl.pod.viscosity import fill_viscosity
 from softrl.robots.robot import Robot
@@ -104,7 +104,7 @@ def test_an_unforced_body_never_gains_energy(body: Body, dt_s: float) -> None:
             dt_s,
             np.zeros((1, model.order)),
             tables,
-            no_hooks(),
+            NO_HOOKS,
             np.empty((0, model.order)),
             np.empty((0, 3)),
             np.empty((0, 4)),
@@ -131,7 +131,7 @@ def test_an_inside_of_any_map_gains_no_energy(tripod: Body) -> None:
         state = (wild, (wild.frame @ y)[None], (wild.frame @ velocity)[None], None, inner[None], 0.01)
         energy.append(mechanical_energy(*state)[0])
         run_kernel(
-            y, velocity, inner, np.zeros(6), 0.01, np.zeros((1, 6)), tables, no_hooks(), np.empty((0, 6)),
+            y, velocity, inner, np.zeros(6), 0.01, np.zeros((1, 6)), tables, NO_HOOKS, np.empty((0, 6)),
             np.empty((0, 3)), np.empty((0, 4)),
         )
         assert np.linalg.norm(y) < 1.0
