@@ -25,13 +25,15 @@ def fill_chord(
     metric : entries of S (pairs, k) and L (r, r)
     least : number of monomials that ``work`` is to hold afterwards, besides S L', its ``root`` (r r,)
     """
-    (entries, factor), (values, point, scratch, _, root, half, weights, mixed) = metric, work
+    (entries, factor), values, point, root, half, weights, mixed = (
+        metric, work.values, work.point, work.root, work.half, work.weights, work.mixed
+    )  # fmt: skip
     radius, some = to_ball(middle, point), values[: entries.shape[1]]
     fill_monomials(point, tables.parent, tables.variable, values[: max(least, entries.shape[1])])
     fill_rows(entries, some, half)
     _fill_root(half, factor, root)
     fill_square(root, matrix)
-    _fill_weights(root, factor, by, scratch, weights)
+    _fill_weights(root, factor, by, work.scratch, weights)
     mixed[: len(some)] = 0.0
     _add_mixture(entries, weights, mixed)
     _fill_slope(mixed, some, point, radius, tables, slope)

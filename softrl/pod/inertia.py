@@ -47,7 +47,7 @@ def fill_amplitudes(
 
     ``least`` is the number of monomials that ``work`` is to hold afterwards.
     """
-    values, point = work[0], work[1]
+    values, point = work.values, work.point
     r, radius = len(y), to_ball(y, point)
     fill_monomials(point, tables.parent, tables.variable, values[: max(least, tables.amplitudes.shape[1])])
     fill_rows(tables.amplitudes, values, amplitudes)
@@ -70,8 +70,8 @@ def fill_inertia(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, held
         course.aim[i] = start[i] + by[i]
     fill_amplitudes(course.aim, tables.give_root.shape[1], True, tables, work, course.ahead, course.lead)
     fill_square(course.lead, mass)
-    fill_root(mass, work[4])
-    fill_mass(work[4], tables, work[0], inside)
+    fill_root(mass, work.root)
+    fill_mass(work.root, tables, work.values, inside)
 
 
 @borrowing

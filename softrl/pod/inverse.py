@@ -8,7 +8,7 @@ import numpy as np
 from softrl.pod.inside import AXES
 from softrl.pod.kernel import run_kernel
 from softrl.pod.linear import solve_positive
-from softrl.pod.potential import fill_potential
+from softrl.pod.potential import fill_potential, make_room
 
 ITERATIONS = 60
 CLOSE_M = 1e-9
@@ -34,10 +34,9 @@ def _fill_tip(y: np.ndarray, frame: np.ndarray, tip: np.ndarray) -> None:
 def _fill_sensitivity(y: np.ndarray, tables: Any, out: np.ndarray) -> bool:
     """Fill ``out`` (3, n) m/Pa with d tip / d pressure at the equilibrium ``y``."""
     r, n = len(y), len(y) - 3
-    values, point = np.empty(len(tables.parent)), np.empty(r)
     gradient, hessian, scratch = np.empty(r), np.empty((r, r)), np.empty((r, r))
     moved = np.empty(r)
-    fill_potential(y, tables, values, point, gradient, hessian)
+    fill_potential(y, tables, make_room(tables), gradient, hessian)
     for i in range(n):
         scratch[:] = hessian
         if not solve_positive(scratch, tables.frame[i], moved):

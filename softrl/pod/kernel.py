@@ -6,13 +6,13 @@ from typing import Any
 import numba as nb
 import numpy as np
 
-from softrl.core.compiled import FAST
+from softrl.core.compiled import borrowing, summing
 from softrl.pod.inertia import add_inertia, fill_amplitudes, fill_inertia, kinetic_energy, make_course, work_of_inertia
 from softrl.pod.inside import begin_inside, end_inside, fill_give, make_inside, stored_in
 from softrl.pod.linear import newton_direction
 from softrl.pod.ports import add_effects, commit_effects, fill_ports, go_on, make_ports
 from softrl.pod.pose import tip_pose
-from softrl.pod.potential import fill_monomials, fill_potential, to_ball
+from softrl.pod.potential import fill_monomials, fill_potential, make_room, to_ball
 from softrl.pod.viscosity import fill_viscosity
 
 CLOSE = 1e-6  # change of y in an iteration after which what is left is below a nanometre at the tip
@@ -21,7 +21,7 @@ LONGEST_STEP = 0.5  # of y, in one iteration
 SCALINGS = 5  # of rates, until they hold no more energy than they may
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@summing
 def begin_step(
     velocity: np.ndarray, inner: np.ndarray, load: np.ndarray, dt: float, tables: Any, held: Any, start: np.ndarray,
     ahead: np.ndarray, inertia: np.ndarray, right: np.ndarray,
@@ -47,7 +47,7 @@ def begin_step(
     begin_inside(inner, ahead, start, dt, tables, inside, inertia, right)
 
 
-@nb.njit(cache=True)
+@borrowing
 def iterate(
     y: np.ndarray, gradient: np.ndarray, jacobian: np.ndarray, inertia: np.ndarray, right: np.ndarray, tables: Any,
     symmetric: bool, scratch: np.ndarray, direction: np.ndarray, trial: np.ndarray, progress: np.ndarray,
@@ -84,7 +84,7 @@ def iterate(
     return longest
 
 
-@nb.njit(cache=True)
+@borrowing
 def end_step(
     y: np.ndarray, velocity: np.ndarray, inner: np.ndarray, dt: float, tables: Any, work: Any, held: Any,
     start: np.ndarray, kinetic: float,
@@ -94,26 +94,33 @@ def end_step(
     ``kinetic`` was the former before the step. The rates are scaled down where it would grow by more than the work of the
     forces.
     """
-    former, formerly, course = velocity.copy(), inner[1].copy(), held[4]
+    former, formerly, course = work.former, work.formerly, held[4]
+    for k in range(len(formerly)):
+        formerly[k] = inner[1, k]
     for i in range(len(y)):
+        former[i] = velocity[i]
         velocity[i] = (y[i] - start[i]) / dt
     bent = end_inside(inner, y, dt, held[3])
     most = max(kinetic + work_of_inertia(y, velocity, former, inner[1], formerly, dt, held), 0.0)
-    course.before[:] = course.now
+    for a in range(len(course.now)):
+        course.before[a] = course.now[a]
     fill_amplitudes(y, 0, False, tables, work, course.now, course.lead)
     now = kinetic_energy(velocity, inner, dt, held)
     for _ in range(SCALINGS):
         if now <= most:
             break
         share = math.sqrt(most / now)
-        velocity *= share
-        inner[1] *= share
-        fill_amplitudes(y - dt * velocity, 0, False, tables, work, course.before, course.lead)
+        for k in range(len(formerly)):
+            inner[1, k] *= share
+        for i in range(len(y)):
+            velocity[i] *= share
+            work.middle[i] = y[i] - dt * velocity[i]
+        fill_amplitudes(work.middle, 0, False, tables, work, course.before, course.lead)
         now = kinetic_energy(velocity, inner, dt, held)
     return now, bent
 
 
-@nb.njit(cache=True)
+@borrowing
 def _fill_resistance(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, held: Any) -> None:
     """Fill inertia and viscosity of a step ``by`` (r,) from ``start``."""
     fill_inertia(start, by, tables, work, held)
@@ -121,18 +128,21 @@ def _fill_resistance(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, 
         fill_viscosity(start, by, tables, work, held)
 
 
-@nb.njit(cache=True)
+@borrowing
 def _set_out(
     y: np.ndarray, velocity: np.ndarray, inner: np.ndarray, bent: float, dt: float, tables: Any, work: Any, inside: Any
 ) -> None:
     """Fill the inside's stiffness half way of free flight; scale it back where it would store more than ``bent`` twice."""
-    values, point = work[0], work[1]
-    to_ball(y + 0.5 * dt * velocity, point)
+    values, point, middle = work.values, work.point, work.middle
+    for i in range(len(y)):
+        middle[i] = y[i] + 0.5 * dt * velocity[i]
+    to_ball(middle, point)
     fill_monomials(point, tables.parent, tables.variable, values[: tables.give.shape[1]])
     fill_give(tables, values, inside)
     now = stored_in(inner[0], inside.give)
     if now > bent:
-        inner[0] *= math.sqrt(bent / now)
+        for k in range(inner.shape[1]):
+            inner[0, k] *= math.sqrt(bent / now)
 
 
 @nb.njit(cache=True)
@@ -168,19 +178,18 @@ def run_kernel(
     farthest : largest ``|y|``; above 1 the model has no samples
     """
     r, n = len(y), len(y) - 3
-    values, point, scratch = np.empty(len(tables.parent)), np.empty(r), np.empty((r, r))
+    work = make_room(tables)
+    values, point, scratch = work.values, work.point, work.scratch
     inertia, right, start, ahead = np.empty((r, r)), np.empty(r), np.empty(r), np.empty(r)
     gradient, hessian, jacobian = np.empty(r), np.empty((r, r)), np.empty((r, r))
     direction, trial, progress = np.empty(r), np.empty(r), np.empty(2)
-    pairs = r * (r + 1) // 2
-    work = (values, point, scratch, direction, np.empty(r * r), np.empty(pairs), np.empty(pairs), np.empty(len(values)))
     course = make_course(r, len(tables.amplitudes), ())
     held = (np.empty((r, r)), np.zeros((r, r)), np.zeros(r), make_inside(r, ()), course)
     ports, bare = make_ports(n), np.empty(r)
     with_effects = len(hooks[0].kernels) + len(hooks[1].kernels) > 0
     failed = 0
     if with_effects:
-        fill_potential(y, tables, values, point, gradient, hessian)
+        fill_potential(y, tables, work, gradient, hessian)
         fill_ports(y, rest, gradient, hessian, dt, load[0, :n], tables, ports, True)
         go_on(ports)
     farthest = to_ball(y, point)
@@ -202,7 +211,7 @@ def run_kernel(
                 _fill_resistance(start, y - start, tables, work, held)
                 begin_step(velocity, inner, load[step], dt, tables, held, start, ahead, inertia, right)
                 progress[0] = -1.0
-            fill_potential(y, tables, values, point, gradient, hessian)
+            fill_potential(y, tables, work, gradient, hessian)
             for i in range(r):
                 for j in range(r):
                     jacobian[i, j] = hessian[i, j] + inertia[i, j]

@@ -1,10 +1,11 @@
 """Small dense systems, solved in compiled code without an allocation."""
 
-import numba as nb
 import numpy as np
 
+from softrl.core.compiled import borrowing
 
-@nb.njit(cache=True)
+
+@borrowing
 def solve_positive(matrix: np.ndarray, right: np.ndarray, answer: np.ndarray) -> bool:
     """Fill ``answer`` with matrix^-1 right by LDL', overwriting ``matrix``; return whether it is positive definite."""
     n = len(right)
@@ -33,7 +34,7 @@ def solve_positive(matrix: np.ndarray, right: np.ndarray, answer: np.ndarray) ->
     return True
 
 
-@nb.njit(cache=True)
+@borrowing
 def solve_general(matrix: np.ndarray, right: np.ndarray, answer: np.ndarray) -> bool:
     """Fill ``answer`` by elimination with row pivots, overwriting ``matrix``; return whether it descends.
 
@@ -68,7 +69,7 @@ def solve_general(matrix: np.ndarray, right: np.ndarray, answer: np.ndarray) -> 
     return along > 0.0
 
 
-@nb.njit(cache=True)
+@borrowing
 def newton_direction(
     hessian: np.ndarray,
     quadratic: np.ndarray,

@@ -12,7 +12,7 @@ from softrl.core.compiled import borrowing
 from softrl.pod.kernel import CLOSE, LONGEST_STEP
 from softrl.pod.lanes import Lanes, add, fill_monomials, fill_rows, take, to_balls
 from softrl.pod.linear import newton_direction
-from softrl.pod.potential import fill_potential
+from softrl.pod.potential import fill_potential, make_room
 
 
 @nb.njit(cache=True)
@@ -38,8 +38,8 @@ def _fill_wanted(y: np.ndarray, waiting: np.ndarray, tables: Any, held: Lanes) -
 def _fill_outside(y: np.ndarray, lane: int, tables: Any, held: Lanes) -> None:
     """Fill the potential's derivatives of one lane outside the samples."""
     r = len(y)
-    values, point, gradient, hessian = np.empty(len(tables.parent)), np.empty(r), np.empty(r), np.empty((r, r))
-    fill_potential(y[:, lane].copy(), tables, values, point, gradient, hessian)
+    gradient, hessian = np.empty(r), np.empty((r, r))
+    fill_potential(y[:, lane].copy(), tables, make_room(tables), gradient, hessian)
     pair = 0
     for i in range(r):
         held.gradient[i, lane] = gradient[i]

@@ -3,15 +3,14 @@
 import math
 from typing import Any
 
-import numba as nb
 import numpy as np
 
-from softrl.core.compiled import FAST
+from softrl.core.compiled import borrowing, summing
 from softrl.pod.inside import AXES
 from softrl.pod.potential import fill_monomials, polynomial, to_ball
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@summing
 def _spun(coefficients: np.ndarray, values: np.ndarray, degrees: np.ndarray, beyond: float) -> float:
     """Return a polynomial at monomials ``values`` on the sphere, each going on linearly for ``beyond`` radii."""
     total = 0.0
@@ -20,7 +19,7 @@ def _spun(coefficients: np.ndarray, values: np.ndarray, degrees: np.ndarray, bey
     return total
 
 
-@nb.njit(cache=True)
+@borrowing
 def tip_pose(
     y: np.ndarray,
     gives: np.ndarray,

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 
-from softrl.core.compiled import FAST
+from softrl.core.compiled import borrowing, summing
 
 
 class Tables(NamedTuple):
@@ -63,7 +63,41 @@ class Tables(NamedTuple):
     scales: np.ndarray
 
 
+class Room(NamedTuple):
+    """What the kernels work in, ``r`` coordinates: every function says of which parts it leaves something behind.
+
+    Attributes
+    ----------
+    values, mixed : (k,) monomials, and polynomials one a monomial;  weighed : (4, k)
+    point, middle, former : (r,);  formerly : (3,)
+    scratch : (r, r);  root : (r r,);  half, weights : (pairs,)
+    """
+
+    values: np.ndarray
+    mixed: np.ndarray
+    weighed: np.ndarray
+    point: np.ndarray
+    middle: np.ndarray
+    former: np.ndarray
+    formerly: np.ndarray
+    scratch: np.ndarray
+    root: np.ndarray
+    half: np.ndarray
+    weights: np.ndarray
+
+
 @nb.njit(cache=True)
+def make_room(tables: Any) -> Room:
+    """Return the room that a model with ``tables`` needs."""
+    r, k = len(tables.frame), len(tables.parent)
+    pairs = r * (r + 1) // 2
+    return Room(
+        np.empty(k), np.empty(k), np.empty((4, k)), np.empty(r), np.empty(r), np.empty(r), np.empty(3),
+        np.empty((r, r)), np.empty(r * r), np.empty(pairs), np.empty(pairs),
+    )  # fmt: skip
+
+
+@borrowing
 def fill_monomials(point: np.ndarray, parent: np.ndarray, variable: np.ndarray, values: np.ndarray) -> None:
     """Fill ``values`` with the monomials at ``point``."""
     values[0] = 1.0
@@ -71,7 +105,7 @@ def fill_monomials(point: np.ndarray, parent: np.ndarray, variable: np.ndarray, 
         values[k] = values[parent[k]] * point[variable[k]]
 
 
-@nb.njit(cache=True)
+@borrowing
 def to_ball(y: np.ndarray, point: np.ndarray) -> float:
     """Fill ``point`` with the nearest point of the unit ball on the ray to ``y``; return ``|y|``."""
     square = 0.0
@@ -84,7 +118,7 @@ def to_ball(y: np.ndarray, point: np.ndarray) -> float:
     return radius
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@summing
 def polynomial(coefficients: np.ndarray, values: np.ndarray) -> float:
     """Return one polynomial at monomials ``values``, of which it reads as many as it has coefficients."""
     total = 0.0
@@ -93,7 +127,7 @@ def polynomial(coefficients: np.ndarray, values: np.ndarray) -> float:
     return total
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@summing
 def _fill_both(
     coefficients: np.ndarray, values: np.ndarray, shares: np.ndarray, rows: np.ndarray, shared: np.ndarray
 ) -> None:
@@ -116,20 +150,19 @@ def _fill_both(
         shared[first], shared[m], shared[n] = d, e, f
 
 
-@nb.njit(cache=True)
-def fill_potential(
-    y: np.ndarray, tables: Any, values: np.ndarray, point: np.ndarray, gradient: np.ndarray, hessian: np.ndarray
-) -> float:
+@borrowing
+def fill_potential(y: np.ndarray, tables: Any, work: Any, gradient: np.ndarray, hessian: np.ndarray) -> float:
     """Fill gradient (r,) and Hessian (r, r) of the potential at ``y`` in J; return ``|y|``.
 
+    ``work.values`` then holds the monomials at ``work.point``.
     By Euler's theorem the gradient of a part of degree d is its Hessian times ``y / (d - 1)``: one evaluation for both.
     """
-    r = len(y)
+    r, values, point = len(y), work.values, work.point
     radius = to_ball(y, point)
     known = tables.hessian.shape[1] if radius <= 1.0 else tables.gradient.shape[1]
     fill_monomials(point, tables.parent, tables.variable, values[: max(known, tables.weight.shape[2])])
-    pairs, known = tables.hessian.shape
-    shares, curves, pulls = np.empty(known), np.empty(pairs), np.empty(pairs)
+    known = tables.hessian.shape[1]
+    shares, curves, pulls = work.mixed[:known], work.half, work.weights
     for k in range(known):
         shares[k] = values[k] * tables.shares[k]
     _fill_both(tables.hessian, values, shares, curves, pulls)
@@ -144,22 +177,19 @@ def fill_potential(
                 gradient[j] += pulls[pair] * point[i]
             pair += 1
     if radius > 1.0:
-        _continue(radius, tables, values, point, gradient, hessian)
+        _continue(radius, tables, work, gradient, hessian)
     return radius
 
 
-@nb.njit(cache=True)
-def _continue(
-    radius: float, tables: Any, values: np.ndarray, u: np.ndarray, gradient: np.ndarray, hessian: np.ndarray
-) -> None:
-    """Turn the derivatives at the sphere's point ``u`` into those at ``radius u``.
+@borrowing
+def _continue(radius: float, tables: Any, work: Any, gradient: np.ndarray, hessian: np.ndarray) -> None:
+    """Turn the derivatives at the sphere's point u, which is ``work.point``, into those at ``radius u``.
 
     With P_d of degree d, ``f_d(r) = w_d(r) / r^d`` and ``sum f_d(|y|) P_d(y)`` the potential outside; P_d and its
     gradient are tied by ``u.P_d' = d P_d``.
     """
-    r, terms = len(u), tables.gradient.shape[1]
-    second = tables.hessian.shape[1]
-    weighed = np.empty((3, terms))
+    values, u, side, weighed, curved = work.values, work.point, work.middle, work.weighed[:3], work.weighed[3]
+    r, terms, second = len(u), tables.gradient.shape[1], tables.hessian.shape[1]
     for k in range(terms):
         d = tables.degrees[k] + 1.0
         value, slope, bend = _ray(d, radius)
@@ -167,11 +197,9 @@ def _continue(
         weighed[0, k] = value / radius * values[k]
         weighed[1, k] = first * values[k]
         weighed[2, k] = (bend - 2.0 * d * slope / radius + d * (d + 1.0) * value / radius**2) / d * values[k]
-    curved = np.empty(second)
     for k in range(second):
         value, _, _ = _ray(tables.degrees[k] + 2.0, radius)
         curved[k] = value / radius**2 * values[k]
-    side = np.empty(r)
     along = bending = 0.0
     for i in range(r):
         side[i] = polynomial(tables.gradient[i], weighed[1]) / radius
@@ -203,14 +231,14 @@ def _continue(
             hessian[i, j] += wall * beyond * (2.0 - beyond / radius) * u[i] * u[j]
 
 
-@nb.njit(cache=True)
+@borrowing
 def _ray(degree: float, radius: float) -> tuple[float, float, float]:
     """Return w_d and its two derivatives at ``radius``."""
     beyond, bend = radius - 1.0, degree * (degree - 1.0)
     return 1.0 + beyond * (degree + 0.5 * bend * beyond), degree + bend * beyond, bend
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@summing
 def fill_rows(coefficients: np.ndarray, values: np.ndarray, rows: np.ndarray) -> None:
     """Fill ``rows`` (m,) with the polynomials ``coefficients`` (m, k) at monomials ``values``.
 
@@ -228,7 +256,7 @@ def fill_rows(coefficients: np.ndarray, values: np.ndarray, rows: np.ndarray) ->
         rows[first], rows[m], rows[n], rows[o] = a, b, c, d
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@summing
 def fill_square(root: np.ndarray, square: np.ndarray) -> None:
     """Fill ``square`` (r, r) with R' R, R row by row in ``root`` (k r,): never indefinite."""
     r = len(square)
@@ -241,7 +269,7 @@ def fill_square(root: np.ndarray, square: np.ndarray) -> None:
             square[j, i] = total
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@summing
 def square_of(matrix: np.ndarray, vector: np.ndarray) -> float:
     """Return vector' matrix vector."""
     total = 0.0

@@ -13,7 +13,7 @@ from softrl.artifacts.reduced_model import ReducedModel
 from softrl.core.polynomial import basis, degree_of
 from softrl.pod.equilibria import Equilibria
 from softrl.pod.kernel import run_kernel
-from softrl.pod.potential import Tables, fill_potential
+from softrl.pod.potential import Tables, fill_potential, make_room
 from softrl.pod.rom import EMPTY, NO_HOOKS, STILL, static_points
 from softrl.pod.tables import gradient_of, hessian_at_rest, mass_at_rest, tables_of
 from softrl.robots.robot import Robot
@@ -117,9 +117,9 @@ def equilibria_of(model: ReducedModel, loads: np.ndarray) -> Equilibria:
 def _least_stiffness(tables: Tables, points: np.ndarray) -> float:
     """Return the smallest eigenvalue of the potential's Hessian at ``points`` (S, r), J: negative at a saddle."""
     r = points.shape[1]
-    values, inside, gradient, hessian = np.empty(len(tables.parent)), np.empty(r), np.empty(r), np.empty((r, r))
+    room, gradient, hessian = make_room(tables), np.empty(r), np.empty((r, r))
     least = np.inf
     for point in points:
-        fill_potential(point, tables, values, inside, gradient, hessian)
+        fill_potential(point, tables, room, gradient, hessian)
         least = min(least, float(np.linalg.eigvalsh(hessian)[0]))
     return least

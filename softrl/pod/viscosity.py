@@ -22,7 +22,7 @@ def fill_viscosity(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, he
 
     The force is never more than would turn what damps into what drives. ``work`` and ``held`` are those of ``pod.kernel``.
     """
-    values, middle, root = work[0], work[3], work[4]
+    values, middle, root = work.values, work.middle, work.root
     _, stiff, steep, inside, _ = held
     for i in range(len(by)):
         middle[i] = start[i] + 0.5 * by[i]

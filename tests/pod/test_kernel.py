@@ -13,7 +13,7 @@ from softrl.pod.inertia import add_inertia, fill_amplitudes, fill_inertia, make_
 from softrl.pod.inside import make_inside
 from softrl.pod.kernel import run_kernel
 from softrl.pod.linear import solve_general
-from softrl.pod.potential import Tables, fill_potential
+from softrl.pod.potential import fill_potential, make_room
 from softrl.pod.rom import NO_HOOKS, roll, static_coordinates
 from softrl.pod.tables import tables_of
 from softrl.pod.viscosity import fill_viscosity
@@ -23,21 +23,14 @@ from tests.pod.mechanics import mechanical_energy
 Body = tuple[Robot, Snapshots, ReducedModel]
 
 
-def room(tables: Tables) -> tuple[np.ndarray, ...]:
-    """Return the ``work`` of ``pod.kernel``."""
-    r, most = len(tables.frame), len(tables.parent)
-    pairs = np.empty((2, r * (r + 1) // 2))
-    return np.empty(most), np.empty(r), np.empty((r, r)), np.empty(r), np.empty(r * r), *pairs, np.empty(most)
-
-
 def potential(model: ReducedModel) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
     """Return y -> (gradient, Hessian) of the potential."""
     tables, r = tables_of(model), model.order
-    values, point = np.empty(len(tables.parent)), np.empty(r)
+    room = make_room(tables)
 
     def derivatives(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         gradient, hessian = np.empty(r), np.empty((r, r))
-        fill_potential(y, tables, values, point, gradient, hessian)
+        fill_potential(y, tables, room, gradient, hessian)
         return gradient, hessian
 
     return derivatives
@@ -163,7 +156,7 @@ def test_a_step_has_the_force_of_its_square(tripod: Body, radius: float) -> None
     """By the derivative by its arrival, the metric half way."""
     rng, r = np.random.default_rng(0), 6
     tables = tables_of(replace(tripod[2], stiffness_root=rng.standard_normal((21, 84))))
-    metric, work = (tables.stiffness_root, tables.stiffness_factor), room(tables)
+    metric, work = (tables.stiffness_root, tables.stiffness_factor), make_room(tables)
 
     def chord(start: np.ndarray, by: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         matrix, slope = np.empty((r, r)), np.empty(r)
@@ -188,7 +181,7 @@ def test_a_step_of_viscosity_never_drives(tripod: Body) -> None:
     """However wild the map."""
     rng, r = np.random.default_rng(0), 6
     tables = tables_of(replace(tripod[2], stiffness_root=rng.standard_normal((21, 84))))
-    work = room(tables)
+    work = make_room(tables)
     held = np.empty((r, r)), np.empty((r, r)), np.empty(r), make_inside(r, ()), make_course(r, 6, ())
     drives = 0
     for _ in range(200):
@@ -206,7 +199,7 @@ def test_inertia_is_that_of_the_masses_on_their_curves(tripod: Body) -> None:
     rng, r, dt = np.random.default_rng(0), 6, 0.02
     wild = np.c_[np.zeros(9), rng.standard_normal((9, 209))]
     tables = tables_of(replace(tripod[2], amplitudes=wild))
-    work, course = room(tables), make_course(r, 9, ())
+    work, course = make_room(tables), make_course(r, 9, ())
     held = np.empty((r, r)), np.empty((r, r)), np.empty(r), make_inside(r, ()), course
 
     def place(y: np.ndarray) -> np.ndarray:

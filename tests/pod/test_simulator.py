@@ -160,7 +160,7 @@ def test_added_pressure_is_in_balance(body: Body, kernel_name: str) -> None:
 def test_a_hook_is_committed_once_a_step(tripod: Body) -> None:
     sim, (time, pressure) = simulator(tripod), program(tripod[0], 20)
     counting = hook(spring_kernel, 0.5)
-    sim.simulate(time, pressure, None, [counting])
+    sim.step(sim.reset(), pressure, time[1] - time[0], None, [counting])
     assert counting.state[0] == len(time)
 
 
