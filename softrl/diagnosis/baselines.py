@@ -21,7 +21,7 @@ from softrl.diagnosis.trial import Search, fit_trials
 def one_lag(training: Problem, tuned_point: np.ndarray, search: Search) -> Model | None:
     """Return the body with retuned parameters behind one first-order lag, or None if it does not run."""
     choice = Choice("lag")
-    hypothesis = Hypothesis((choice,), tuple(training.simulator.parameters))
+    hypothesis = Hypothesis((choice,), training.tuned)
     points = [np.r_[start, tuned_point] for start in starts(choice)[:1]]
     points.append(np.r_[starts(choice)[0], np.zeros_like(tuned_point)])
     fitted = fit_trials(training, None, [(hypothesis, points)], search)

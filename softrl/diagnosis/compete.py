@@ -12,21 +12,22 @@ from softrl.diagnosis.data import Data
 from softrl.diagnosis.examine import Finding
 from softrl.diagnosis.hidden import behind, in_words, read_map
 from softrl.diagnosis.hypothesis import Hypothesis
+from softrl.diagnosis.join import tuned_together
 from softrl.diagnosis.problem import Problem
-from softrl.diagnosis.trial import Search, fit_trials, parallel
+from softrl.diagnosis.trial import Search, fit_trials, of_effects, parallel
 from softrl.pcc.simulator import PccSimulator
 
 
 def competitors(search: Search, training: Problem, findings: list[Finding]) -> dict[str, Model]:
     """Return nominal, retuned and corrected, all from command to motion."""
     empty = Hypothesis((), ())
-    tuned = tuple(training.simulator.parameters)
+    tuned = training.tuned
     motion = findings[-1]
-    start = motion.base.fit.point
+    start = tuned_together(findings[0].base, motion.base)
     retuned = fit_trials(training, None, [(Hypothesis((), tuned), [start])], search)[0]
     parts = [finding.final for finding in findings]
     effects = tuple(choice for trial in parts for choice in trial.hypothesis.effects)
-    point = np.concatenate([trial.fit.point for trial in parts])
+    point = np.concatenate([*(of_effects(trial) for trial in parts), tuned_together(parts[0], parts[-1])])
     if not effects:
         point = retuned.fit.point
     elif motion.joint is not None:

@@ -33,7 +33,6 @@ class Part:
     problem : on the training runs, as far as fits see them
     heldout : runs
     floor, travel : m (Pa): noise in a bin, rms of what is measured
-    tuned : simulator parameters that are refitted
     choices : effects to consider
     """
 
@@ -42,7 +41,6 @@ class Part:
     heldout: tuple[Recording, ...]
     floor: float
     travel: float
-    tuned: tuple[str, ...]
     choices: tuple[Choice, ...]
 
     def judge(self, runs: Sequence[Recording], thresholds: Thresholds, seed: int) -> Judge:
@@ -120,7 +118,7 @@ def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Fi
     effect that the training runs alone preferred.
     """
     inside = part.judge(part.problem.runs, thresholds, seed)
-    path = forward(part.problem, inside, part.tuned, part.choices, search, lambda line: log.info("%s", line))
+    path = forward(part.problem, inside, part.problem.tuned, part.choices, search, lambda line: log.info("%s", line))
     judge = part.judge(part.heldout, thresholds, seed)
     base, final = (_on_heldout(judge, trial) for trial in (path.retuned, path.best))
     finding = _judged(part, judge, path, base, final, search)

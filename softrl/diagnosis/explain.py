@@ -7,13 +7,14 @@ from typing import Any
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.diagnosis.correct import Model
 from softrl.diagnosis.examine import Finding, Named
-from softrl.diagnosis.hypothesis import GATES, Choice, has_chamber, pinned_values
+from softrl.diagnosis.hypothesis import GATES, LATE, Choice, has_chamber, pinned_values
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.separate import separating_program
 from softrl.effects.library import effect_class
 from softrl.robots.robot import Robot
 
 AT_BOUND = 0.97  # a retuned parameter this close to the end of its range (in logarithms) is not plausible
+LATE_SHARE = 0.2  # of the interval between samples: a log that is less late goes without saying
 AS_GOOD = 1.05  # times the retuned error: nothing was gained
 WORDS = {
     "valve": "between command and chamber pressure",
@@ -135,6 +136,8 @@ def retuned_entries(whole: Problem, model: Model) -> dict[str, Any]:
     space, factor = whole.space(model.hypothesis), whole.numerics.tuned_factor
     found: dict[str, Any] = {}
     for axis, u, value in zip(space.axes, model.point, space.values(model.point), strict=True):
+        if axis.name == LATE:
+            continue
         inside = abs(float(u)) < AT_BOUND * axis.scaled(axis.high)
         found[axis.name] = {"nominal": axis.zero, "value": value, "factor_allowed": factor, "plausible": bool(inside)}
     return found
@@ -227,9 +230,22 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
             f"With what is named {', '.join(still)} still ends at the edge of the plausible range: the simulator's body differs "
             "from the robot's in more than that, so take the parameters above as a description, not as measurements."
         )
+    lines += _log_sentence(findings[0])
     left = [finding for finding in findings if finding.left > finding.judge.material]
     lines += [_left_sentence(finding) + _from_command(diagnosis, finding) for finding in left]
     return lines
+
+
+def _log_sentence(finding: Finding) -> list[str]:
+    """Return how late commands act by the log, where it counts beside the interval between samples."""
+    problem, final = finding.part.problem, finding.final
+    late_s = problem.space(final.hypothesis).late(final.fit.point)
+    if late_s < LATE_SHARE * problem.late_max_s or problem.late_max_s == 0.0:
+        return []
+    return [
+        f"Each row's command acts until {1e3 * late_s:.2g} ms after its time: less than the {1e3 * problem.late_max_s:.2g} ms "
+        "between samples, so it is taken as how the log is written and not as physics."
+    ]
 
 
 def _at_the_end(diagnosis: Diagnosis) -> list[str]:

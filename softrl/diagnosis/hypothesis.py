@@ -18,6 +18,8 @@ BEGINS = (0.3, 0.6)  # shares of the run and of its highest pressure at which se
 BEGIN_ALONE = (0.45,)  # the same for one chamber alone, of which there are many
 # what may change from one day to the next: warmth, rest and age of the wall; what it carries; how it is mounted
 BY_SESSION = ("stiffness_scale", "strain_softening", "payload", "mount_tilt")
+LATE = "late_s"  # how late a log has it that rows act, tuned with the simulator's parameters
+LATE_SCALE = 12.0  # sampling intervals that are one scaled unit: what a log may be late counts as no far retuning
 FULL_TURN_RAD = 6.0  # a parameter in rad with a wider range than this is a direction: several starts
 
 
@@ -51,6 +53,11 @@ class Choice(NamedTuple):
     def site(self) -> str:
         """Where along the pipeline it acts."""
         return effect_class(self.name).site
+
+    @property
+    def shifts_time(self) -> bool:
+        """Whether it does what a late log does, everywhere and always."""
+        return effect_class(self.name).shifts_time and self.chamber < 0 and not (self.gate or self.session)
 
 
 class Axis(NamedTuple):
@@ -106,29 +113,49 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Space:
-    """The free parameters of a hypothesis: effects first, in order, then the simulator's."""
+    """The free parameters of a hypothesis: effects first, in order, then the simulator's and how late the log is.
+
+    The log may be late by ``late_max_s`` at most, and by nothing where an effect shifts all motion in time itself.
+    """
 
     hypothesis: Hypothesis
     simulator: Simulator
     tuned_factor: float
+    late_max_s: float = 0.0
 
     @cached_property
     def axes(self) -> tuple[Axis, ...]:
         """One axis a free parameter."""
         mine = [axis for choice in self.hypothesis.effects for axis in effect_axes(choice)]
-        nominal = self.simulator.parameters
-        factor = self.tuned_factor
-        mine += [
-            Axis("simulator", name, "", nominal[name] / factor, nominal[name] * factor, nominal[name], 1.0, True)
-            for name in self.hypothesis.tuned
-        ]
-        return tuple(mine)
+        return (*mine, *(self._late if name == LATE else self._retuned(name) for name in self.hypothesis.tuned))
+
+    def _retuned(self, name: str) -> Axis:
+        nominal, factor = self.simulator.parameters[name], self.tuned_factor
+        return Axis("simulator", name, "", nominal / factor, nominal * factor, nominal, 1.0, True)
+
+    @property
+    def _late(self) -> Axis:
+        shifted = any(choice.shifts_time for choice in self.hypothesis.effects)
+        return Axis("log", LATE, "s", 0.0, 0.0 if shifted else self.late_max_s, 0.0, LATE_SCALE * self.late_max_s, False)
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest scaled point (p,)."""
         ends = np.array([sorted((a.scaled(a.low), a.scaled(a.high))) for a in self.axes]).reshape(-1, 2)
         return ends[:, 0], ends[:, 1]
+
+    @property
+    def begins(self) -> list[np.ndarray]:
+        """Scaled points (p,) at which a search without effects begins: a log may be late by nothing or by all it can.
+
+        Pressures that jump with their command are seen the same at every sample in between.
+        """
+        nominal = np.zeros(len(self.axes))
+        if LATE not in self.hypothesis.tuned:
+            return [nominal]
+        latest = nominal.copy()
+        latest[-1] = self.bounds[1][-1]
+        return [nominal, latest]
 
     def values(self, point: np.ndarray) -> list[float]:
         """Return the physical values at a scaled point (p,)."""
@@ -145,6 +172,13 @@ class Space:
 
     def tuned(self, point: np.ndarray) -> dict[str, float]:
         """Return the simulator's parameters at a scaled point."""
+        return {name: value for name, value in self._last(point).items() if name != LATE}
+
+    def late(self, point: np.ndarray) -> float:
+        """Return how late the log is at a scaled point, s."""
+        return self._last(point).get(LATE, 0.0)
+
+    def _last(self, point: np.ndarray) -> dict[str, float]:
         count = len(self.hypothesis.tuned)
         return dict(zip(self.hypothesis.tuned, self.values(point)[len(self.axes) - count :], strict=True))
 

@@ -38,7 +38,8 @@ def forward(
     choices : effects to consider
     report : told of each round in a sentence
     """
-    retuned = fit_trials(fitting, None, [(Hypothesis((), tuple(tuned)), [])], search)[0]
+    bare = Hypothesis((), tuple(tuned))
+    retuned = fit_trials(fitting, None, [(bare, fitting.space(bare).begins)], search)[0]
     path = Path(retuned, retuned)
     _grow(fitting, judge, choices, search, path, report)
     if _narrow(fitting, judge, choices, search, path, report) or _behind_a_map(fitting, judge, choices, search, path, report):

@@ -8,12 +8,12 @@ import numpy as np
 
 from softrl.core.errors import SolverError
 from softrl.diagnosis.examine import Finding, Named
-from softrl.diagnosis.hypothesis import Hypothesis
+from softrl.diagnosis.hypothesis import LATE, Hypothesis
 from softrl.diagnosis.intervals import by_effect, intervals
 from softrl.diagnosis.judge import Thresholds
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.search import least_squares
-from softrl.diagnosis.trial import Search, Trial, shared_out
+from softrl.diagnosis.trial import Search, Trial, of_effects, shared_out
 
 log = logging.getLogger(__name__)
 SPOILT = 1.5  # times the error behind the measured pressure: more is no matter of how that is sampled
@@ -29,10 +29,10 @@ def joined(training: Problem, findings: Sequence[Finding], search: Search, thres
     if len(findings) < 2 or not findings[0].final.hypothesis.effects:
         return list(findings)
     *before, motion = findings
-    tuned = tuple(training.simulator.parameters)
+    tuned, start = training.tuned, np.r_[of_effects(motion.final), tuned_together(findings[0].final, motion.final)]
     valve = tuple(choice for finding in before for choice in finding.final.hypothesis.effects)
     hypothesis = Hypothesis((*valve, *motion.final.hypothesis.effects), tuned)
-    held = np.concatenate([finding.final.fit.point for finding in before])
+    held = np.concatenate([of_effects(finding.final) for finding in before])
     count = len(held)
     low, high = training.space(hypothesis).bounds
 
@@ -41,13 +41,12 @@ def joined(training: Problem, findings: Sequence[Finding], search: Search, thres
 
     try:
         several = shared_out(training, hypothesis, search.workers, held)
-        fit = least_squares(
-            residual, motion.final.fit.point, low[count:], high[count:], search.iterations, several=several
-        )
+        fit = least_squares(residual, start, low[count:], high[count:], search.iterations, several=several)
         placed = training.residual(hypothesis, np.concatenate([held, fit.point])).registrations
-        apart = training.residual(hypothesis, np.concatenate([held, motion.final.fit.point])).squares
+        apart = training.residual(hypothesis, np.concatenate([held, start])).squares
         plain = training.residual(Hypothesis((), tuned), motion.base.fit.point).squares
-        if apart.mean() < plain.mean() and _spoilt(motion, fit.point):
+        behind = np.r_[fit.point[:-1], motion.final.fit.point[-1]] if LATE in tuned else fit.point
+        if apart.mean() < plain.mean() and _spoilt(motion, behind):
             log.info("behind the valve as it is understood the body's parameters would go astray: they are kept")
             return list(findings)
     except SolverError:
@@ -60,6 +59,17 @@ def joined(training: Problem, findings: Sequence[Finding], search: Search, thres
     mine = by_effect(hypothesis, intervals(training, trial, thresholds))
     named = [Named(effect.choice, mine[effect.choice], effect.gap) for effect in motion.named]
     return [*before, replace(motion, named=named, joint=point)]
+
+
+def tuned_together(first: Trial, last: Trial) -> np.ndarray:
+    """Return what is tuned besides effects from command to motion, scaled: the body as in the last part, the log as in the first.
+
+    The drive of a body by measured pressures has a lateness of its own.
+    """
+    found = last.fit.point[len(of_effects(last)) :].copy()
+    if LATE in first.hypothesis.tuned:
+        found[-1] = first.fit.point[-1]
+    return np.asarray(found)
 
 
 def _spoilt(motion: Finding, point: np.ndarray) -> bool:

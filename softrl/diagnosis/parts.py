@@ -31,7 +31,7 @@ def valve_part(whole: Problem, data: Data, effects: list[str]) -> Part:
     problem = replace(whole, target="pressure", register=False, orientation=False, runs=data.training, numerics=finer)
     choices = candidates(effects, ("valve",), whole.robot, data.check.excited)
     floor = floor_in_bin(data.pressure_noise, data, problem)
-    return Part("command to measured pressure", problem, data.heldout, floor, data.pressure_travel, (), tuple(choices))
+    return Part("command to measured pressure", problem, data.heldout, floor, data.pressure_travel, tuple(choices))
 
 
 def part_behind(valve: Finding, whole: Problem, data: Data, effects: list[str]) -> Part:
@@ -53,8 +53,7 @@ def _motion_part(problem: Problem, data: Data, title: str, effects: list[str], s
     choices += candidates(wanted, sites, problem.robot, data.check.excited, isinstance(problem.simulator, Layered))
     turned = ORIENTATION_LEVER * problem.robot.length_m * data.turn_noise if problem.orientation else 0.0
     floor = floor_in_bin(float(np.hypot(data.noise, turned)), data, problem)
-    tuned = tuple(problem.simulator.parameters)
-    return Part(title, problem.on(data.training), data.heldout, floor, data.travel, tuned, tuple(choices))
+    return Part(title, problem.on(data.training), data.heldout, floor, data.travel, tuple(choices))
 
 
 def floor_in_bin(noise: float, data: Data, problem: Problem) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from softrl.core.errors import SolverError
 from softrl.core.identity import Same
 from softrl.core.simulator import Hook, Motion, Simulator
-from softrl.diagnosis.hypothesis import Hypothesis, Space
+from softrl.diagnosis.hypothesis import LATE, Hypothesis, Space
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.library import effect_class, names
 from softrl.effects.replay import CHANNELS, replay
@@ -118,6 +118,7 @@ class Problem:
     orientation : compare orientations too, not positions only
     before : by run the pressures (chambers,) Pa under which the body stood before the first sample, where they are known
         better than by the first pressures themselves, see ``prelude``
+    late_max_s : how late a log may have it that rows act: an interval between its samples
     defect : by run what is added to the residual (bins, channels), see ``rough_about``
     """
 
@@ -130,6 +131,7 @@ class Problem:
     register: bool
     orientation: bool
     before: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    late_max_s: float = 0.0
     defect: tuple[np.ndarray, ...] = ()
 
     def on(self, runs: Sequence[Recording]) -> "Problem":
@@ -151,7 +153,13 @@ class Problem:
 
     def space(self, hypothesis: Hypothesis) -> Space:
         """Return the free parameters of a hypothesis."""
-        return Space(hypothesis, self.simulator, self.numerics.tuned_factor)
+        return Space(hypothesis, self.simulator, self.numerics.tuned_factor, self.late_max_s)
+
+    @property
+    def tuned(self) -> tuple[str, ...]:
+        """What is refitted with every hypothesis: the simulator's parameters, and how late the log is."""
+        body = () if self.target == "pressure" else tuple(self.simulator.parameters)
+        return (*body, LATE) if self.late_max_s > 0.0 else body
 
     @cached_property
     def bins(self) -> list[np.ndarray]:
@@ -237,14 +245,15 @@ class Problem:
         apart = {choice.session for choice in hypothesis.effects}  # all other sessions share what acts everywhere
         sessions = [run.session if run.session in apart else "" for run in self.runs]
         plants = {s: Plant(body, chain_of(self.robot, space.effects(point, s))) for s in dict.fromkeys(sessions)}
-        return [self._replay(plants[session], run, channels) for session, run in zip(sessions, self.runs, strict=True)]
+        pairs, late_s = zip(sessions, self.runs, strict=True), space.late(point)
+        return [self._replay(plants[session], run, channels, late_s) for session, run in pairs]
 
-    def _replay(self, plant: Plant, run: Recording, channels: tuple[str, ...]) -> Recording:
+    def _replay(self, plant: Plant, run: Recording, channels: tuple[str, ...], late_s: float) -> Recording:
         first = run.pressure_cmd[0] if run.pressure_meas is None else run.pressure_meas[0]
         rest = AT_REST_SHARE * self.robot.pressure_max_pa
         settle = 0.0 if np.abs(first).max() <= rest else self.numerics.settle_s
         before = self.before.get(run.name)
-        made = replay(plant, run, self.numerics.dt_s, self.drive, settle, before, channels)
+        made = replay(plant, run, self.numerics.dt_s, self.drive, settle, before, channels, late_s)
         for name in self._compared:
             if not np.isfinite(_present(getattr(made, name))).all():
                 raise SolverError(f"run {run.name}: the simulation did not stay finite; try a smaller dt_s")

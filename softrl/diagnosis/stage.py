@@ -155,7 +155,9 @@ def _whole(config: Config, robot: Robot, simulator: Simulator, data: Data, numer
     """Return the problem from command to motion, with registration if sessions use different frames."""
     turns = config.orientation and data.orientation
     bare = Problem(robot, simulator, data.training, numerics, "motion", "command", False, turns)
-    bare = replace(bare, before=preludes(data.training, [r for runs in data.splits.values() for r in runs], robot))
+    runs = [run for part in data.splits.values() for run in part]
+    interval_s = float(np.median([run.period_s for run in data.check.runs]))
+    bare = replace(bare, late_max_s=interval_s, before=preludes(data.training, runs, robot))
     if robot.output == "bend_angle":
         return bare
     nominal = bare.replayed(Hypothesis((), ()), np.zeros(0))

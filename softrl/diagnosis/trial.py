@@ -234,6 +234,11 @@ def join(current: Trial, point: np.ndarray) -> np.ndarray:
     return np.concatenate([current.fit.point[:count], point, current.fit.point[count:]])
 
 
+def of_effects(trial: Trial) -> np.ndarray:
+    """Return the point of ``trial`` without what is tuned besides its effects."""
+    return trial.fit.point[: len(trial.fit.point) - len(trial.hypothesis.tuned)]
+
+
 def drop(trial: Trial, choice: Choice) -> np.ndarray:
     """Return the point of ``trial`` without the parameters of one of its effects."""
     return np.delete(trial.fit.point, columns_of(trial, choice))

@@ -35,6 +35,7 @@ class DeadTime(Effect):
     title: ClassVar[str] = "dead time between command and supplied pressure"
     kernel: ClassVar = dead_time_kernel
     exact: ClassVar[bool] = True
+    shifts_time: ClassVar[bool] = True
 
     delay_s: float = parameter("s", 0.0, 1.0, 0.0, typical=0.1)
     chamber: int = -1

@@ -38,6 +38,7 @@ class Delay(Effect):
     title: ClassVar[str] = "delay of the pose sensor"
     kernel: ClassVar = delay_kernel
     exact: ClassVar[bool] = True
+    shifts_time: ClassVar[bool] = True
 
     delay_s: float = parameter("s", 0.0, 1.0, 0.0, typical=0.1)
 

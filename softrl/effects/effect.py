@@ -97,6 +97,7 @@ class Effect:
     together : whether its parameters mean something together only, so that none is tried without the others
     exact : whether its law has no other form: a turned frame explains nearly all where it acts, a wall's law may not
     clock : slot of the state that counts the seconds since the first sample, if there is one
+    shifts_time : whether all that it does is to let everything happen later
     sticks : whether a small change and its taking back leave something behind, as dry friction does
     layered : whether it changes the layers of the body itself, before anything moves: it has ``layers`` in place of a kernel,
         and no gate
@@ -113,6 +114,7 @@ class Effect:
     together: ClassVar[bool] = False
     exact: ClassVar[bool] = False
     clock: ClassVar[int | None] = None
+    shifts_time: ClassVar[bool] = False
     sticks: ClassVar[bool] = False
     stores: ClassVar[bool] = False
     layered: ClassVar[bool] = False

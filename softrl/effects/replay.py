@@ -30,6 +30,7 @@ def replay(
     settle_s: float = 0.0,
     before: Sequence[float] | None = None,
     channels: Sequence[str] = CHANNELS,
+    late_s: float = 0.0,
 ) -> Recording:
     """Return what the plant's sensors report under a recording's commands, at the recording's times.
 
@@ -45,6 +46,7 @@ def replay(
         measured pressure if there is one), for a recording that does not begin at rest
     before : (chambers,) Pa that act on the body during that time instead, where its past was another
     channels : which are wanted; the others are None, and cost nothing
+    late_s : how long after its time each row still acts, where a log was written so
 
     Returns
     -------
@@ -57,7 +59,7 @@ def replay(
     -----
     Between grid points positions are interpolated linearly, quaternions likewise and normalised; pressures are held.
     """
-    return replay_batch([plant], recording, dt_s, drive, settle_s, before=before, channels=channels)[0]
+    return replay_batch([plant], recording, dt_s, drive, settle_s, before=before, channels=channels, late_s=late_s)[0]
 
 
 def replay_batch(
@@ -69,9 +71,10 @@ def replay_batch(
     workers: int = 1,
     before: Sequence[float] | None = None,
     channels: Sequence[str] = CHANNELS,
+    late_s: float = 0.0,
 ) -> list[Recording]:
     """Return what ``replay`` returns for each of ``plants``, whose robot is the same; see ``simulate_batch``."""
-    time, pressure, force = _kept_on_grid(Same(recording), dt_s, drive, settle_s)
+    time, pressure, force = _kept_on_grid(Same(recording), dt_s, drive, settle_s, late_s)
     past = None if before is None else np.tile(np.asarray(before, dtype=float), (round(settle_s / dt_s), 1))
     taken = [_taken_at(plant.chain, recording.time) for plant in plants]
     plants = [replace(plant, chain=replace(plant.chain, effects=_without_readers(plant.chain), before_s=settle_s))
@@ -111,24 +114,24 @@ def _taken_at(chain: EffectChain, stamps: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=KEPT)
 def _kept_on_grid(
-    same: Same[Recording], dt_s: float, drive: str, settle_s: float
+    same: Same[Recording], dt_s: float, drive: str, settle_s: float, late_s: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Return what drives a recording on the grid, kept: fits replay the same few recordings thousands of times."""
-    return _drive_on_grid(same.thing, dt_s, drive, settle_s)
+    return _drive_on_grid(same.thing, dt_s, drive, settle_s, late_s)
 
 
 def _drive_on_grid(
-    recording: Recording, dt_s: float, drive: str, settle_s: float
+    recording: Recording, dt_s: float, drive: str, settle_s: float, late_s: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Return the uniform grid (steps,) s, the pressures (steps, chambers) Pa and forces (steps, 3) N on it."""
     time, first = _grid(recording, dt_s, settle_s)
     stamps, rows = recording.time, _driving(recording, drive)
     if drive == "measured":
         stamps, rows = _without_pauses(stamps, rows)
-    pressure = _mean_held(stamps, rows, time, dt_s)
+    pressure = _mean_held(stamps + late_s, rows, time, dt_s)
     if first and recording.pressure_meas is not None:
         pressure[:first] = recording.pressure_meas[0]
-    force = None if recording.tip_force is None else _mean_held(recording.time, recording.tip_force, time, dt_s)
+    force = None if recording.tip_force is None else _mean_held(recording.time + late_s, recording.tip_force, time, dt_s)
     return time, pressure, force
 
 

@@ -1,0 +1,72 @@
+"""Whether a row's command acts before or after its time is tuned with every hypothesis: it is no physics."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softrl.artifacts.diagnosis import Diagnosis
+from softrl.core.tracking import NullTracker
+from softrl.diagnosis.hypothesis import LATE, Choice, Gate, Hypothesis, Space
+from softrl.diagnosis.stage import run
+from softrl.effects.chain import Plant, chain_of
+from softrl.effects.delay import Delay
+from softrl.effects.effect import Effect
+from softrl.effects.lag import Lag
+from softrl.effects.replay import replay
+from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.recording import Recording
+from tests.diagnosis.conftest import configured, made
+
+INTERVAL_S = 0.02
+RIVALS = ["delay", "dead_time", "lag", "tube_line", "payload"]
+
+
+def ahead(run: Recording) -> Recording:
+    """Return the run as a logger writes it whose commands act from their row on: all are an interval early."""
+    return replace(run, pressure_cmd=np.vstack([run.pressure_cmd[1:], run.pressure_cmd[-1:]]))
+
+
+def diagnosed(body: PccSimulator, hidden: tuple[Effect, ...], measured: bool, early: bool) -> Diagnosis:
+    other = body.with_parameters(axial_stiffness_scale=1.15)
+    recordings = made(other, hidden, sessions=4, measured=measured, process=ahead if early else None)
+    return run(configured(candidates=RIVALS), body.robot, recordings, body, tracker=NullTracker())
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_a_log_whose_commands_act_from_their_row_on_hides_nothing(body: PccSimulator, measured: bool) -> None:
+    found = diagnosed(body, (), measured, early=True)
+    assert found.verdict == "nothing missing", found.sentences
+    assert any("how the log is written" in line for line in found.sentences)
+
+
+@pytest.mark.parametrize(("measured", "lag_s"), [(False, 0.4), (True, 0.15)])
+def test_a_lag_behind_such_a_log_is_no_tube(body: PccSimulator, measured: bool, lag_s: float) -> None:
+    found = diagnosed(body, (Lag(fill_s=lag_s, vent_s=lag_s),), measured, early=True)
+    assert [effect["name"] for effect in found.effects] == ["lag"]
+    assert found.effects[0]["parameters"]["fill_s"]["value"] == pytest.approx(lag_s, abs=0.01)
+
+
+def test_a_delay_longer_than_an_interval_is_named_whole(body: PccSimulator) -> None:
+    found = diagnosed(body, (Delay(delay_s=0.12),), measured=False, early=False)
+    assert "delay" in {effect["name"] for effect in found.effects} | {rival["name"] for rival in found.rivals}
+    values = [p["value"] for effect in found.effects for p in effect["parameters"].values()]
+    assert values == pytest.approx([0.12], abs=0.01)
+
+
+def test_a_row_that_acts_later_is_a_later_command(body: PccSimulator) -> None:
+    time = INTERVAL_S * np.arange(1, 101)
+    pressure = 2e4 * np.random.default_rng(0).random((100, body.robot.chambers))
+    plant = Plant(body, chain_of(body.robot, ()))
+    early = replay(plant, ahead(Recording("run", "day", time, pressure)), 0.01, late_s=INTERVAL_S)
+    straight = replay(plant, Recording("run", "day", time, pressure), 0.01)
+    np.testing.assert_allclose(early.position[60:], straight.position[60:], atol=1e-5)
+
+
+def test_what_shifts_time_itself_leaves_the_log_as_it_is(body: PccSimulator) -> None:
+    def room(choice: Choice) -> float:
+        return Space(Hypothesis((choice,), (LATE,)), body, 4.0, INTERVAL_S).axes[-1].high
+
+    assert room(Choice("delay")) == room(Choice("dead_time")) == 0.0
+    assert room(Choice("lag")) == room(Choice("dead_time", chamber=1)) == INTERVAL_S
+    assert room(Choice("delay", gate=Gate("since_s", 3.0))) == INTERVAL_S
