@@ -57,7 +57,16 @@ class Choice(NamedTuple):
     @property
     def shifts_time(self) -> bool:
         """Whether it does what a late log does, everywhere and always."""
-        return effect_class(self.name).shifts_time and self.chamber < 0 and not (self.gate or self.session)
+        return effect_class(self.name).shifts_time and self._everywhere
+
+    @property
+    def retunes(self) -> bool:
+        """Whether it does what retuning does: no physics that was left out, and no way past the plausible range."""
+        return effect_class(self.name).retunes and self._everywhere
+
+    @property
+    def _everywhere(self) -> bool:
+        return self.chamber < 0 and not (self.gate or self.session)
 
 
 class Axis(NamedTuple):

@@ -144,9 +144,10 @@ class Judge:
         return bool(sure and change.mean() >= max(needed, OVERLOOKED * self.floor**2))
 
     def simplest(self, trials: Sequence[Any]) -> Any:
-        """Return the best trial, or one with fewer free parameters from which the data cannot tell it.
+        """Return the best trial, or a simpler one from which the data cannot tell it.
 
-        A map of many parameters, which has no physics, must pay against the best of the others.
+        One with fewer free parameters is simpler, and a law than one that extends it. A map of many parameters, which has no
+        physics, must pay against the best of the others.
         """
         best = min(trials, key=lambda trial: trial.mean_square)
         physics = [trial for trial in trials if not _by_map(trial)]
@@ -154,7 +155,7 @@ class Judge:
             other = min(physics, key=lambda trial: trial.mean_square)
             best = best if self.pays(other.squares, best.squares) else other
         alike = [t for t in trials if not self.tells(t.squares, best.squares)]
-        return min(alike or [best], key=lambda t: (len(t.fit.point), _alone(t), t.mean_square))
+        return min(alike or [best], key=lambda t: (len(t.fit.point), _extended(t), _alone(t), t.mean_square))
 
     def _blocks(self, series: np.ndarray) -> np.ndarray:
         runs = self.problem.run_of_bin
@@ -165,6 +166,10 @@ class Judge:
 
 def _by_map(trial: Any) -> bool:
     return effect_class(trial.hypothesis.effects[-1].name).together
+
+
+def _extended(trial: Any) -> int:
+    return sum(bool(effect_class(choice.name).extends) for choice in trial.hypothesis.effects)
 
 
 def _alone(trial: Any) -> int:

@@ -1,4 +1,4 @@
-"""Where simulation and measurement part: tests by site, channel, chamber, region, direction, history, time and band.
+"""Where simulation and measurement part: tests by site, channel, chamber, region, session, direction, history, time and band.
 
 Every test asks whether what is left moves with a regressor, beyond what noise with the same memory would do: only what
 follows the drive, its past or the clock is found.
@@ -86,6 +86,7 @@ def _regressors(problem: Problem) -> dict[tuple[int | None, str], list[np.ndarra
     """Return (chamber from 1, or None; region in words) -> one series (bins,) a run; those that never move are left out."""
     runs = [pressures(problem, k) for k in range(len(problem.runs))]
     largest = np.max([run.max(axis=0) for run in runs], axis=0)
+    sessions = list(dict.fromkeys(run.session for run in problem.runs))
     found: dict[tuple[int | None, str], list[np.ndarray]] = {}
     for i in range(problem.robot.chambers):
         own = [run[:, i] for run in runs]
@@ -98,6 +99,10 @@ def _regressors(problem: Problem) -> dict[tuple[int | None, str], list[np.ndarra
         ]
         found[i + 1, "after a new maximum"] = top
         found[i + 1, "while pressure changes"] = [np.gradient(p) for p in own]
+        for name in sessions if len(sessions) > 1 else ():
+            found[i + 1, f"in session {name}"] = [
+                p * (run.session == name) for p, run in zip(own, problem.runs, strict=True)
+            ]
         for j in range(i):
             found[None, f"chambers {j + 1} and {i + 1} together"] = [run[:, i] * run[:, j] for run in runs]
     clocks = [np.linspace(0.0, 1.0, len(run)) for run in runs]

@@ -26,8 +26,8 @@ def pays(judge: Judge, current: Trial, added: Trial) -> bool:
 
 
 def not_taken(choices: Sequence[Choice], trial: Trial) -> list[Choice]:
-    """Return the ``choices`` whose effect ``trial`` does not have yet."""
-    return [choice for choice in choices if choice.name not in trial.hypothesis.names]
+    """Return the ``choices`` whose effect ``trial`` does not have yet, without those that only retune."""
+    return [choice for choice in choices if choice.name not in trial.hypothesis.names and not choice.retunes]
 
 
 def addition(

@@ -251,8 +251,9 @@ class Problem:
     def _replay(self, plant: Plant, run: Recording, channels: tuple[str, ...], late_s: float) -> Recording:
         first = run.pressure_cmd[0] if run.pressure_meas is None else run.pressure_meas[0]
         rest = AT_REST_SHARE * self.robot.pressure_max_pa
-        settle = 0.0 if np.abs(first).max() <= rest else self.numerics.settle_s
         before = self.before.get(run.name)
+        past = first if before is None else np.abs([first, before]).max(axis=0)
+        settle = 0.0 if np.abs(past).max() <= rest else self.numerics.settle_s
         made = replay(plant, run, self.numerics.dt_s, self.drive, settle, before, channels, late_s)
         for name in self._compared:
             if not np.isfinite(_present(getattr(made, name))).all():

@@ -20,7 +20,7 @@ def slim(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Pat
         again = False
         for choice in trial.hypothesis.effects:
             forms = [pinned(trial, choice, name) for name in may_be_pinned(choice)]
-            forms = [form for form in forms if effect_axes(form[0].effects[form[2]])]
+            forms = [form for form in forms if effect_axes(form[0].effects[form[2]]) and not form[0].effects[form[2]].retunes]
             fitted = path.fit(fitting, [(hypothesis, point) for hypothesis, point, _ in forms], search, trial)
             as_good = [t for t in fitted if not judge.tells(t.squares, trial.squares)]
             if as_good:

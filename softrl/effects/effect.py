@@ -94,10 +94,12 @@ class Effect:
     site : where it acts, one of ``SITES``
     channel : of a sensor effect, what it changes: "pose", or "pressure" for the reported chamber pressures
     variant_of : name of the effect whose physics this one describes by another law, or empty
+    extends : name of the effect whose law is a limit of this one's: where both fit alike that one is meant, or empty
     together : whether its parameters mean something together only, so that none is tried without the others
     exact : whether its law has no other form: a turned frame explains nearly all where it acts, a wall's law may not
     clock : slot of the state that counts the seconds since the first sample, if there is one
     shifts_time : whether all that it does is to let everything happen later
+    retunes : whether all that it does, everywhere and always, is what another value of a simulator's parameters does
     sticks : whether a small change and its taking back leave something behind, as dry friction does
     layered : whether it changes the layers of the body itself, before anything moves: it has ``layers`` in place of a kernel,
         and no gate
@@ -111,10 +113,12 @@ class Effect:
     kernel: ClassVar[Any] = None
     channel: ClassVar[str] = "pose"
     variant_of: ClassVar[str] = ""
+    extends: ClassVar[str] = ""
     together: ClassVar[bool] = False
     exact: ClassVar[bool] = False
     clock: ClassVar[int | None] = None
     shifts_time: ClassVar[bool] = False
+    retunes: ClassVar[bool] = False
     sticks: ClassVar[bool] = False
     stores: ClassVar[bool] = False
     layered: ClassVar[bool] = False

@@ -44,7 +44,8 @@ def replay(
         valve, which tests the body apart from the valve
     settle_s : time before the first sample during which the plant is held under the first row (of the
         measured pressure if there is one), for a recording that does not begin at rest
-    before : (chambers,) Pa that act on the body during that time instead, where its past was another
+    before : (chambers,) Pa that act on the body during that time instead, where its past was another; without a measured
+        pressure the valve too stood under them
     channels : which are wanted; the others are None, and cost nothing
     late_s : how long after its time each row still acts, where a log was written so
 
@@ -76,6 +77,8 @@ def replay_batch(
     """Return what ``replay`` returns for each of ``plants``, whose robot is the same; see ``simulate_batch``."""
     time, pressure, force = _kept_on_grid(Same(recording), dt_s, drive, settle_s, late_s)
     past = None if before is None else np.tile(np.asarray(before, dtype=float), (round(settle_s / dt_s), 1))
+    if past is not None and drive == "command" and recording.pressure_meas is None:
+        pressure, past = np.vstack([past, pressure[len(past) :]]), None
     taken = [_taken_at(plant.chain, recording.time) for plant in plants]
     plants = [replace(plant, chain=replace(plant.chain, effects=_without_readers(plant.chain), before_s=settle_s))
               for plant in plants]  # fmt: skip

@@ -50,6 +50,7 @@ class StiffnessScale(Effect):
     site: ClassVar[str] = "body"
     title: ClassVar[str] = "stiffness of the body or of one chamber"
     kernel: ClassVar = stiffness_scale_kernel
+    retunes: ClassVar[bool] = True
 
     scale: float = parameter("1", 0.4, 5.0, 1.0, typical=1.4)
     chamber: int = -1

@@ -37,6 +37,7 @@ class TubeLine(Effect):
     site: ClassVar[str] = "valve"
     title: ClassVar[str] = "second-order dynamics of the tube"
     kernel: ClassVar = tube_line_kernel
+    extends: ClassVar[str] = "lag"
 
     period_s: float = parameter("s", 0.0, 1.0, 0.0, typical=0.1)
     damping_ratio: float = parameter("1", 0.1, 3.0, 1.0, typical=0.4)

@@ -1,0 +1,86 @@
+"""What a run was under before its first sample is read from where it was first seen."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softrl.core.tracking import NullTracker
+from softrl.diagnosis.hypothesis import Choice, Hypothesis
+from softrl.diagnosis.prelude import preludes
+from softrl.diagnosis.stage import run
+from softrl.effects.chain import Plant, chain_of
+from softrl.effects.lag import Lag
+from softrl.effects.replay import replay
+from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.recording import Recording, RecordingSet
+from tests.diagnosis.conftest import configured, made
+
+LAG_S = 0.6
+
+
+SENT_OFF, MIDWAY = 105, 215  # rows: the first command has just been given; the second step is on its way
+CHANNELS = ("time", "pressure_cmd", "position", "quaternion")
+
+
+def from_row(first: int) -> Callable[[Recording], Recording]:
+    """Return what leaves out the rows of a run before ``first``."""
+
+    def process(recording: Recording) -> Recording:
+        return replace(recording, **{name: getattr(recording, name)[first:] for name in CHANNELS})
+
+    return process
+
+
+def lagging(body: PccSimulator, first: int, sessions: int) -> RecordingSet:
+    """Return runs of a body behind a slow valve, from row ``first`` on, without their measured pressures."""
+    whole = made(body, (Lag(fill_s=LAG_S, vent_s=LAG_S),), sessions=sessions)
+    cut = from_row(first)
+    return replace(
+        whole, recordings=tuple(cut(replace(r, pressure_meas=None, bend_angle=None)) for r in whole.recordings)
+    )
+
+
+def test_a_run_sent_off_from_rest_began_under_no_pressure(body: PccSimulator) -> None:
+    runs = lagging(body, SENT_OFF, 3).recordings
+    assert all(np.linalg.norm(recording.pressure_cmd[0]) > 5e3 for recording in runs)
+    same = [replace(recording, session="day") for recording in runs]
+    found = preludes(same, same, body.robot)
+    for recording in runs:
+        assert np.linalg.norm(found[recording.name]) < 0.3 * np.linalg.norm(recording.pressure_cmd[0])
+
+
+def test_a_run_under_its_first_pressures_began_there(body: PccSimulator) -> None:
+    runs = []
+    for recording in made(body, sessions=3).recordings:
+        blank = replace(recording, session="day", position=None, quaternion=None)
+        runs.append(replay(Plant(body, chain_of(body.robot, ())), blank, 0.01, settle_s=5.0))
+    found = preludes(runs, runs, body.robot)
+    for recording in runs:
+        assert found[recording.name] == pytest.approx(recording.pressure_cmd[0])
+
+
+def test_the_valve_too_stood_under_what_was_before(body: PccSimulator) -> None:
+    """From rest, and from five seconds under no pressure, a lag fills alike."""
+    plant = Plant(body, chain_of(body.robot, (Lag(fill_s=LAG_S, vent_s=LAG_S),)))
+    (recording,) = made(body, sessions=1).recordings
+    straight = replay(plant, recording, 0.01)
+    settled = replay(plant, recording, 0.01, settle_s=5.0, before=(0.0,) * 3)
+    assert np.abs(settled.pressure_meas - straight.pressure_meas).max() < 1e-9
+    assert np.abs(settled.position - straight.position).max() < 2e-4  # gravity had five seconds to act
+
+
+@pytest.mark.parametrize("first", [SENT_OFF, MIDWAY])
+def test_a_lag_is_named_wherever_runs_begin(body: PccSimulator, first: int) -> None:
+    recordings = lagging(body.with_parameters(axial_stiffness_scale=1.15), first, 4)
+    config = configured(candidates=["lag", "viscoelasticity", "delay", "payload"])
+    found = run(config, body.robot, recordings, body, tracker=NullTracker())
+    assert [effect["name"] for effect in found.effects] == ["lag"], found.sentences
+    assert found.effects[0]["parameters"]["fill_s"]["value"] == pytest.approx(LAG_S, rel=0.05)
+
+
+def test_retuning_has_no_second_name() -> None:
+    assert Choice("stiffness_scale").retunes
+    assert not Choice("stiffness_scale", 1).retunes and not Choice("stiffness_scale", session="day").retunes
+    assert not Hypothesis((Choice("lag"),), ()).effects[0].retunes
