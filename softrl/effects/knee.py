@@ -37,6 +37,7 @@ class Knee(Effect):
     title: ClassVar[str] = "change of a chamber's effect above a pressure"
     kernel: ClassVar = knee_kernel
     variant_of: ClassVar[str] = "area_growth"
+    extends: ClassVar[str] = "supply_limit"
 
     slope: float = parameter("1", 0.0, 4.0, 1.0, typical=0.5)
     threshold: float = parameter("1", 0.05, 0.95, 0.5, typical=0.5)
