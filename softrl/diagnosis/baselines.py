@@ -3,7 +3,7 @@
 import numpy as np
 
 from softrl.core.errors import SolverError
-from softrl.diagnosis.correct import Model, Traces, model_of, seen
+from softrl.diagnosis.correct import Model, Traces, model_of, rms_error, seen
 from softrl.diagnosis.flexible import (
     MEMORY_DEGREES,
     STATIC_DEGREES,
@@ -63,7 +63,7 @@ def _in_base(problem: Problem, number: int, placed: dict[str, Registration]) -> 
 
 
 def _traces(problem: Problem, ridge: Ridge, features: Features, placed: dict[str, Registration]) -> Traces:
-    predicted, squares = [], []
+    predicted = []
     for k, run in enumerate(problem.runs):
         rows = ridge.predict(features.runs[k])
         middle = problem.binned(k, run.time[:, None])[:, 0]
@@ -72,5 +72,4 @@ def _traces(problem: Problem, ridge: Ridge, features: Features, placed: dict[str
             turn, shift = placed.get(run.session) or place(motion, seen(problem, run))
             motion = motion @ turn.T + shift
         predicted.append(motion)
-        squares.append(np.sum((seen(problem, run) - motion) ** 2, axis=1))
-    return Traces(predicted, float(np.sqrt(np.mean(np.concatenate(squares)))))
+    return Traces(predicted, rms_error(problem, predicted))

@@ -1,5 +1,6 @@
-"""Errors of the competitors from command to motion, at every sample, on training and held-out runs."""
+"""Errors of the competitors from command to motion, at every sample that is compared, on training and held-out runs."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -36,8 +37,14 @@ def traces(problem: Problem, model: Model) -> Traces:
     predicted = [
         _placed(seen(problem, made), placed.get(run.session)) for run, made in zip(problem.runs, replayed, strict=True)
     ]
-    squares = [np.sum((seen(problem, r) - p) ** 2, axis=1) for r, p in zip(problem.runs, predicted, strict=True)]
-    return Traces(predicted, float(np.sqrt(np.mean(np.concatenate(squares)))))
+    return Traces(predicted, rms_error(problem, predicted))
+
+
+def rms_error(problem: Problem, predicted: Sequence[np.ndarray]) -> float:
+    """Return the rms, over all samples that are compared, of how far ``predicted`` (steps, n) by run is off, m (rad)."""
+    each = zip(problem.runs, predicted, problem.first, strict=True)
+    squares = np.concatenate([np.sum((seen(problem, run) - made)[first:] ** 2, axis=1) for run, made, first in each])
+    return float(np.sqrt(squares.mean()))
 
 
 def seen(problem: Problem, run: Recording) -> np.ndarray:

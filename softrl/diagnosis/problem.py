@@ -18,6 +18,7 @@ from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
 AT_REST_SHARE = 0.02  # a run whose first pressures stay below this share of the limit begins at rest
+UNJUDGED_S, UNJUDGED_SHARE = 1.0, 0.05  # of a run that does not begin at rest, at most: its past is only guessed
 MIN_FOLDS = 3  # parts of the data that are left out in turn, at least
 FOLDS, FOLD_S = 8, 20.0  # with fewer runs than that: so many parts, where each is as long
 KEPT = 16  # bodies with other parameters: the columns of a Jacobian by effects' parameters share one
@@ -162,11 +163,16 @@ class Problem:
         return (*body, LATE) if self.late_max_s > 0.0 else body
 
     @cached_property
+    def first(self) -> list[int]:
+        """Sample of every run from which on it is compared: the first, or a little later if it does not begin at rest."""
+        return [int(np.searchsorted(run.time, run.time[0] + self._unjudged(run))) for run in self.runs]
+
+    @cached_property
     def bins(self) -> list[np.ndarray]:
-        """Bin number (steps,) of every sample, one array a run, without empty bins."""
+        """Bin number of every sample that is compared, one array a run, without empty bins."""
         return [
-            np.unique(((run.time - run.time[0]) / self.numerics.bin_s).astype(int), return_inverse=True)[1]
-            for run in self.runs
+            np.unique(((run.time[first:] - run.time[0]) / self.numerics.bin_s).astype(int), return_inverse=True)[1]
+            for run, first in zip(self.runs, self.first, strict=True)
         ]
 
     @cached_property
@@ -203,7 +209,7 @@ class Problem:
     def binned(self, number: int, values: np.ndarray) -> np.ndarray:
         """Return bin means (bins, n) of ``values`` (steps, n) of run ``number``."""
         which = self.bins[number]
-        sums = np.stack([np.bincount(which, column) for column in values.T], axis=1)
+        sums = np.stack([np.bincount(which, column) for column in values[self.first[number] :].T], axis=1)
         return np.asarray(sums / self._samples[number])
 
     @cached_property
@@ -224,7 +230,9 @@ class Problem:
             return ("bend_angle",)
         return ("position", "quaternion") if self.orientation else ("position",)
 
-    def replayed(self, hypothesis: Hypothesis, point: np.ndarray, channels: tuple[str, ...] = CHANNELS) -> list[Recording]:
+    def replayed(
+        self, hypothesis: Hypothesis, point: np.ndarray, channels: tuple[str, ...] = CHANNELS
+    ) -> list[Recording]:
         """Return what the hypothesis predicts for every run, the ``channels`` that are wanted.
 
         Raises
@@ -248,12 +256,18 @@ class Problem:
         pairs, late_s = zip(sessions, self.runs, strict=True), space.late(point)
         return [self._replay(plants[session], run, channels, late_s) for session, run in pairs]
 
-    def _replay(self, plant: Plant, run: Recording, channels: tuple[str, ...], late_s: float) -> Recording:
+    def _from_rest(self, run: Recording) -> bool:
+        """Return whether nothing acts at the beginning of ``run``, nor did before."""
         first = run.pressure_cmd[0] if run.pressure_meas is None else run.pressure_meas[0]
-        rest = AT_REST_SHARE * self.robot.pressure_max_pa
+        past = np.abs([first, self.before.get(run.name, first)]).max()
+        return bool(past <= AT_REST_SHARE * self.robot.pressure_max_pa)
+
+    def _unjudged(self, run: Recording) -> float:
+        return 0.0 if self._from_rest(run) else min(UNJUDGED_S, UNJUDGED_SHARE * float(np.ptp(run.time)))
+
+    def _replay(self, plant: Plant, run: Recording, channels: tuple[str, ...], late_s: float) -> Recording:
+        settle = 0.0 if self._from_rest(run) else self.numerics.settle_s
         before = self.before.get(run.name)
-        past = first if before is None else np.abs([first, before]).max(axis=0)
-        settle = 0.0 if np.abs(past).max() <= rest else self.numerics.settle_s
         made = replay(plant, run, self.numerics.dt_s, self.drive, settle, before, channels, late_s)
         for name in self._compared:
             if not np.isfinite(_present(getattr(made, name))).all():

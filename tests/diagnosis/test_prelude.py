@@ -9,6 +9,7 @@ import pytest
 from softrl.core.tracking import NullTracker
 from softrl.diagnosis.hypothesis import Choice, Hypothesis
 from softrl.diagnosis.prelude import preludes
+from softrl.diagnosis.problem import Numerics, Problem
 from softrl.diagnosis.stage import run
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.lag import Lag
@@ -84,3 +85,18 @@ def test_retuning_has_no_second_name() -> None:
     assert Choice("stiffness_scale").retunes
     assert not Choice("stiffness_scale", 1).retunes and not Choice("stiffness_scale", session="day").retunes
     assert not Hypothesis((Choice("lag"),), ()).effects[0].retunes
+
+
+def test_what_follows_from_a_guessed_past_is_not_judged(body: PccSimulator) -> None:
+    """One whose chambers were full while its tip was at rest is beyond any guess; a second later that is forgotten."""
+    numerics = Numerics(dt_s=0.01, rough_dt_s=0.02, bin_s=0.1, settle_s=2.0, tuned_factor=4.0)
+    (recording,) = lagging(body, SENT_OFF, 1).recordings
+    problem = Problem(body.robot, body, (recording,), numerics, "motion", "command", False, False)
+    (first,) = problem.first
+    assert recording.time[first] - recording.time[0] == pytest.approx(1.0, abs=0.021)
+    values = np.asarray(recording.position)
+    wild = values.copy()
+    wild[:first] += 1.0
+    np.testing.assert_array_equal(problem.binned(0, wild), problem.binned(0, values))
+    (rest,) = made(body, sessions=1).recordings
+    assert replace(problem, runs=(rest,)).first == [0]
