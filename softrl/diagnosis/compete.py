@@ -12,7 +12,7 @@ from softrl.diagnosis.data import Data
 from softrl.diagnosis.examine import Finding
 from softrl.diagnosis.hidden import behind, in_words, read_map
 from softrl.diagnosis.hypothesis import Hypothesis
-from softrl.diagnosis.join import free_together, tuned_together
+from softrl.diagnosis.join import tuned_together
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.trial import Search, fit_trials, of_effects, parallel
 from softrl.pcc.simulator import PccSimulator
@@ -23,21 +23,20 @@ def competitors(search: Search, training: Problem, findings: list[Finding]) -> d
     empty = Hypothesis((), ())
     tuned = training.tuned
     motion = findings[-1]
-    start = tuned_together(tuned, findings[0].base, motion.base)
+    start = tuned_together(findings[0].base, motion.base)
     retuned = fit_trials(training, None, [(Hypothesis((), tuned), [start])], search)[0]
     parts = [finding.final for finding in findings]
     effects = tuple(choice for trial in parts for choice in trial.hypothesis.effects)
-    corrected = Hypothesis(effects, free_together(training, parts[0]))
-    point = np.concatenate([*map(of_effects, parts), tuned_together(corrected.tuned, parts[0], parts[-1])])
+    point = np.concatenate([*(of_effects(trial) for trial in parts), tuned_together(parts[0], parts[-1])])
     if not effects:
-        corrected, point = retuned.hypothesis, retuned.fit.point
+        point = retuned.fit.point
     elif motion.joint is not None:
         point = motion.joint
     lag = one_lag(training, retuned.fit.point, search)
     return {
         "nominal": model_of(training, empty, np.zeros(0)),
         "retuned": model_of(training, retuned.hypothesis, retuned.fit.point),
-        "corrected": model_of(training, corrected, point),
+        "corrected": model_of(training, Hypothesis(effects, tuned), point),
     } | ({"one_lag": lag} if lag else {})
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from softrl.diagnosis.flexible import pressures
-from softrl.diagnosis.hypothesis import LATE, Choice, Hypothesis, gated, neutral
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, gated, neutral
 from softrl.diagnosis.judge import SHOWN, Judge
 from softrl.diagnosis.moves import addition, not_taken, pays, prune, swap
 from softrl.diagnosis.path import Path
@@ -42,21 +42,9 @@ def forward(
     retuned = fit_trials(fitting, None, [(bare, fitting.space(bare).begins)], search)[0]
     path = Path(retuned, retuned)
     _grow(fitting, judge, choices, search, path, report)
-    if _narrow(fitting, judge, choices, search, path, report) or _behind_a_map(
-        fitting, judge, choices, search, path, report
-    ):
+    if _narrow(fitting, judge, choices, search, path, report) or _behind_a_map(fitting, judge, choices, search, path, report):
         _grow(fitting, judge, choices, search, path, report)
-    path.best = _punctual(fitting, judge, path.best, search)
     return path
-
-
-def _punctual(fitting: Problem, judge: Judge, trial: Trial, search: Search) -> Trial:
-    """Return ``trial`` with a log that is not late at all, unless that predicts worse: what is late may be the robot."""
-    if not trial.hypothesis.effects or LATE not in trial.hypothesis.tuned:
-        return trial
-    hypothesis = Hypothesis(trial.hypothesis.effects, tuple(n for n in trial.hypothesis.tuned if n != LATE))
-    found = fit_trials(fitting, None, [(hypothesis, [trial.fit.point[:-1]])], search)
-    return found[0] if found and not judge.tells(found[0].squares, trial.squares) else trial
 
 
 def _grow(
@@ -129,9 +117,7 @@ def _behind_a_map(
     if added is None or not all(judge.pays(less.squares, added.squares) for less in (bare, behind[0])):
         return False
     path.best = _settled(fitting, judge, added, choices, search, path)
-    report(
-        f"{path.best.hypothesis.label()}: {judge.rms(path.best.squares):.4g} on runs left out, neither without the other"
-    )
+    report(f"{path.best.hypothesis.label()}: {judge.rms(path.best.squares):.4g} on runs left out, neither without the other")
     return True
 
 

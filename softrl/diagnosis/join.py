@@ -29,8 +29,7 @@ def joined(training: Problem, findings: Sequence[Finding], search: Search, thres
     if len(findings) < 2 or not findings[0].final.hypothesis.effects:
         return list(findings)
     *before, motion = findings
-    tuned = free_together(training, findings[0].final)
-    start = np.r_[of_effects(motion.final), tuned_together(tuned, findings[0].final, motion.final)]
+    tuned, start = training.tuned, np.r_[of_effects(motion.final), tuned_together(findings[0].final, motion.final)]
     valve = tuple(choice for finding in before for choice in finding.final.hypothesis.effects)
     hypothesis = Hypothesis((*valve, *motion.final.hypothesis.effects), tuned)
     held = np.concatenate([of_effects(finding.final) for finding in before])
@@ -45,9 +44,8 @@ def joined(training: Problem, findings: Sequence[Finding], search: Search, thres
         fit = least_squares(residual, start, low[count:], high[count:], search.iterations, several=several)
         placed = training.residual(hypothesis, np.concatenate([held, fit.point])).registrations
         apart = training.residual(hypothesis, np.concatenate([held, start])).squares
-        plain = training.residual(motion.base.hypothesis, motion.base.fit.point).squares
-        behind = fit.point[:-1] if LATE in tuned else fit.point
-        behind = np.r_[behind, motion.final.fit.point[-1]] if LATE in motion.final.hypothesis.tuned else behind
+        plain = training.residual(Hypothesis((), tuned), motion.base.fit.point).squares
+        behind = np.r_[fit.point[:-1], motion.final.fit.point[-1]] if LATE in tuned else fit.point
         if apart.mean() < plain.mean() and _spoilt(motion, behind):
             log.info("behind the valve as it is understood the body's parameters would go astray: they are kept")
             return list(findings)
@@ -63,19 +61,15 @@ def joined(training: Problem, findings: Sequence[Finding], search: Search, thres
     return [*before, replace(motion, named=named, joint=point)]
 
 
-def free_together(training: Problem, first: Trial) -> tuple[str, ...]:
-    """Return what is tuned besides effects from command to motion: how late the log is only where it was in the first part."""
-    return tuple(name for name in training.tuned if name != LATE or LATE in first.hypothesis.tuned)
-
-
-def tuned_together(tuned: Sequence[str], first: Trial, last: Trial) -> np.ndarray:
-    """Return what is ``tuned`` besides effects, scaled: the body as in the last part, the log as in the first.
+def tuned_together(first: Trial, last: Trial) -> np.ndarray:
+    """Return what is tuned besides effects from command to motion, scaled: the body as in the last part, the log as in the first.
 
     The drive of a body by measured pressures has a lateness of its own.
     """
-    found = dict(zip(last.hypothesis.tuned, last.fit.point[len(of_effects(last)) :], strict=True))
-    found[LATE] = first.fit.point[-1] if LATE in first.hypothesis.tuned else 0.0
-    return np.array([found[name] for name in tuned])
+    found = last.fit.point[len(of_effects(last)) :].copy()
+    if LATE in first.hypothesis.tuned:
+        found[-1] = first.fit.point[-1]
+    return np.asarray(found)
 
 
 def _spoilt(motion: Finding, point: np.ndarray) -> bool:
