@@ -1,6 +1,6 @@
 """What a simulator leaves out, as found in recordings."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 from softrl.artifacts.artifact import Artifact
@@ -32,6 +32,7 @@ class Diagnosis(Artifact):
     unexplained : what is left after the correction: rms, share, structure
     next_experiment : the program that would separate what is left, or None
     data : findings about the recordings: warnings, runs used for training and held out
+    late_s : retuned, corrected -> how late the log has it that rows act, found with that simulator, s
     """
 
     stage: ClassVar[str] = "diagnosis"
@@ -50,6 +51,7 @@ class Diagnosis(Artifact):
     unexplained: dict[str, Any]
     next_experiment: dict[str, Any] | None
     data: dict[str, Any]
+    late_s: dict[str, float] = field(default_factory=dict)
 
     def validate(self) -> None:
         """Check the verdict against what is named, and the parameters of every effect."""
@@ -69,7 +71,14 @@ class Diagnosis(Artifact):
                     )
 
     def corrections(self) -> list[dict[str, Any]]:
-        """Return {name, chamber, parameters (name -> value)} of every effect, as effects are built from.
+        """Return what the corrected simulator contains: every effect that is named, and the log's lateness as a dead time.
+
+        Commands that act late by the log do so for whoever goes by the same clock, whatever the reason.
+        """
+        return [*self.named(), *late(self.late_s.get("corrected", 0.0))]
+
+    def named(self) -> list[dict[str, Any]]:
+        """Return {name, chamber, parameters (name -> value)} of every named effect, as effects are built from.
 
         What acted in one earlier session only is history, and left out.
         """
@@ -99,9 +108,15 @@ class Diagnosis(Artifact):
             "simulator": self.simulator_name,
             "simulator_parameters": self.simulator_parameters,
             "retuned": self.retuned,
+            "late_s": self.late_s,
             "data": self.data,
         }
         if self.errors_deg:
             document["errors_deg"] = self.errors_deg
             document["errors_mm_note"] = "arc length times angle: the robot reports an angle only"
         return document
+
+
+def late(delay_s: float) -> list[dict[str, Any]]:
+    """Return the entry of ``Diagnosis.corrections`` for a log by which commands act ``delay_s`` late; none for one on time."""
+    return [{"name": "dead_time", "chamber": -1, "parameters": {"delay_s": delay_s}}] if delay_s > 0.0 else []

@@ -44,14 +44,14 @@ def conclude(
     noise = data.noise / (robot.length_m if angle else 1.0)
     plain = {split: errors(found, noise) for split, found in judged.items()}
     verdict, responses = verdict_of(findings, plain["heldout"]), step_responses(data.training)
-    space = whole.space(models["corrected"].hypothesis)
+    spaces = {name: whole.space(models[name].hypothesis) for name in ("retuned", "corrected")}
     made = Diagnosis(
         robot_name=robot.name,
         simulator_name=type(whole.simulator).__name__,
         verdict=verdict,
         sentences=[],
         effects=effect_entries(findings),
-        simulator_parameters=space.tuned(models["corrected"].point),
+        simulator_parameters=spaces["corrected"].tuned(models["corrected"].point),
         retuned=retuned_entries(whole, models["retuned"]),
         rivals=rival_entries(findings, robot),
         located=located,
@@ -68,6 +68,7 @@ def conclude(
             "measured_pressure_used": len(findings) > 1,
             "step_responses": asdict(responses),
         },
+        late_s={name: space.late(models[name].point) for name, space in spaces.items()},
     )
     read = responses.sentence()
     return replace(made, sentences=sentences(made, findings) + ([read] if read else []))

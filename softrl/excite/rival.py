@@ -177,7 +177,7 @@ def _open_in(diagnosis: Diagnosis, robot: Robot, simulator: Simulator, factor: f
     tuned = diagnosis.simulator_parameters
     body = simulator.with_parameters(**{k: v for k, v in tuned.items() if k in simulator.parameters})
     named: dict[str, Effect] = {}
-    for found in diagnosis.corrections():
+    for found in diagnosis.named():
         cls = effect_class(found["name"])
         alone = {"chamber": found["chamber"]} if any(f.name == "chamber" for f in fields(cls)) else {}
         label = found["name"] if alone.get("chamber", -1) < 0 else f"{found['name']} (chamber {alone['chamber'] + 1})"

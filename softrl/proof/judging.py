@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from softrl.artifacts.diagnosis import Diagnosis
+from softrl.artifacts.diagnosis import Diagnosis, late
 from softrl.core.errors import SolverError
 from softrl.core.progress import quiet
 from softrl.diagnosis.noise import redrawn
@@ -60,6 +60,7 @@ def plain(found: Diagnosis) -> Answer:
         "corrections": found.corrections(),
         "simulator_parameters": found.simulator_parameters,
         "retuned": {name: entry["value"] for name, entry in found.retuned.items()},
+        "retuned_late_s": found.late_s.get("retuned", 0.0),
         "training_runs": found.data.get("training_runs", []),
         "heldout_runs": found.data.get("heldout_runs", []),
     }
@@ -82,8 +83,8 @@ def worth(folder: Path, name: str, given: Answer, robot: Robot, nominal: PccSimu
     box = blackbox.fit(training)
     plants = {
         "nominal": Plant(nominal, chain_of(robot, ())),
-        "retuned": Plant(nominal.with_parameters(**given["retuned"]), chain_of(robot, ())),
-        "corrected": corrected(given, robot, nominal),
+        "retuned": built(late(given["retuned_late_s"]), given["retuned"], robot, nominal),
+        "corrected": built(given["corrections"], given["simulator_parameters"], robot, nominal),
     }
     made = {}
     for split, chosen in (("heldout", heldout), ("outside", list(last))):
@@ -98,14 +99,16 @@ def worth(folder: Path, name: str, given: Answer, robot: Robot, nominal: PccSimu
     return made
 
 
-def corrected(given: Answer, robot: Robot, nominal: PccSimulator) -> Plant:
-    """Return the simulator with the effects and parameters of an answer."""
+def built(
+    corrections: list[dict[str, Any]], parameters: dict[str, float], robot: Robot, nominal: PccSimulator
+) -> Plant:
+    """Return the simulator with the ``corrections`` and ``parameters`` of an answer."""
     effects = []
-    for found in given["corrections"]:
+    for found in corrections:
         kind = effect_class(found["name"])
         fixed = {"chamber": found["chamber"]} if "chamber" in kind.__dataclass_fields__ else {}
         effects.append(kind(**found["parameters"], **fixed))
-    return Plant(nominal.with_parameters(**given["simulator_parameters"]), chain_of(robot, effects))
+    return Plant(nominal.with_parameters(**parameters), chain_of(robot, effects))
 
 
 def shuffled(
@@ -124,7 +127,7 @@ def without_relation(
 
     The residual keeps its size and colour and loses all relation to the commands: there is nothing to be found.
     """
-    plant = Plant(nominal.with_parameters(**given["retuned"]), chain_of(robot, ()))
+    plant = built(late(given["retuned_late_s"]), given["retuned"], robot, nominal)
     rng = np.random.default_rng(seed)
     taken = []
     for run in read(source, robot).recordings:

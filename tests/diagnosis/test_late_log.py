@@ -15,6 +15,7 @@ from softrl.effects.effect import Effect
 from softrl.effects.lag import Lag
 from softrl.effects.replay import replay
 from softrl.pcc.simulator import PccSimulator
+from softrl.proof.judging import built
 from softrl.recordings.recording import Recording
 from tests.diagnosis.conftest import configured, made
 
@@ -45,6 +46,17 @@ def test_a_lag_behind_such_a_log_is_no_tube(body: PccSimulator, measured: bool, 
     found = diagnosed(body, (Lag(fill_s=lag_s, vent_s=lag_s),), measured, early=True)
     assert [effect["name"] for effect in found.effects] == ["lag"]
     assert found.effects[0]["parameters"]["fill_s"]["value"] == pytest.approx(lag_s, abs=0.01)
+
+
+def test_the_corrected_simulator_is_as_late_as_the_log(body: PccSimulator) -> None:
+    recordings = made(body, (Lag(fill_s=0.15, vent_s=0.15),), sessions=4, process=ahead)
+    found = run(configured(candidates=RIVALS), body.robot, recordings, body, tracker=NullTracker())
+    assert found.late_s["corrected"] > 0.5 * INTERVAL_S
+    plant = built(found.corrections(), found.simulator_parameters, body.robot, body)
+    heldout = [r for r in recordings.recordings if r.name in found.data["heldout_runs"]]
+    missed = np.concatenate([r.position - replay(plant, r, 0.01).position for r in heldout])
+    alone = 1e3 * float(np.sqrt(np.mean(np.sum(missed**2, axis=1))))
+    assert alone == pytest.approx(found.errors_mm["heldout"]["corrected"], rel=0.05)
 
 
 def test_a_delay_longer_than_an_interval_is_named_whole(body: PccSimulator) -> None:

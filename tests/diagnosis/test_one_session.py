@@ -46,7 +46,7 @@ def test_a_body_stiffer_on_one_day_is_told_with_the_day(body: PccSimulator) -> N
     scale = found.effects[0]["parameters"]["scale"]
     assert scale["low"] <= 1.3 <= scale["high"] or abs(scale["value"] - 1.3) < 0.02
     assert "session first only" in found.sentences[0]
-    assert found.corrections() == []
+    assert found.named() == []
 
 
 def test_equal_days_show_no_difference(body: PccSimulator) -> None:

@@ -90,8 +90,8 @@ def test_the_stage_seals_first_opens_last_and_goes_on(
             raise KeyboardInterrupt
         nominal = {"bending_stiffness_scale": 1.0, "axial_stiffness_scale": 1.0, "damping_s": 0.05, "mass_scale": 1.0}
         return {"verdict": "nothing missing", "effects": [], "corrections": [], "rivals": [], "located": [],
-                "simulator_parameters": nominal, "retuned": nominal, "training_runs": [], "heldout_runs": [],
-                "seconds": 1.0}  # fmt: skip
+                "simulator_parameters": nominal, "retuned": nominal, "retuned_late_s": 0.0,
+                "training_runs": [], "heldout_runs": [], "seconds": 1.0}  # fmt: skip
 
     monkeypatch.setattr(stage, "answer", engine)
     config = configured(cases=2, shuffled_cases=0, folder=str(tmp_path))
