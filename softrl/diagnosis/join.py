@@ -22,11 +22,12 @@ SPOILT = 1.5  # times the error behind the measured pressure: more is no matter 
 def joined(training: Problem, findings: Sequence[Finding], search: Search, thresholds: Thresholds) -> list[Finding]:
     """Return the findings with the last part's parameters refitted from command to motion, the valve's effects held.
 
-    A measured pressure is sampled, noisy and late; as the body's drive it biases what is found behind it. Nothing
-    changes where there is one part only, where the refit does not run, or where it would bend the body's physics to make up
-    for what the valve's does not get right, though as found they serve from the command, too.
+    A measured pressure is sampled, noisy and late; as the body's drive it biases what is found behind it, and a log's
+    lateness against it is not that against the command. Nothing changes where there is one part only or nothing was
+    found, where the refit does not run, or where it would bend the body's physics to make up for what the valve's does
+    not get right, though as found they serve from the command, too.
     """
-    if len(findings) < 2 or not findings[0].final.hypothesis.effects:
+    if len(findings) < 2 or not any(finding.final.hypothesis.effects for finding in findings):
         return list(findings)
     *before, motion = findings
     tuned, start = training.tuned, np.r_[of_effects(motion.final), tuned_together(findings[0].final, motion.final)]

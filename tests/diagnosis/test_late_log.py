@@ -1,5 +1,6 @@
 """Whether a row's command acts before or after its time is tuned with every hypothesis: it is no physics."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from softrl.effects.chain import Plant, chain_of
 from softrl.effects.delay import Delay
 from softrl.effects.effect import Effect
 from softrl.effects.lag import Lag
+from softrl.effects.payload import Payload
 from softrl.effects.replay import replay
 from softrl.pcc.simulator import PccSimulator
 from softrl.proof.judging import built
@@ -20,12 +22,20 @@ from softrl.recordings.recording import Recording
 from tests.diagnosis.conftest import configured, made
 
 INTERVAL_S = 0.02
+VALVE, LOAD = Lag(fill_s=0.15, vent_s=0.15), Payload(mass=0.3)
 RIVALS = ["delay", "dead_time", "lag", "tube_line", "payload"]
 
 
 def ahead(run: Recording) -> Recording:
     """Return the run as a logger writes it whose commands act from their row on: all are an interval early."""
     return replace(run, pressure_cmd=np.vstack([run.pressure_cmd[1:], run.pressure_cmd[-1:]]))
+
+
+def seen_late(run: Recording) -> Recording:
+    """Return the run as a logger writes it whose camera is an interval behind."""
+    assert run.position is not None and run.quaternion is not None
+    late = [np.concatenate([track[:1], track[:-1]]) for track in (run.position, run.quaternion)]
+    return replace(run, position=late[0], quaternion=late[1], bend_angle=None)
 
 
 def diagnosed(body: PccSimulator, hidden: tuple[Effect, ...], measured: bool, early: bool) -> Diagnosis:
@@ -48,8 +58,13 @@ def test_a_lag_behind_such_a_log_is_no_tube(body: PccSimulator, measured: bool, 
     assert found.effects[0]["parameters"]["fill_s"]["value"] == pytest.approx(lag_s, abs=0.01)
 
 
-def test_the_corrected_simulator_is_as_late_as_the_log(body: PccSimulator) -> None:
-    recordings = made(body, (Lag(fill_s=0.15, vent_s=0.15),), sessions=4, process=ahead)
+@pytest.mark.parametrize(
+    ("effect", "measured", "process"), [(VALVE, False, ahead), (LOAD, False, ahead), (LOAD, True, seen_late)]
+)
+def test_the_corrected_simulator_is_as_late_as_the_log(
+    body: PccSimulator, effect: Effect, measured: bool, process: Callable[[Recording], Recording]
+) -> None:
+    recordings = made(body, (effect,), sessions=4, measured=measured, process=process)
     found = run(configured(candidates=RIVALS), body.robot, recordings, body, tracker=NullTracker())
     assert found.late_s["corrected"] > 0.5 * INTERVAL_S
     plant = built(found.corrections(), found.simulator_parameters, body.robot, body)
