@@ -16,7 +16,6 @@ from softrl.diagnosis.search import least_squares
 from softrl.diagnosis.trial import Search, Trial, of_effects, shared_out
 
 log = logging.getLogger(__name__)
-SPOILT = 1.5  # times the error behind the measured pressure: more is no matter of how that is sampled
 
 
 def joined(training: Problem, findings: Sequence[Finding], search: Search, thresholds: Thresholds) -> list[Finding]:
@@ -25,7 +24,8 @@ def joined(training: Problem, findings: Sequence[Finding], search: Search, thres
     A measured pressure is sampled, noisy and late; as the body's drive it biases what is found behind it, and a log's
     lateness against it is not that against the command. Nothing changes where there is one part only or nothing was
     found, where the refit does not run, or where it would bend the body's physics to make up for what the valve's does
-    not get right, though as found they serve from the command, too.
+    not get right: where it lets the body err under the pressures that were measured by a larger factor than it helps from
+    the command, though as found they serve there, too.
     """
     if len(findings) < 2 or not any(finding.final.hypothesis.effects for finding in findings):
         return list(findings)
@@ -43,11 +43,12 @@ def joined(training: Problem, findings: Sequence[Finding], search: Search, thres
     try:
         several = shared_out(training, hypothesis, search.workers, held)
         fit = least_squares(residual, start, low[count:], high[count:], search.iterations, several=several)
-        placed = training.residual(hypothesis, np.concatenate([held, fit.point])).registrations
+        together = training.residual(hypothesis, np.concatenate([held, fit.point]))
         apart = training.residual(hypothesis, np.concatenate([held, start])).squares
         plain = training.residual(Hypothesis((), tuned), motion.base.fit.point).squares
         behind = np.r_[fit.point[:-1], motion.final.fit.point[-1]] if LATE in tuned else fit.point
-        if apart.mean() < plain.mean() and _spoilt(motion, behind):
+        helped = float(np.sqrt(apart.mean() / together.squares.mean()))
+        if apart.mean() < plain.mean() and _spoilt(motion, behind, helped):
             log.info("behind the valve as it is understood the body's parameters would go astray: they are kept")
             return list(findings)
     except SolverError:
@@ -55,8 +56,7 @@ def joined(training: Problem, findings: Sequence[Finding], search: Search, thres
     point = np.concatenate([held, fit.point])
     still = np.zeros((len(fit.residual), count))
     whole = fit._replace(point=point, jacobian=np.hstack([still, fit.jacobian]))
-    squares = training.residual(hypothesis, point, placed).squares
-    trial = Trial(hypothesis, whole, placed, squares, squares)
+    trial = Trial(hypothesis, whole, together.registrations, together.squares, together.squares)
     mine = by_effect(hypothesis, intervals(training, trial, thresholds))
     named = [Named(effect.choice, mine[effect.choice], effect.gap) for effect in motion.named]
     return [*before, replace(motion, named=named, joint=point)]
@@ -73,9 +73,9 @@ def tuned_together(first: Trial, last: Trial) -> np.ndarray:
     return np.asarray(found)
 
 
-def _spoilt(motion: Finding, point: np.ndarray) -> bool:
-    """Return whether at ``point`` (p,) the body errs plainly more under the pressures that were measured than as found."""
+def _spoilt(motion: Finding, point: np.ndarray, times: float) -> bool:
+    """Return whether at ``point`` (p,) the body errs plainly, and ``times``, more under the measured pressures than as found."""
     found, problem = motion.final, motion.part.problem
     before = motion.judge.rms(problem.residual(found.hypothesis, found.fit.point).squares)
     after = motion.judge.rms(problem.residual(found.hypothesis, point).squares)
-    return after > max(SPOILT * before, before + motion.judge.material)
+    return after > max(times * before, before + motion.judge.material)

@@ -17,7 +17,6 @@ from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
 MAX_STEPS = 5_000_000
-PAUSE_PERIODS = 5.0  # a pause of more than this many median periods is no ordinary time between samples
 CHANNELS = ("pressure_meas", "position", "quaternion", "bend_angle")
 KEPT = 128  # recordings whose pressures on the grid are kept
 
@@ -41,7 +40,7 @@ def replay(
         ``Simulator.simulate``
     dt_s : step of the uniform grid on which the plant is simulated, s
     drive : "command" sends the commands through the valve; "measured" puts the measured pressure behind the
-        valve, which tests the body apart from the valve
+        valve, changing evenly between its samples, which tests the body apart from the valve
     settle_s : time before the first sample during which the plant is held under the first row (of the
         measured pressure if there is one), for a recording that does not begin at rest
     before : (chambers,) Pa that act on the body during that time instead, where its past was another; without a measured
@@ -128,28 +127,23 @@ def _drive_on_grid(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Return the uniform grid (steps,) s, the pressures (steps, chambers) Pa and forces (steps, 3) N on it."""
     time, first = _grid(recording, dt_s, settle_s)
-    stamps, rows = recording.time, _driving(recording, drive)
+    stamps, rows = recording.time + late_s, _driving(recording, drive)
     if drive == "measured":
-        stamps, rows = _without_pauses(stamps, rows)
-    pressure = _mean_held(stamps + late_s, rows, time, dt_s)
+        stamps, rows = _filled_in(stamps, rows, time)
+    pressure = _mean_held(stamps, rows, time, dt_s)
     if first and recording.pressure_meas is not None:
         pressure[:first] = recording.pressure_meas[0]
     force = None if recording.tip_force is None else _mean_held(recording.time + late_s, recording.tip_force, time, dt_s)
     return time, pressure, force
 
 
-def _without_pauses(stamps: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return samples (samples,), (samples, n) with further ones within pauses, where the pressure changes evenly.
+def _filled_in(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return samples (samples,), (samples, n) with further ones at the grid's times, between which a pressure changes evenly.
 
-    A command is held, but a measured pressure that was held until the end of a pause would be early by half of it.
+    A command is held, but a measured pressure that was held until the next sample would be early by half the time to it.
     """
-    step = np.diff(stamps)
-    period = float(np.median(step))
-    wide = np.flatnonzero(step > PAUSE_PERIODS * period)
-    if not len(wide):
-        return stamps, rows
-    added = np.concatenate([np.arange(stamps[k] + period, stamps[k + 1] - 0.5 * period, period) for k in wide])
-    filled = np.sort(np.concatenate([stamps, added]))
+    inside = time[(time > stamps[0]) & (time < stamps[-1])]
+    filled = np.union1d(stamps, inside)
     return filled, np.stack([np.interp(filled, stamps, column) for column in rows.T], axis=1)
 
 

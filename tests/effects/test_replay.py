@@ -5,7 +5,7 @@ import pytest
 
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.hold import Hold
-from softrl.effects.replay import replay
+from softrl.effects.replay import _drive_on_grid, replay
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
@@ -43,6 +43,19 @@ def test_pressures_arrive_when_they_were_commanded(dt_s: float, uneven_s: float)
     late_s = -float(np.sum(apart * slope) / np.sum(slope**2))
     assert abs(late_s) < (1e-9 if uneven_s == 0.0 else 0.6 * dt_s), late_s  # a step's own uncertainty
     assert np.abs(apart).max() < 1e-4 or uneven_s > 0.0
+
+
+@pytest.mark.parametrize("uneven_s", [0.0, 0.02])
+def test_measured_pressures_change_evenly_between_their_samples(uneven_s: float) -> None:
+    time = np.cumsum(0.1 + uneven_s * np.random.default_rng(3).uniform(-1.0, 1.0, 300))
+
+    def swings(at: np.ndarray) -> np.ndarray:
+        return 1e4 * np.sin(np.outer(at, [1.1, 0.7, 0.4]))
+
+    seldom = Recording("run", "day", time, np.zeros((300, 3)), pressure_meas=swings(time))
+    grid, drive, _ = _drive_on_grid(seldom, 0.005, "measured", 0.0)
+    within = (grid > time[0]) & (grid < time[-1])
+    np.testing.assert_allclose(drive[within], swings(grid[within]), atol=40.0)  # held, they are up to 1200 Pa early
 
 
 @pytest.mark.parametrize("period_s", [0.013, 0.07, 0.4])
