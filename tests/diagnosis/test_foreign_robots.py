@@ -1,0 +1,78 @@
+"""What was left out is told of robots with one, two and four chambers, with and without gauges, at 10 to 50 samples a second."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softrl.artifacts.diagnosis import Diagnosis
+from softrl.core.tracking import NullTracker
+from softrl.diagnosis.stage import run
+from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.read import read
+from tests.diagnosis import foreign, foreign_robots
+from tests.diagnosis.conftest import configured, node
+from tests.diagnosis.foreign_robots import OTHERS, VALVE_S, Other, Physics
+
+pytestmark = pytest.mark.slow
+SEED = 5
+THE_VALVE = ({"lag", "tube_line"},)
+
+
+def weaker_last_chamber_midway(other: Other, pressure: np.ndarray) -> np.ndarray:
+    late = (other.time > 0.5 * other.lasts_s)[:, None] & (np.arange(pressure.shape[1]) == pressure.shape[1] - 1)
+    return np.where(late, 0.6 * pressure, pressure)
+
+
+VALVES: dict[str, tuple[Physics, tuple[set[str], ...]]] = {
+    "late": (lambda _, p: foreign.late(p, 0.2), ({"dead_time", "delay"},)),
+    "rate": (lambda other, p: foreign.rate_limited(p, 0.4 * other.full_pa), ({"rate_limit"},)),
+    "ceiling": (lambda other, p: np.minimum(p, 0.5 * other.full_pa), ({"supply_limit", "knee"},)),
+}
+BODIES: dict[str, tuple[Physics, tuple[set[str], ...]]] = {
+    "creep": (lambda _, p: 0.8 * p + 0.3 * foreign.first_order(p, 5.0), ({"viscoelasticity"},)),
+    "failure": (weaker_last_chamber_midway, ({"failure", "gain"},)),
+    "drift": (lambda other, p: p * (1.0 + 0.3 * other.time / other.lasts_s)[:, None], ({"drift"},)),
+}
+
+
+def diagnosed(other: Other, folder: Path, valve: Physics | None = None, act: Physics | None = None) -> Diagnosis:
+    robot = other.robot()
+    body = PccSimulator(robot=robot, **node("simulator/pcc.yaml"))
+    foreign_robots.write(other, folder, SEED, valve, act)
+    return run(configured(search={"workers": 1}), robot, read(folder, robot), body, tracker=NullTracker())
+
+
+def assert_named(found: Diagnosis, expected: tuple[set[str], ...]) -> None:
+    """Assert that one effect of each set is named, and nothing else; and that it serves from the command."""
+    names = [effect["name"] for effect in found.effects]
+    assert len(names) == len(expected) and all(set(names) & some for some in expected), found.sentences
+    assert found.verdict in ("named", "indistinguishable"), found.sentences
+    held = found.errors_mm["heldout"]
+    assert held["corrected"] < 1.05 * min(held["retuned"], held["one_lag"], held["blackbox"]), held
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_nothing_but_the_valve_of_another_robot(tmp_path: Path, name: str) -> None:
+    found = diagnosed(OTHERS[name], tmp_path)
+    if not OTHERS[name].gauges:
+        assert found.verdict == "nothing missing", found.sentences
+        return
+    assert_named(found, THE_VALVE)
+    if found.effects[0]["name"] == "lag":
+        told = [found.effects[0]["parameters"][key]["value"] for key in ("fill_s", "vent_s")]
+        assert told == pytest.approx([VALVE_S, VALVE_S], rel=0.05)
+
+
+@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize("hidden", VALVES)
+def test_what_the_valve_of_another_robot_does(tmp_path: Path, name: str, hidden: str) -> None:
+    valve, expected = VALVES[hidden]
+    assert_named(diagnosed(OTHERS[name], tmp_path, valve), (*expected, *THE_VALVE * OTHERS[name].gauges))
+
+
+@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize("hidden", BODIES)
+def test_what_the_body_of_another_robot_does(tmp_path: Path, name: str, hidden: str) -> None:
+    act, expected = BODIES[hidden]
+    assert_named(diagnosed(OTHERS[name], tmp_path, act=act), (*expected, *THE_VALVE * OTHERS[name].gauges))
