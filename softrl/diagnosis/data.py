@@ -20,6 +20,7 @@ from softrl.robots.robot import Robot
 MIN_RUN_S = 3.0  # a shorter run says nothing about dynamics
 LEAST_S = 15.0  # fits rather see fewer runs than shorter pieces
 MIN_SIGNAL = 3.0  # travel over noise below which nothing can be told
+CHANGED_K = 1.0  # a temperature that changes less tells nothing
 FEW_SESSIONS = 2  # with this many sessions or fewer, runs are held out within each instead
 
 
@@ -61,6 +62,15 @@ class Data:
         """Runs by the name of their split."""
         parts = {"train": self.training, "heldout": self.heldout, "ood": self.outside}
         return {name: runs for name, runs in parts.items() if runs}
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """Surroundings that every run recorded and that changed while fits look on."""
+        runs = [run for part in self.splits.values() for run in part]
+        if any(run.temperature is None for run in runs):
+            return ()
+        seen = np.concatenate([np.asarray(run.temperature) for run in self.training])
+        return ("temperature",) if np.ptp(seen) >= CHANGED_K else ()
 
     @property
     def misplaced(self) -> bool:

@@ -5,16 +5,18 @@ from math import degrees, log
 from typing import Any
 
 from softrl.artifacts.diagnosis import Diagnosis
+from softrl.diagnosis.along import BENDS
 from softrl.diagnosis.correct import Model
 from softrl.diagnosis.examine import Finding, Named
-from softrl.diagnosis.hypothesis import GATES, LATE, Choice, has_chamber, pinned_values
+from softrl.diagnosis.hypothesis import AT_END, GATES, LATE, Choice, has_chamber, pinned_values
+from softrl.diagnosis.locate import significant
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.separate import separating_program
 from softrl.effects.library import effect_class
 from softrl.robots.robot import Robot
 
-AT_BOUND = 0.97  # a retuned parameter this close to the end of its range (in logarithms) is not plausible
 LATE_SHARE = 0.2  # of the interval between samples: a log that is less late goes without saying
+PIECE_SHARE = 0.2  # of the wrong bending: a piece of the body with less goes without saying
 AS_GOOD = 1.05  # times the retuned error: nothing was gained
 WORDS = {
     "valve": "between command and chamber pressure",
@@ -134,13 +136,12 @@ def rival_entries(findings: Sequence[Finding], robot: Robot) -> list[dict[str, A
 def retuned_entries(whole: Problem, model: Model) -> dict[str, Any]:
     """Return the parameters of the retuned-only competitor, and whether each stays within a plausible range."""
     space, factor = whole.space(model.hypothesis), whole.numerics.tuned_factor
-    found: dict[str, Any] = {}
-    for axis, u, value in zip(space.axes, model.point, space.values(model.point), strict=True):
-        if axis.name == LATE:
-            continue
-        inside = abs(float(u)) < AT_BOUND * axis.scaled(axis.high)
-        found[axis.name] = {"nominal": axis.zero, "value": value, "factor_allowed": factor, "plausible": bool(inside)}
-    return found
+    odd = space.at_the_end(model.point)
+    return {
+        axis.name: {"nominal": axis.zero, "value": value, "factor_allowed": factor, "plausible": axis.name not in odd}
+        for axis, value in zip(space.axes, space.values(model.point), strict=True)
+        if axis.name != LATE
+    }
 
 
 def unexplained(findings: Sequence[Finding]) -> dict[str, Any]:
@@ -230,10 +231,18 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
             f"With what is named {', '.join(still)} still ends at the edge of the plausible range: the simulator's body differs "
             "from the robot's in more than that, so take the parameters above as a description, not as measurements."
         )
-    lines += _log_sentence(findings[0])
+    lines += _along_sentence(diagnosis) + _log_sentence(findings[0])
     left = [finding for finding in findings if finding.left > finding.judge.material]
     lines += [_left_sentence(finding) + _from_command(diagnosis, finding) for finding in left]
     return lines
+
+
+def _along_sentence(diagnosis: Diagnosis) -> list[str]:
+    """Return where along the body the markers show the mismatch before any effect is added, if they do."""
+    rows = [row for row in significant(diagnosis.located) if str(row["region"]).startswith(BENDS)]
+    plain = [f"it {row['region']} ({row['effect_size']:.0%})" for row in rows if row["effect_size"] >= PIECE_SHARE]
+    told = "Before any effect is added the markers show where the body's bending is wrong (share of what is): "
+    return [told + "; ".join(plain) + "."] if plain else []
 
 
 def _log_sentence(finding: Finding) -> list[str]:
@@ -255,7 +264,7 @@ def _at_the_end(diagnosis: Diagnosis) -> list[str]:
     return [
         name
         for name, (nominal, factor) in ranges.items()
-        if nominal > 0.0 and abs(log(values[name] / nominal)) >= AT_BOUND * log(factor)
+        if nominal > 0.0 and abs(log(values[name] / nominal)) >= AT_END * log(factor)
     ]
 
 

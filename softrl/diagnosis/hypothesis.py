@@ -20,6 +20,7 @@ BEGIN_ALONE = (0.45,)  # the same for one chamber alone, of which there are many
 BY_SESSION = ("stiffness_scale", "strain_softening", "payload", "mount_tilt")
 LATE = "late_s"  # how late a log has it that rows act, tuned with the simulator's parameters
 LATE_SCALE = 12.0  # sampling intervals that are one scaled unit: what a log may be late counts as no far retuning
+AT_END = 0.97  # a retuned parameter this close to the end of its range (in logarithms) is not plausible
 FULL_TURN_RAD = 6.0  # a parameter in rad with a wider range than this is a direction: several starts
 
 
@@ -183,6 +184,11 @@ class Space:
         """Return the simulator's parameters at a scaled point."""
         return {name: value for name, value in self._last(point).items() if name != LATE}
 
+    def at_the_end(self, point: np.ndarray) -> list[str]:
+        """Return the simulator's parameters that are at an end of their plausible range at a scaled point."""
+        tuned = list(zip(self.axes, point, strict=True))[len(self.axes) - len(self.hypothesis.tuned) :]
+        return [axis.name for axis, u in tuned if axis.name != LATE and abs(u) >= AT_END * axis.scaled(axis.high)]
+
     def late(self, point: np.ndarray) -> float:
         """Return how late the log is at a scaled point, s."""
         return self._last(point).get(LATE, 0.0)
@@ -244,18 +250,24 @@ def has_chamber(name: str) -> bool:
 
 
 def candidates(
-    names: Sequence[str], sites: Sequence[str], robot: Robot, excited: Sequence[int], layers: bool = False
+    names: Sequence[str],
+    sites: Sequence[str],
+    robot: Robot,
+    excited: Sequence[int],
+    layers: bool = False,
+    varied: Sequence[str] = (),
 ) -> list[Choice]:
     """Return every effect out of ``names`` at ``sites``: for all chambers, and for each that was driven.
 
-    ``layers`` says whether the body has layers, without which some effects cannot be shown.
+    ``layers`` says whether the body has layers, and ``varied`` which surroundings were recorded and changed, without which
+    some effects cannot be shown.
     """
     found = []
     for name in names:
         effect = effect_class(name)
         if effect.site not in sites or not effect.suits(robot) or (effect.together and len(excited) < robot.chambers):
             continue
-        if effect.layered and not layers:
+        if (effect.layered and not layers) or (effect.needs and effect.needs not in varied):
             continue
         found.append(Choice(name))
         if has_chamber(name) and robot.chambers > 1 and len(excited) > 1:

@@ -13,6 +13,7 @@ from softrl.effects.library import effect_class
 from softrl.recordings.recording import Recording
 
 SHOWN = 1.25  # times what counts: the first effect removes this much, in squares; less may be a detail of the body
+SHOWN_BESIDE = 3.0  # the same where a retuned parameter stays at the end of its range: the body has another form
 OVERLOOKED = 0.02  # of the noise's mean square: a difference that no data tell
 
 
@@ -110,13 +111,13 @@ class Judge:
         needed = max(self.material, self.thresholds.material_gain * float(self.excess(worse.mean())))
         return gap.low > 0.0 and gap.value >= needed and self.stands_out(worse, better)
 
-    def shows(self, worse: np.ndarray, better: np.ndarray) -> bool:
+    def shows(self, worse: np.ndarray, better: np.ndarray, times: float = SHOWN) -> bool:
         """Return whether ``better`` shows that something is missing where nothing was named yet.
 
         Beside coloured noise, or a second thing that is missing, the rms error hardly falls when the first is found: what
-        is removed is measured in squares, and has to be more than the detail of a body.
+        is removed is measured in squares, and has to be more than the detail of a body, ``times`` what counts.
         """
-        plain = self.removed(worse, better) >= SHOWN * self.material
+        plain = self.removed(worse, better) >= times * self.material
         return self.gap(worse, better).low > 0.0 and plain and self.stands_out(worse, better)
 
     def stands_out(self, worse: np.ndarray, better: np.ndarray, times: float = 1.0) -> bool:

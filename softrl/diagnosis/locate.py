@@ -105,12 +105,28 @@ def _regressors(problem: Problem) -> dict[tuple[int | None, str], list[np.ndarra
             ]
         for j in range(i):
             found[None, f"chambers {j + 1} and {i + 1} together"] = [run[:, i] * run[:, j] for run in runs]
+    found |= _with_temperature(problem, runs)
     clocks = [np.linspace(0.0, 1.0, len(run)) for run in runs]
     found[None, "grows with time"] = clocks
     for share in LATE:
         found[None, f"after {share:.0%} of a run"] = [(clock > share).astype(float) for clock in clocks]
     found[None, "while any pressure changes"] = [np.abs(np.gradient(run, axis=0)).sum(axis=1) for run in runs]
     return {key: series for key, series in found.items() if any(np.ptp(s) > 1e-6 for s in series)}
+
+
+def _with_temperature(problem: Problem, runs: list[np.ndarray]) -> dict[tuple[int | None, str], list[np.ndarray]]:
+    """Return regressors of the temperature, alone and with each chamber's pressure (bins, chambers), where it is recorded."""
+    if any(run.temperature is None for run in problem.runs):
+        return {}
+    warm = [problem.binned(k, np.asarray(run.temperature)[:, None])[:, 0] for k, run in enumerate(problem.runs)]
+    middle = float(np.mean(np.concatenate(warm)))
+    warmer = [series - middle for series in warm]
+    found: dict[tuple[int | None, str], list[np.ndarray]] = {(None, "in step with temperature"): warmer}
+    for i in range(problem.robot.chambers):
+        found[i + 1, "in step with pressure, the more the warmer"] = [
+            run[:, i] * series for run, series in zip(runs, warmer, strict=True)
+        ]
+    return found
 
 
 def _direction(pressure: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from softrl.diagnosis.hypothesis import Choice, Gate, Hypothesis, effect_axes, may_be_gated, starts
-from softrl.diagnosis.judge import Judge
+from softrl.diagnosis.judge import SHOWN, SHOWN_BESIDE, Judge
 from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.rank import LEAD_SHARE, Lead, rank
@@ -21,8 +21,10 @@ REFORMED = 2  # fits of a round, the best, in which older effects are tried in t
 
 def pays(judge: Judge, current: Trial, added: Trial) -> bool:
     """Return whether the effect that ``added`` has beyond ``current`` pays; the first only has to show."""
-    decide = judge.pays if current.hypothesis.effects else judge.shows
-    return decide(current.squares, added.squares)
+    if current.hypothesis.effects:
+        return judge.pays(current.squares, added.squares)
+    odd = judge.problem.space(added.hypothesis).at_the_end(added.fit.point)
+    return judge.shows(current.squares, added.squares, SHOWN_BESIDE if odd else SHOWN)
 
 
 def not_taken(choices: Sequence[Choice], trial: Trial) -> list[Choice]:

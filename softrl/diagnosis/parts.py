@@ -13,6 +13,7 @@ from softrl.diagnosis.hypothesis import candidates, in_one_session
 from softrl.diagnosis.prelude import preludes
 from softrl.diagnosis.problem import ORIENTATION_LEVER, Problem
 from softrl.effects.effect import SITES
+from softrl.effects.replay import Between, evenly
 from softrl.recordings.recording import Recording
 
 SURE = 3.0  # standard errors that a sensor's bias must exceed
@@ -35,14 +36,17 @@ def valve_part(whole: Problem, data: Data, effects: list[str]) -> Part:
 
 
 def part_behind(valve: Finding, whole: Problem, data: Data, effects: list[str]) -> Part:
-    """Return the pipeline from measured pressure to motion."""
-    body = replace(
-        data,
-        training=_without_bias(whole.runs, valve, whole),
-        heldout=_without_bias(data.heldout, valve, whole),
-    )
+    """Return the pipeline from measured pressure to motion.
+
+    A command that is no pressure, or a valve that is not understood, says nothing about a sensor's zero and noise, nor about
+    what happens between its samples.
+    """
+    body, between = data, {}
+    if whole.robot.command == "pressure" and not valve.unknown:
+        training, heldout = (_mended(runs, valve, data.pressure_noise) for runs in (whole.runs, data.heldout))
+        body, between = replace(data, training=training, heldout=heldout), _between((*training, *heldout), valve)
     before = preludes(body.training, (*body.training, *body.heldout), whole.robot)
-    behind = replace(whole, drive="measured", runs=body.training, before=before)
+    behind = replace(whole, drive="measured", runs=body.training, before=before, between=between)
     sites = tuple(site for site in SITES if site != "valve")
     return _motion_part(behind, body, "measured pressure to motion", effects, sites)
 
@@ -50,7 +54,8 @@ def part_behind(valve: Finding, whole: Problem, data: Data, effects: list[str]) 
 def _motion_part(problem: Problem, data: Data, title: str, effects: list[str], sites: tuple[str, ...]) -> Part:
     wanted = [name for name in effects if not (problem.register and name == "frame")]
     choices = in_one_session(wanted, *([run.session for run in side] for side in (data.training, data.heldout)))
-    choices += candidates(wanted, sites, problem.robot, data.check.excited, isinstance(problem.simulator, Layered))
+    layers = isinstance(problem.simulator, Layered)
+    choices += candidates(wanted, sites, problem.robot, data.check.excited, layers, data.varied)
     turned = ORIENTATION_LEVER * problem.robot.length_m * data.turn_noise if problem.orientation else 0.0
     floor = floor_in_bin(float(np.hypot(data.noise, turned)), data, problem)
     return Part(title, problem.on(data.training), data.heldout, floor, data.travel, tuple(choices))
@@ -62,19 +67,45 @@ def floor_in_bin(noise: float, data: Data, problem: Problem) -> float:
     return noise / float(np.sqrt(max(problem.numerics.bin_s / period, 1.0)))
 
 
-def _without_bias(runs: Sequence[Recording], valve: Finding, whole: Problem) -> tuple[Recording, ...]:
-    """Return the runs with the constant offset of each measured pressure taken out, as far as the valve explains it.
-
-    A command that is no pressure, or a valve that is not understood, says nothing about a sensor's zero.
-    """
-    if whole.robot.command != "pressure" or valve.unknown:
-        return tuple(runs)
+def _supplied(runs: Sequence[Recording], valve: Finding) -> list[Recording]:
+    """Return what the valve as it is understood makes of the commands of ``runs``."""
     problem = replace(valve.part.problem, runs=tuple(runs))
-    supplied = problem.replayed(valve.final.hypothesis, valve.final.fit.point)
-    return tuple(
-        replace(run, pressure_meas=run.pressure_meas - _bias(run.pressure_meas - made.pressure_meas))
-        for run, made in zip(runs, supplied, strict=True)
-    )
+    return problem.replayed(valve.final.hypothesis, valve.final.fit.point, ("pressure_meas",))
+
+
+def _mended(runs: Sequence[Recording], valve: Finding, noise: float) -> tuple[Recording, ...]:
+    """Return the runs with pressures as far as the valve explains them, or their difference from that is no ``noise``, Pa.
+
+    A body that is driven by a sensor's noise shakes. What is kept of a difference is the share of its mean square that noise
+    leaves, as in Wiener's filter of a signal that is as white.
+    """
+    found = []
+    for run, made in zip(runs, _supplied(runs, valve), strict=True):
+        apart = run.pressure_meas - made.pressure_meas
+        apart -= _bias(apart)
+        square = float(np.mean(np.sum(apart**2, axis=1)))
+        share = max(1.0 - noise**2 / square, 0.0) if square > 0.0 else 0.0
+        found.append(replace(run, pressure_meas=made.pressure_meas + share * apart))
+    return tuple(found)
+
+
+def _between(runs: Sequence[Recording], valve: Finding) -> dict[str, Between]:
+    """Return by run what its pressures do between samples, as far as the valve explains it.
+
+    At ten samples a second most of what a valve does to a step is over before the next.
+    """
+    found, fine = {}, [_often(run, valve.part.problem.numerics.dt_s) for run in runs]
+    for stamps, made in zip([run.time for run in runs], _supplied(fine, valve), strict=True):
+        at_samples = made.pressure_meas[np.searchsorted(made.time, stamps)]
+        found[made.name] = Between(made.time, made.pressure_meas - evenly(made.time, stamps, at_samples))
+    return found
+
+
+def _often(run: Recording, dt_s: float) -> Recording:
+    """Return the commands and pressures of ``run`` with further rows ``dt_s`` apart, each under the command that acts then."""
+    time = np.union1d(run.time, np.arange(run.time[0], run.time[-1], dt_s))
+    command = run.pressure_cmd[np.searchsorted(run.time, time)]
+    return Recording(run.name, run.session, time, command, pressure_meas=evenly(time, run.time, run.pressure_meas))
 
 
 def _bias(differences: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from softrl.core.simulator import Hook, Motion, Simulator
 from softrl.diagnosis.hypothesis import LATE, Hypothesis, Space
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.library import effect_class, names
-from softrl.effects.replay import CHANNELS, replay
+from softrl.effects.replay import CHANNELS, Between, replay
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
@@ -120,6 +120,7 @@ class Problem:
     before : by run the pressures (chambers,) Pa under which the body stood before the first sample, where they are known
         better than by the first pressures themselves, see ``prelude``
     late_max_s : how late a log may have it that rows act: an interval between its samples
+    between : by run what its measured pressures do between their samples, where the valve is understood
     defect : by run what is added to the residual (bins, channels), see ``rough_about``
     """
 
@@ -133,6 +134,7 @@ class Problem:
     orientation: bool
     before: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     late_max_s: float = 0.0
+    between: Mapping[str, Between] = field(default_factory=dict)
     defect: tuple[np.ndarray, ...] = ()
 
     def on(self, runs: Sequence[Recording]) -> "Problem":
@@ -267,8 +269,8 @@ class Problem:
 
     def _replay(self, plant: Plant, run: Recording, channels: tuple[str, ...], late_s: float) -> Recording:
         settle = 0.0 if self._from_rest(run) else self.numerics.settle_s
-        before = self.before.get(run.name)
-        made = replay(plant, run, self.numerics.dt_s, self.drive, settle, before, channels, late_s)
+        before, between = self.before.get(run.name), self.between.get(run.name)
+        made = replay(plant, run, self.numerics.dt_s, self.drive, settle, before, channels, late_s, between)
         for name in self._compared:
             if not np.isfinite(_present(getattr(made, name))).all():
                 raise SolverError(f"run {run.name}: the simulation did not stay finite; try a smaller dt_s")

@@ -11,6 +11,7 @@ from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.errors import ConfigError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
+from softrl.diagnosis.along import along_the_body
 from softrl.diagnosis.compete import add_calibrated, competitors, judged_on, with_map
 from softrl.diagnosis.conclusion import cannot_tell, conclude
 from softrl.diagnosis.correct import Traces, share_closed
@@ -191,7 +192,8 @@ def _look(config: Config, part: Part) -> Finding:
 def _locate(finding: Finding) -> list[Any]:
     problem = finding.part.problem
     residual = problem.residual(finding.base.hypothesis, finding.base.fit.point, finding.base.placed)
-    return locate(problem, residual, finding.part.floor, finding.part.title)
+    found = locate(problem, residual, finding.part.floor, finding.part.title)
+    return found + (along_the_body(problem, finding.base, finding.part.title) if problem.target == "motion" else [])
 
 
 def _report(diagnosis: Diagnosis, evidence: Evidence | None, tracker: Tracker) -> None:

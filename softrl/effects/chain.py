@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -23,6 +23,7 @@ class EffectChain:
     robot: Robot
     effects: tuple[Effect, ...] = ()
     before_s: float = 0.0  # how long a run goes on before its first sample, at which the effects' clocks stand at zero
+    temperature: np.ndarray | None = field(default=None, compare=False)  # degree Celsius, one a second from there on
 
     @cached_property
     def ordered(self) -> tuple[Effect, ...]:
@@ -51,7 +52,7 @@ class EffectChain:
 
     def hooks(self, site: str) -> list[Hook]:
         """Return fresh hooks of the port effects at ``site``, for a body's kernel."""
-        return [hook_of(e, self.robot, self.before_s) for e in self.at(site) if not e.layered]
+        return [hook_of(e, self.robot, self.before_s, self.temperature) for e in self.at(site) if not e.layered]
 
     def body(self, simulator: Simulator) -> Simulator:
         """Return ``simulator`` with its layers as stiff as the effects make them.
@@ -92,7 +93,7 @@ class SignalFilter:
     def __init__(self, chain: EffectChain, *sites: str) -> None:
         effects = [e for e in chain.at(*sites) if e.channel == "pose"]
         effects += chain.gauges if "gauge" in sites else ()
-        self._calls = pack([hook_of(e, chain.robot, chain.before_s) for e in effects]) if effects else None
+        self._calls = pack([hook_of(e, chain.robot, chain.before_s, chain.temperature) for e in effects]) if effects else None
 
     @property
     def memory(self) -> np.ndarray:

@@ -101,6 +101,7 @@ class Effect:
     shifts_time : whether all that it does is to let everything happen later
     retunes : whether all that it does, everywhere and always, is what another value of a simulator's parameters does
     sticks : whether a small change and its taking back leave something behind, as dry friction does
+    needs : channel of a recording whose course it follows, "temperature", without which it does nothing; or empty
     layered : whether it changes the layers of the body itself, before anything moves: it has ``layers`` in place of a kernel,
         and no gate
     stores : whether its first parameter is a flow into a store of each chamber's, which stays when a gate stops the flow
@@ -121,6 +122,7 @@ class Effect:
     retunes: ClassVar[bool] = False
     sticks: ClassVar[bool] = False
     stores: ClassVar[bool] = False
+    needs: ClassVar[str] = ""
     layered: ClassVar[bool] = False
 
     above_share: float = dataclasses.field(default=EVERYWHERE, kw_only=True, metadata=_gate("1", EVERYWHERE, 1.0, 0.3))

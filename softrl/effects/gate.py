@@ -103,9 +103,14 @@ def gated_load(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: 
 KERNELS = {"body": gated_body, "load": gated_load}
 
 
-def hook_of(effect: Effect, robot: Robot, before_s: float = 0.0) -> Hook:
-    """Return ``effect`` as a kernel takes it, its clock ``before_s`` before the first sample."""
+def hook_of(effect: Effect, robot: Robot, before_s: float = 0.0, temperature: np.ndarray | None = None) -> Hook:
+    """Return ``effect`` as a kernel takes it, its clock ``before_s`` before the first sample.
+
+    ``temperature`` (seconds,) degree Celsius, one value a second from the first sample on, goes to what needs it.
+    """
     kernel, parameters, state = type(effect).kernel, effect.pack(robot), effect.reset(robot)
+    if effect.needs == "temperature" and temperature is not None:
+        parameters = np.r_[parameters, temperature]
     if effect.clock is not None:
         state[effect.clock] = -before_s
     if not effect.gated:

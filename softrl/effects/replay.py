@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import groupby
+from typing import NamedTuple
 
 import numba as nb
 import numpy as np
@@ -21,6 +22,13 @@ CHANNELS = ("pressure_meas", "position", "quaternion", "bend_angle")
 KEPT = 128  # recordings whose pressures on the grid are kept
 
 
+class Between(NamedTuple):
+    """What measured pressures do between their samples beyond changing evenly: times (steps,) s, (steps, chambers) Pa."""
+
+    time: np.ndarray
+    pressure: np.ndarray
+
+
 def replay(
     plant: Plant,
     recording: Recording,
@@ -30,6 +38,7 @@ def replay(
     before: Sequence[float] | None = None,
     channels: Sequence[str] = CHANNELS,
     late_s: float = 0.0,
+    between: Between | None = None,
 ) -> Recording:
     """Return what the plant's sensors report under a recording's commands, at the recording's times.
 
@@ -47,6 +56,7 @@ def replay(
         pressure the valve too stood under them
     channels : which are wanted; the others are None, and cost nothing
     late_s : how long after its time each row still acts, where a log was written so
+    between : what measured pressures do between their samples, where it is known
 
     Returns
     -------
@@ -59,7 +69,9 @@ def replay(
     -----
     Between grid points positions are interpolated linearly, quaternions likewise and normalised; pressures are held.
     """
-    return replay_batch([plant], recording, dt_s, drive, settle_s, before=before, channels=channels, late_s=late_s)[0]
+    return replay_batch(
+        [plant], recording, dt_s, drive, settle_s, before=before, channels=channels, late_s=late_s, between=between
+    )[0]
 
 
 def replay_batch(
@@ -72,15 +84,15 @@ def replay_batch(
     before: Sequence[float] | None = None,
     channels: Sequence[str] = CHANNELS,
     late_s: float = 0.0,
+    between: Between | None = None,
 ) -> list[Recording]:
     """Return what ``replay`` returns for each of ``plants``, whose robot is the same; see ``simulate_batch``."""
-    time, pressure, force = _kept_on_grid(Same(recording), dt_s, drive, settle_s, late_s)
+    time, pressure, force = _kept_on_grid(Same(recording), dt_s, drive, settle_s, late_s, Same(between))
     past = None if before is None else np.tile(np.asarray(before, dtype=float), (round(settle_s / dt_s), 1))
     if past is not None and drive == "command" and recording.pressure_meas is None:
         pressure, past = np.vstack([past, pressure[len(past) :]]), None
     taken = [_taken_at(plant.chain, recording.time) for plant in plants]
-    plants = [replace(plant, chain=replace(plant.chain, effects=_without_readers(plant.chain), before_s=settle_s))
-              for plant in plants]  # fmt: skip
+    plants = [_under(plant, settle_s, _each_second(Same(recording))) for plant in plants]
     if drive == "command":
         motions = simulate_batch(plants, time, pressure, force, workers, past)
     else:
@@ -92,6 +104,22 @@ def replay_batch(
     robot = plants[0].chain.robot
     pairs = zip(motions, taken, strict=True)
     return [_reported(recording, robot, time, motion, when, channels) for motion, when in pairs]
+
+
+def _under(plant: Plant, settle_s: float, temperature: np.ndarray | None) -> Plant:
+    """Return the plant without readers of sensors, its clocks and surroundings those of a run that settles before."""
+    effects = _without_readers(plant.chain)
+    return replace(plant, chain=replace(plant.chain, effects=effects, before_s=settle_s, temperature=temperature))
+
+
+@lru_cache(maxsize=KEPT)
+def _each_second(same: Same[Recording]) -> np.ndarray | None:
+    """Return the recorded temperature, degree Celsius, at whole seconds from the first sample on; None without one."""
+    run = same.thing
+    if run.temperature is None:
+        return None
+    since = run.time - run.time[0]
+    return np.interp(np.arange(int(np.ceil(since[-1])) + 1), since, run.temperature)
 
 
 def _reads(effect: Effect) -> bool:
@@ -116,20 +144,21 @@ def _taken_at(chain: EffectChain, stamps: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=KEPT)
 def _kept_on_grid(
-    same: Same[Recording], dt_s: float, drive: str, settle_s: float, late_s: float
+    same: Same[Recording], dt_s: float, drive: str, settle_s: float, late_s: float, between: Same[Between | None]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Return what drives a recording on the grid, kept: fits replay the same few recordings thousands of times."""
-    return _drive_on_grid(same.thing, dt_s, drive, settle_s, late_s)
+    return _drive_on_grid(same.thing, dt_s, drive, settle_s, late_s, between.thing)
 
 
 def _drive_on_grid(
-    recording: Recording, dt_s: float, drive: str, settle_s: float, late_s: float = 0.0
+    recording: Recording, dt_s: float, drive: str, settle_s: float, late_s: float = 0.0, between: Between | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Return the uniform grid (steps,) s, the pressures (steps, chambers) Pa and forces (steps, 3) N on it."""
     time, first = _grid(recording, dt_s, settle_s)
     stamps, rows = recording.time + late_s, _driving(recording, drive)
     if drive == "measured":
-        stamps, rows = _filled_in(stamps, rows, time)
+        known = between and Between(between.time + late_s, between.pressure)
+        stamps, rows = _filled_in(stamps, rows, time, known)
     pressure = _mean_held(stamps, rows, time, dt_s)
     if first and recording.pressure_meas is not None:
         pressure[:first] = recording.pressure_meas[0]
@@ -137,14 +166,21 @@ def _drive_on_grid(
     return time, pressure, force
 
 
-def _filled_in(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return samples (samples,), (samples, n) with further ones at the grid's times, between which a pressure changes evenly.
+def _filled_in(
+    stamps: np.ndarray, rows: np.ndarray, time: np.ndarray, between: Between | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return samples (samples,), (samples, n) with further ones at the grid's times, where a pressure has changed evenly.
 
     A command is held, but a measured pressure that was held until the next sample would be early by half the time to it.
     """
-    inside = time[(time > stamps[0]) & (time < stamps[-1])]
-    filled = np.union1d(stamps, inside)
-    return filled, np.stack([np.interp(filled, stamps, column) for column in rows.T], axis=1)
+    filled = np.union1d(stamps, time[(time > stamps[0]) & (time < stamps[-1])])
+    found = evenly(filled, stamps, rows)
+    return filled, found if between is None else found + evenly(filled, between.time, between.pressure)
+
+
+def evenly(at: np.ndarray, time: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return ``rows`` (samples, n), which change evenly between their times (samples,), at the times ``at`` (steps,)."""
+    return np.stack([np.interp(at, time, column) for column in rows.T], axis=1)
 
 
 def _mean_held(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray, dt_s: float) -> np.ndarray:
@@ -158,8 +194,7 @@ def _mean_held(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray, dt_s: flo
     held = np.vstack([rows, rows[-1:]])
     total = np.vstack([np.zeros((1, rows.shape[1])), np.cumsum(held * np.diff(knots)[:, None], axis=0)])
     edges = np.r_[time[0] - dt_s, time]
-    gathered = np.stack([np.interp(edges, knots, column) for column in total.T], axis=1)
-    return np.asarray(np.ascontiguousarray(np.diff(gathered, axis=0) / dt_s))
+    return np.asarray(np.ascontiguousarray(np.diff(evenly(edges, knots, total), axis=0) / dt_s))
 
 
 def _reported(

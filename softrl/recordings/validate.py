@@ -14,6 +14,7 @@ TINY_SHARE = 5e-3  # a command that never reaches this share of the limit is in 
 MEASURED_MARGIN = 0.25  # measured pressures may pass the limits by this share of the range: offsets, overshoot
 SLOWEST_PERIOD_S = 5.0  # a slower median sampling period means that time is in another unit
 FASTEST_PERIOD_S = 5e-5  # and so does a faster one: nothing that air moves is recorded at 20 kHz
+HOTTEST_C = 200.0  # no elastomer stands more: kelvin, or another quantity
 LARGEST_BEND_RAD = 6.0 * np.pi  # a backbone that is coiled three times round
 
 
@@ -29,6 +30,7 @@ def require_values(path: Path, header: list[str], table: np.ndarray, columns: Co
         for marker in columns.markers:
             _require_size(path, header, table, columns, marker, "m", REACH_LENGTHS * robot.length_m)
     _require_size(path, header, table, columns, "bend_angle", "rad", LARGEST_BEND_RAD)
+    _require_size(path, header, table, columns, "temperature", "degree Celsius", HOTTEST_C)
 
 
 def _line(row: int) -> int:

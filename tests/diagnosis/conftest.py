@@ -67,16 +67,21 @@ def made(
     sessions: int = 5,
     noise_m: float = 1e-4,
     measured: bool = False,
+    warmth: Callable[[int, np.ndarray], np.ndarray] | None = None,
     process: Callable[[Recording], Recording] | None = None,
 ) -> RecordingSet:
-    """Return sessions of one run each, with white noise; ``process`` changes a run after its simulation."""
+    """Return sessions of one run each, with white noise; ``process`` changes a run after its simulation.
+
+    ``warmth`` (number, time) is the temperature along a run, degree Celsius.
+    """
     robot, rng = simulator.robot, np.random.default_rng(seed)
     plant = Plant(simulator, chain_of(robot, effects))
     runs = []
     for number in range(sessions):
         time, pressure = programs(robot, rng, 0.02)
-        blank = Recording(f"run_{number}", f"day_{number}", time, pressure)
-        run = replay(plant, blank, 0.01)
+        temperature = None if warmth is None else warmth(number, time)
+        blank = Recording(f"run_{number}", f"day_{number}", time, pressure, temperature=temperature)
+        run = replace(replay(plant, blank, 0.01), temperature=temperature)
         if process is not None:
             run = process(run)
         assert run.position is not None and run.quaternion is not None and run.pressure_meas is not None

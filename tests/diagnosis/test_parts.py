@@ -1,15 +1,73 @@
-"""A sensor's bias is told from what a valve's law does not quite get right."""
+"""What measured pressures are taken for once the valve before them is understood."""
+
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+import pytest
 
-from softrl.diagnosis.parts import _bias
+from softrl.diagnosis import parts
+from softrl.effects.chain import EffectChain, SignalFilter
+from softrl.effects.lag import Lag
+from softrl.effects.replay import _drive_on_grid, evenly
+from softrl.recordings.recording import Recording
+from softrl.robots.robot import Robot
 from tests.diagnosis.series import coloured
+
+FINE_S = 0.002
 
 
 def test_a_bias_is_taken_out_where_it_is_one_for_sure_only() -> None:
     rng = np.random.default_rng(0)
     white = 60.0 * rng.standard_normal((1500, 3)) + [300.0, -40.0, 0.0]
-    np.testing.assert_allclose(_bias(white), [300.0, -40.0, 0.0], atol=6.0)
+    np.testing.assert_allclose(parts._bias(white), [300.0, -40.0, 0.0], atol=6.0)
     slow = np.stack([800.0 * coloured(rng, 1500, 0.99) * np.sqrt(1.0 - 0.99**2) for _ in range(3)], axis=1)
     assert np.abs(slow.mean(axis=0)).max() > 50.0
-    np.testing.assert_allclose(_bias(slow), 0.0, atol=30.0)
+    np.testing.assert_allclose(parts._bias(slow), 0.0, atol=30.0)
+
+
+def steps(robot: Robot, period_s: float) -> tuple[Recording, np.ndarray, np.ndarray]:
+    """Return a run of a valve that lags by 60 ms, sampled every ``period_s``, with what it supplied, on a fine grid (steps,)."""
+    rng = np.random.default_rng(2)
+    rows = 2e4 * rng.uniform(size=(round(20.0 / period_s) + 1, robot.chambers)).round(1)
+    time, stamps = FINE_S * np.arange(round(20.0 / FINE_S) + 1), period_s * np.arange(len(rows))
+    fine = rows[np.minimum(np.searchsorted(stamps, time - 1e-9), len(rows) - 1)]
+    chain = EffectChain(robot, (Lag(fill_s=0.06, vent_s=0.06),))
+    true = SignalFilter(chain, "valve").advance(fine, FINE_S)
+    run = Recording("run", "day", stamps, rows, pressure_meas=evenly(stamps, time, true))
+    return run, time, true
+
+
+def understood(monkeypatch: pytest.MonkeyPatch, time: np.ndarray, true: np.ndarray) -> Any:
+    """Return a valve whose law gives ``true`` (steps, chambers) at ``time`` (steps,)."""
+
+    def supplied(runs: list[Recording], _: Any) -> list[Recording]:
+        return [Recording(r.name, r.session, r.time, r.pressure_cmd, pressure_meas=evenly(r.time, time, true)) for r in runs]
+
+    monkeypatch.setattr(parts, "_supplied", supplied)
+    return SimpleNamespace(part=SimpleNamespace(problem=SimpleNamespace(numerics=SimpleNamespace(dt_s=FINE_S))))
+
+
+def test_a_body_sees_what_the_valve_does_between_samples(monkeypatch: pytest.MonkeyPatch, tripod: Robot) -> None:
+    run, time, true = steps(tripod, 0.1)
+    known = parts._between([run], understood(monkeypatch, time, true))["run"]
+    grid, plain, _ = _drive_on_grid(run, 0.01, "measured", 0.0)
+    _, mended, _ = _drive_on_grid(run, 0.01, "measured", 0.0, 0.0, known)
+    wanted = evenly(grid, time, true)
+    missed = [float(np.sqrt(np.mean((drive - wanted)[2:] ** 2))) for drive in (plain, mended)]
+    assert missed[0] > 500.0 and missed[1] < 0.1 * missed[0], missed
+
+
+@pytest.mark.parametrize(("unexplained", "kept"), [(0.0, 0.0), (3e3, 1.0)])
+def test_a_gauge_s_noise_does_not_drive_the_body_but_what_the_valve_leaves_does(
+    monkeypatch: pytest.MonkeyPatch, tripod: Robot, unexplained: float, kept: float
+) -> None:
+    run, time, true = steps(tripod, 0.05)
+    rng = np.random.default_rng(4)
+    noise = 200.0 * rng.standard_normal(run.pressure_cmd.shape)
+    left = unexplained * np.sin(2.0 * run.time)[:, None] * np.ones(3)
+    clean = evenly(run.time, time, true)
+    seen = Recording("run", "day", run.time, run.pressure_cmd, pressure_meas=clean + left + noise)
+    (mended,) = parts._mended([seen], understood(monkeypatch, time, true), 200.0 * np.sqrt(3.0))
+    missed = np.asarray(mended.pressure_meas) - clean - left
+    assert np.sqrt(np.mean(missed**2)) < 40.0 + 180.0 * kept

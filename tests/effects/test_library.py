@@ -11,7 +11,7 @@ import yaml
 from softrl.core.errors import ConfigError
 from softrl.core.simulator import Motion
 from softrl.effects import library
-from softrl.effects.chain import Plant, SignalFilter, chain_of
+from softrl.effects.chain import EffectChain, Plant, SignalFilter, chain_of
 from softrl.effects.effect import BODY_PORT_ROWS, LOAD_PORT_ROWS, SITES, Effect
 from softrl.pcc.simulator import PccSimulator
 from softrl.robots.robot import Robot
@@ -22,6 +22,7 @@ NAMES = [name for name, node in NODES.items() if node and "_target_" in node]
 LAYERED = [name for name in NAMES if library.effect_class(name).layered]  # tests/pod/test_layers.py: bodies that have layers
 ACTING = [name for name in NAMES if name not in LAYERED]
 ROBOTS = ("tripod", "three_chamber_segment", "single_chamber_finger")
+WARMING = np.linspace(22.0, 40.0, 13)  # degree Celsius, one a second
 
 
 @cache
@@ -49,7 +50,8 @@ def program(robot: Robot, dt_s: float, duration_s: float = 12.0) -> tuple[np.nda
 
 def simulate(effects: list[Effect], dt_s: float = 0.01, robot: str = "tripod") -> Motion:
     body = simulator(robot)
-    return Plant(body, chain_of(body.robot, effects)).simulate(*program(body.robot, dt_s))
+    chain = EffectChain(body.robot, tuple(effects), temperature=WARMING)
+    return Plant(body, chain).simulate(*program(body.robot, dt_s))
 
 
 def example_input(effect: Effect, robot: Robot) -> np.ndarray:
