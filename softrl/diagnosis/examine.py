@@ -11,7 +11,7 @@ from softrl.core.errors import SolverError
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes, neutral
 from softrl.diagnosis.hypothesise import forward
 from softrl.diagnosis.intervals import Interval, by_effect, intervals
-from softrl.diagnosis.judge import Gap, Judge, Thresholds
+from softrl.diagnosis.judge import SHOWN_BESIDE, Gap, Judge, Thresholds
 from softrl.diagnosis.leftover import Offer, explained_by, heldout_residual, offer_of, reasons_of
 from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem, Residual
@@ -220,7 +220,8 @@ def _confirm(
         weakest = min(gaps, key=lambda choice: gaps[choice].value)
         plain = gaps[weakest].value >= judge.material
         if len(gaps) == 1:  # nothing else is named: see ``Judge.shows``
-            plain = judge.removed(base.squares, final.squares) >= judge.material
+            times = SHOWN_BESIDE if part.problem.space(final.hypothesis).at_the_end(final.fit.point) else 1.0
+            plain = judge.removed(base.squares, final.squares) >= times * judge.material
         if plain and gaps[weakest].low > 0.0:
             found = intervals(part.problem, final, judge.thresholds)
             mine = by_effect(final.hypothesis, found)
