@@ -55,11 +55,13 @@ from softrl.effects.play import Play
 from softrl.effects.power_creep import PowerCreep
 from softrl.effects.pressure_sensor import PressureSensor
 from softrl.effects.rate_limit import RateLimit
+from softrl.effects.shared_flow import SharedFlow
 from softrl.effects.stiffness_scale import StiffnessScale
 from softrl.effects.strain_softening import StrainSoftening
 from softrl.effects.strain_stiffening import StrainStiffening
 from softrl.effects.supply_limit import SupplyLimit
 from softrl.effects.tether import Tether
+from softrl.effects.thermal_softening import ThermalSoftening
 from softrl.effects.tube_line import TubeLine
 from softrl.effects.viscoelasticity import Viscoelasticity
 from softrl.pcc.simulator import PccSimulator
@@ -165,6 +167,15 @@ def test_rate_limit_ramps_at_its_rates() -> None:
     ]
     np.testing.assert_allclose(np.diff(supplied[:100]), 0.5 * FULL * DT)
     np.testing.assert_allclose(np.diff(supplied[100:]), -0.25 * FULL * DT)
+
+
+def test_chambers_share_one_pump_s_flow() -> None:
+    """Alone a chamber fills at the pump's rate, three together at a third of it each; all vent at once."""
+    alone = step_to(FULL, 100) * [1.0, 0.0, 0.0]
+    np.testing.assert_allclose(np.diff(signal(SharedFlow(rise_per_s=0.5), alone)[:, 0]), 0.5 * FULL * DT)
+    together = signal(SharedFlow(rise_per_s=0.5), np.vstack([step_to(FULL, 100), step_to(0.0, 2)]))
+    np.testing.assert_allclose(np.diff(together[:100], axis=0), 0.5 / 3.0 * FULL * DT)
+    assert not together[100:].any()
 
 
 def test_supply_limit_clips_both_ends() -> None:
@@ -366,6 +377,19 @@ def test_drift_waits_for_its_onset() -> None:
     added = pull(Drift(rate_per_s=0.004, onset_s=5.0), np.full(1000, 0.05))
     assert not added[:500].any()
     np.testing.assert_allclose(added[500:], pull(Drift(rate_per_s=0.004), np.full(500, 0.05)), rtol=1e-9)
+
+
+def test_a_wall_softens_with_the_recorded_temperature_only() -> None:
+    """Its stiffness at whole seconds is ``exp(-a (T - 20))`` times the model's, halfway between them in between."""
+    effect = ThermalSoftening(softening_per_k=0.02)
+    port = np.zeros((BODY_PORT_ROWS, 3))
+    port[ELASTIC], port[ELASTIC_SLOPE] = 1e3, 2e4
+    for temperature, warm in ((None, 0.0), (np.array([26.0, 30.0]), 8.0), (np.array([30.0]), 10.0)):
+        (hook,) = EffectChain(ROBOT, (effect,), temperature=temperature).hooks("body")
+        seen = port.copy()
+        hook.kernel(hook.parameters, hook.state, seen, 0.5, True)
+        np.testing.assert_allclose(seen[ADDED], np.expm1(-0.02 * warm) * 1e3)
+        np.testing.assert_allclose(seen[ADDED_SLOPE], np.expm1(-0.02 * warm) * 2e4)
 
 
 def test_friction_loop_grows_with_pressure_not_with_rate() -> None:
