@@ -8,7 +8,7 @@ from softrl.artifacts.diagnosis import Diagnosis
 from softrl.diagnosis.along import BENDS
 from softrl.diagnosis.correct import Model
 from softrl.diagnosis.examine import Finding, Named
-from softrl.diagnosis.hypothesis import AT_END, GATES, LATE, Choice, has_chamber, pinned_values
+from softrl.diagnosis.hypothesis import AT_END, BEFORE_GAUGE, GATES, LATE, Choice, has_chamber, pinned_values
 from softrl.diagnosis.locate import significant
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.separate import separating_program
@@ -17,6 +17,7 @@ from softrl.robots.robot import Robot
 
 LATE_SHARE = 0.2  # of the interval between samples: a log that is less late goes without saying
 PIECE_SHARE = 0.2  # of the wrong bending: a piece of the body with less goes without saying
+TOLD = 0.02  # logarithm of a retuned parameter over its nominal value: less goes without saying
 AS_GOOD = 1.05  # times the retuned error: nothing was gained
 WORDS = {
     "valve": "between command and chamber pressure",
@@ -46,14 +47,24 @@ def verdict_of(findings: Sequence[Finding], heldout: dict[str, float]) -> str:
         return "unknown"
     if not named:
         return "nothing missing"
-    if misleads(heldout):
+    if misleads(heldout) or (findings[0].unknown and not explains(findings[0], heldout)):
         return "unknown"
     return "indistinguishable" if any(_class(finding) for finding in findings) else "named"
 
 
 def misleads(heldout: dict[str, float]) -> bool:
-    """Return whether the corrected simulator errs plainly more than the retuned one, whatever its parts do on their own."""
-    return heldout["corrected"] > AS_GOOD * max(heldout["retuned"], heldout["noise_floor"])
+    """Return whether the corrected simulator errs plainly more than one retuned, or one with a single lag, does.
+
+    Whatever its parts do on their own, they do not serve together then.
+    """
+    plain = min(heldout["retuned"], heldout.get("one_lag", heldout["retuned"]))
+    return heldout["corrected"] > AS_GOOD * max(plain, heldout["noise_floor"])
+
+
+def explains(valve: Finding, heldout: dict[str, float]) -> bool:
+    """Return whether the correction explains from the command what effects should, though its ``valve`` is not understood."""
+    retuned, corrected = (max(heldout[name] ** 2 - heldout["noise_floor"] ** 2, 0.0) for name in ("retuned", "corrected"))
+    return retuned - corrected >= valve.judge.thresholds.explained_share * retuned
 
 
 def _class(finding: Finding) -> list[str]:
@@ -82,7 +93,7 @@ def _entry(finding: Finding, named: Named) -> dict[str, Any]:
             p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit, "at_bound": p.at_bound}
             for p in named.intervals
         },
-        "pinned": pinned_values(choice),
+        "pinned": pinned_values(choice) | ({"before_gauge": True} if choice.gauged else {}),
         "evidence": (
             f"{finding.part.title}: without it the held-out error above the noise is {without:.3g} {unit}, with it "
             f"{without - factor * named.gap.value:.3g} {unit} (gain {factor * named.gap.low:.3g} to "
@@ -100,7 +111,8 @@ def where(choice: Choice) -> str:
     else:
         places = {"valve": "all valves", "load": "tip", "sensor": "pose sensor", "chamber": "all chambers"}
         place = "one layer" if effect_class(choice.name).layered else places.get(choice.site, "whole body")
-    return f"{place}, {GATES[choice.gate.field]}" if choice.gate else place
+    place += f", {GATES[choice.gate.field]}" if choice.gate else ""
+    return f"{place}, {BEFORE_GAUGE}" if choice.gauged else place
 
 
 def shown_in(finding: Finding) -> tuple[float, str]:
@@ -206,7 +218,7 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
     if diagnosis.effects and misleads(diagnosis.errors_mm["heldout"]):
         behind = " What is named holds under the measured pressure; what the command does to it is not understood."
         lines.append(
-            "Do not rely on the corrected simulator: from the command it predicts held-out runs worse than the retuned one."
+            "Do not rely on the corrected simulator: from the command it predicts held-out runs worse than retuning or one lag."
             + (behind if len(findings) > 1 else "")
         )
     lines += [_effect_sentence(effect) for effect in diagnosis.effects]
@@ -216,11 +228,11 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
         if rival["score_gap"] < 0.0 and not rival["equivalent"]:
             verb = "needs more parameters and fits all runs together no better than"
         lines.append(
-            f"{rival['name']} {verb} {rival['instead_of']}: held out by {rival['score_gap']:.2g} {rival['unit']} "
-            f"({rival['low']:.2g} to {rival['high']:.2g})."
+            f"{rival['name']} {verb} {rival['instead_of']}: its held-out error is larger by {rival['score_gap']:.2g} "
+            f"{rival['unit']} ({rival['low']:.2g} to {rival['high']:.2g})."
         )
     odd = [name for name, entry in diagnosis.retuned.items() if not entry["plausible"]]
-    if odd:
+    if odd and diagnosis.verdict != "nothing missing":
         lines.append(
             f"Retuning alone drives {', '.join(odd)} to the end of the plausible range: "
             "evidence that physics is missing."
@@ -251,9 +263,11 @@ def _log_sentence(finding: Finding) -> list[str]:
     late_s = problem.space(final.hypothesis).late(final.fit.point)
     if late_s < LATE_SHARE * problem.late_max_s or problem.late_max_s == 0.0:
         return []
+    if late_s > (1.0 - LATE_SHARE) * problem.late_max_s:
+        return ["By the log each row's command acts from its time until the next row's."]
     return [
-        f"Each row's command acts until {1e3 * late_s:.2g} ms after its time: less than the {1e3 * problem.late_max_s:.2g} ms "
-        "between samples, so it is taken as how the log is written and not as physics."
+        f"By the log each row's command acts until {1e3 * late_s:.2g} ms after its time, of {1e3 * problem.late_max_s:.2g} ms "
+        "between rows: taken as how the log is written, not as physics."
     ]
 
 
@@ -293,14 +307,22 @@ def _verdict_sentence(diagnosis: Diagnosis) -> str:
     names_ = " and ".join(f"{effect['title']} ({effect['where']})" for effect in diagnosis.effects)
     if diagnosis.verdict == "nothing missing":
         held = diagnosis.errors_mm["heldout"]
-        enough = "its own parameters" if held["nominal"] <= AS_GOOD * held["retuned"] else "retuned parameters"
-        return f"Nothing is missing from the simulator that these recordings could show: {enough} suffice."
+        found = {name: entry for name, entry in diagnosis.retuned.items() if abs(log(entry["value"] / entry["nominal"])) > TOLD}
+        values = ", ".join(f"{name} {entry['value']:.3g} for {entry['nominal']:.3g}" for name, entry in found.items())
+        retuned = f"retuned parameters suffice ({values})" if found else "retuned parameters suffice"
+        enough = "its own parameters suffice" if held["nominal"] <= AS_GOOD * held["retuned"] else retuned
+        if any(not entry["plausible"] for entry in found.values()):
+            return (
+                f"No effect is needed beside retuning, but that goes to the end of what is plausible ({values}): the "
+                "robot's data are wrong, or it carries or lacks something that acts like these."
+            )
+        return f"Nothing is missing from the simulator that these recordings could show: {enough}."
     if diagnosis.verdict == "named":
         return f"The simulator leaves out: {names_}."
     if diagnosis.verdict == "indistinguishable":
         alike = ", ".join(sorted({row["name"] for row in diagnosis.rivals if row["equivalent"]}))
         return f"The simulator leaves out {names_}; the recordings cannot tell from it: {alike}."
-    also = f" Named so far: {names_}." if names_ else ""
+    also = f" What is named describes part of it and is no identification: {names_}." if names_ else ""
     return f"Something is missing that no effect of the library explains.{also}"
 
 

@@ -14,6 +14,7 @@ from softrl.effects.library import effect_class
 from softrl.robots.robot import Robot
 
 GATES = {"above_share": "above a pressure", "since_s": "from a time on"}
+BEFORE_GAUGE = "before the gauge"
 BEGINS = (0.3, 0.6)  # shares of the run and of its highest pressure at which searches for a gate begin
 BEGIN_ALONE = (0.45,)  # the same for one chamber alone, of which there are many
 # what may change from one day to the next: warmth, rest and age of the wall; what it carries; how it is mounted
@@ -35,7 +36,7 @@ class Choice(NamedTuple):
     """One effect of the library; ``chamber`` is -1 for all chambers, or where the effect knows none.
 
     ``pinned`` names the parameters that are held at their neutral values; ``gate`` says above which pressure or from when on
-    alone it acts, ``session`` in which session alone, if anywhere.
+    alone it acts, ``session`` in which session alone, if anywhere; ``gauged`` that it acts before the gauge of the pressure.
     """
 
     name: str
@@ -43,17 +44,19 @@ class Choice(NamedTuple):
     pinned: tuple[str, ...] = ()
     gate: Gate | None = None
     session: str = ""
+    gauged: bool = False
 
     def label(self) -> str:
         """Return the name, with the chamber (counted from 1), the gate and the session where it acts there alone."""
         where = [f"chamber {self.chamber + 1}"] * (self.chamber >= 0) + [f"session {self.session}"] * bool(self.session)
         where += [GATES[self.gate.field]] if self.gate else []
+        where += [BEFORE_GAUGE] * self.gauged
         return f"{self.name} ({', '.join(where)})" if where else self.name
 
     @property
     def site(self) -> str:
         """Where along the pipeline it acts."""
-        return effect_class(self.name).site
+        return "valve" if self.gauged else effect_class(self.name).site
 
     @property
     def shifts_time(self) -> bool:
@@ -222,8 +225,8 @@ def build_effect(choice: Choice, values: Sequence[float]) -> Effect:
     """Return the effect with ``values`` in the order of its free parameters."""
     cls = effect_class(choice.name)
     named = pinned_values(choice) | dict(zip((f.name for f in free_fields(choice)), values, strict=True))
-    fixed = {"chamber": choice.chamber} if has_chamber(choice.name) else {}
-    return cls(**named, **fixed)
+    fixed: dict[str, Any] = {"chamber": choice.chamber} if has_chamber(choice.name) else {}
+    return cls(**named, **fixed, before_gauge=choice.gauged)
 
 
 def pinned_values(choice: Choice) -> dict[str, float]:
@@ -256,22 +259,27 @@ def candidates(
     excited: Sequence[int],
     layers: bool = False,
     varied: Sequence[str] = (),
+    gauges_only: bool = False,
 ) -> list[Choice]:
     """Return every effect out of ``names`` at ``sites``: for all chambers, and for each that was driven.
 
     ``layers`` says whether the body has layers, and ``varied`` which surroundings were recorded and changed, without which
-    some effects cannot be shown.
+    some effects cannot be shown. ``gauges_only`` says that measured pressures are what is compared: what happens to a
+    chamber before its gauge is considered, too.
     """
     found = []
     for name in names:
         effect = effect_class(name)
-        if effect.site not in sites or not effect.suits(robot) or (effect.together and len(excited) < robot.chambers):
+        gauged = effect.gauged and gauges_only
+        if effect.site not in sites and not gauged:
+            continue
+        if not effect.suits(robot) or (effect.together and len(excited) < robot.chambers):
             continue
         if (effect.layered and not layers) or (effect.needs and effect.needs not in varied):
             continue
-        found.append(Choice(name))
+        found.append(Choice(name, gauged=gauged))
         if has_chamber(name) and robot.chambers > 1 and len(excited) > 1:
-            found += [Choice(name, chamber) for chamber in excited]
+            found += [Choice(name, chamber, gauged=gauged) for chamber in excited]
     return found
 
 

@@ -25,6 +25,8 @@ LINE_LEVEL = 1e-8  # chance of a line in the spectrum of noise
 UNDRIVEN_SHARE = 0.5  # of the squared error: effects that remove less explain nothing
 UNKNOWN_TIMES = 1.2  # what is missing must stand out more than what is named: nobody can check it
 REST_FACTOR = 2.5  # times what counts: what is left beside effects that explain most of it, and is no detail of them
+LOUD = 0.1  # of the motion: nobody records with noise as loud as this
+LOUD_BESIDE = 0.25  # the same beside effects that explain most of it, whose form may differ
 NEARLY_ALL = 0.9  # of the squared error: effects whose laws have no other form explain it, or leave a third of the error
 FOLLOWING_FACTOR = 3.0  # times what counts: structure below this may be a detail of the body
 UNEVEN_FACTOR = 2.0  # times what counts: what jumps or moves with the pressures, without the noise, and is no detail of the body
@@ -91,6 +93,9 @@ def reasons_of(judge: Judge, final: Trial, offer: Offer, explained: Explained) -
     left = explained.left
     if left <= judge.material:
         return []
+    mostly = explained.of_all >= judge.thresholds.explained_share
+    if left > (LOUD_BESIDE if mostly else LOUD) * judge.travel:
+        return [f"what is left is {left / judge.travel:.0%} of the motion, more than any sensor's noise"]
     follows = offer.pays and judge.stands_out(final.squares, offer.squares, UNKNOWN_TIMES)
     drives, heldout, reasons = _drives(judge), heldout_residual(judge, final), []
     if explained.share >= judge.thresholds.explained_share:

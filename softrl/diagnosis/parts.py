@@ -30,7 +30,7 @@ def valve_part(whole: Problem, data: Data, effects: list[str]) -> Part:
     steps = whole.numerics
     finer = replace(steps, dt_s=steps.dt_s / VALVE_STEPS, rough_dt_s=steps.rough_dt_s / VALVE_STEPS)
     problem = replace(whole, target="pressure", register=False, orientation=False, runs=data.training, numerics=finer)
-    choices = candidates(effects, ("valve",), whole.robot, data.check.excited)
+    choices = candidates(effects, ("valve",), whole.robot, data.check.excited, gauges_only=True)
     floor = floor_in_bin(data.pressure_noise, data, problem)
     return Part("command to measured pressure", problem, data.heldout, floor, data.pressure_travel, tuple(choices))
 

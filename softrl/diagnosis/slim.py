@@ -14,7 +14,12 @@ DIFFERENCE = 0.02  # scaled step of derivatives
 
 
 def slim(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Path) -> Trial:
-    """Return ``trial`` without the parameters that do not pay: each is pinned at its neutral value and the rest refitted."""
+    """Return ``trial`` without the parameters that do not pay: each is pinned at its neutral value and the rest refitted.
+
+    A gate that opens below all pressures, or before anything moves, has no influence: it goes first.
+    """
+    if any(choice.gate for choice in trial.hypothesis.effects):
+        trial = _without_silent(fitting, trial, search, path)
     again = True
     while again:
         again = False

@@ -37,3 +37,8 @@ class Asymmetry(Effect):
     def pack(self, robot: Robot) -> np.ndarray:
         """Return the chambers' gains."""
         return 1.0 + np.asarray(robot.chamber_direction @ [self.along_x, self.along_y])
+
+    @classmethod
+    def suits(cls, robot: Robot) -> bool:
+        """Return whether chambers can differ."""
+        return robot.chambers > 1

@@ -27,8 +27,8 @@ class EffectChain:
 
     @cached_property
     def ordered(self) -> tuple[Effect, ...]:
-        """The effects by site; within a site by name, so that a list's order cannot change a result."""
-        return tuple(sorted(self.effects, key=lambda e: (SITES.index(e.site), e.name())))
+        """The effects by site; within a site by name, so that a list's order cannot change a result; chambers behind valves."""
+        return tuple(sorted(self.effects, key=lambda e: (SITES.index(e.acts_at), SITES.index(e.site), e.name())))
 
     @cached_property
     def _at(self) -> dict[tuple[str, ...], tuple[Effect, ...]]:
@@ -38,7 +38,7 @@ class EffectChain:
     def at(self, *sites: str) -> tuple[Effect, ...]:
         """Return the effects that act at any of ``sites``."""
         if sites not in self._at:
-            self._at[sites] = tuple(e for e in self.ordered if e.site in sites)
+            self._at[sites] = tuple(e for e in self.ordered if e.acts_at in sites)
         return self._at[sites]
 
     @property

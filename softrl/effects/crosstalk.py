@@ -35,6 +35,7 @@ class Crosstalk(Effect):
     site: ClassVar[str] = "chamber"
     title: ClassVar[str] = "cross-talk between chambers"
     kernel: ClassVar = crosstalk_kernel
+    gauged: ClassVar[bool] = True
 
     share: float = parameter("1", -0.4, 0.4, 0.0, typical=0.1)
     chamber: int = -1

@@ -101,10 +101,12 @@ class Effect:
     shifts_time : whether all that it does is to let everything happen later
     retunes : whether all that it does, everywhere and always, is what another value of a simulator's parameters does
     sticks : whether a small change and its taking back leave something behind, as dry friction does
+    gauged : whether a chamber's effect may lie before the gauge of its pressure as well as behind it, see ``before_gauge``
     needs : channel of a recording whose course it follows, "temperature", without which it does nothing; or empty
     layered : whether it changes the layers of the body itself, before anything moves: it has ``layers`` in place of a kernel,
         and no gate
     stores : whether its first parameter is a flow into a store of each chamber's, which stays when a gate stops the flow
+    before_gauge : whether an effect on chambers acts before their pressures are measured, at the valve, so that gauges show it
     above_share : share of the robot's largest pressure above which it acts; ``EVERYWHERE`` for all pressures
     since_s : time of each run from which it acts, s; 0 for always
     """
@@ -122,11 +124,13 @@ class Effect:
     retunes: ClassVar[bool] = False
     sticks: ClassVar[bool] = False
     stores: ClassVar[bool] = False
+    gauged: ClassVar[bool] = False
     needs: ClassVar[str] = ""
     layered: ClassVar[bool] = False
 
     above_share: float = dataclasses.field(default=EVERYWHERE, kw_only=True, metadata=_gate("1", EVERYWHERE, 1.0, 0.3))
     since_s: float = dataclasses.field(default=0.0, kw_only=True, metadata=_gate("s", 0.0, 600.0, 10.0))
+    before_gauge: bool = dataclasses.field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
         for field in (*self.parameter_fields(), *self.gate_fields()):
@@ -135,6 +139,8 @@ class Effect:
                 raise ConfigError(
                     f"effect {self.name()}.{field.name}={value:g} {field.metadata['unit']} is outside {low:g}..{high:g}"
                 )
+        if self.before_gauge and not self.gauged:
+            raise ConfigError(f"effect {self.name()}.before_gauge=true: no gauge of a chamber's pressure can show it")
         if self.layered and self.gated:
             raise ConfigError(f"effect {self.name()} is how the body is made; expected neither above_share nor since_s")
 
@@ -152,6 +158,11 @@ class Effect:
     def gate_fields(cls) -> Iterator[dataclasses.Field[Any]]:
         """Yield the fields that say above which pressure and from when on it acts."""
         return (field for field in fields(cls) if "gate" in field.metadata)
+
+    @property
+    def acts_at(self) -> str:
+        """Where along the pipeline it acts, one of ``SITES``."""
+        return "valve" if self.before_gauge else self.site
 
     @property
     def gated(self) -> bool:

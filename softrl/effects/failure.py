@@ -1,5 +1,6 @@
 """A chamber that gives way in the middle of a run."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -7,6 +8,9 @@ import numba as nb
 import numpy as np
 
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
+from softrl.recordings.recording import Recording
+
+ONSETS = (0.2, 0.4, 0.6, 0.8)  # shares of the longest run
 
 
 @nb.njit(SIGNAL_KERNEL, cache=True)
@@ -33,8 +37,15 @@ class Failure(Effect):
     site: ClassVar[str] = "chamber"
     title: ClassVar[str] = "failure of a chamber during the run"
     kernel: ClassVar = failure_kernel
+    gauged: ClassVar[bool] = True
     clock: ClassVar = 0
 
     loss: float = parameter("1", 0.0, 1.0, 0.0, typical=0.4)
     onset_s: float = parameter("s", 0.0, 600.0, 5.0, typical=5.0)
     chamber: int = -1
+
+    @classmethod
+    def seen_in(cls, runs: Sequence[Recording]) -> list[dict[str, float]]:
+        """Return onsets spread over the runs: from one that is far too early no slope leads to the right one."""
+        longest = max(float(run.time[-1] - run.time[0]) for run in runs)
+        return [{"onset_s": share * longest} for share in ONSETS]

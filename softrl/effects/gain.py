@@ -30,6 +30,7 @@ class Gain(Effect):
     site: ClassVar[str] = "chamber"
     title: ClassVar[str] = "gain of a chamber"
     kernel: ClassVar = gain_kernel
+    gauged: ClassVar[bool] = True
     exact: ClassVar[bool] = True
 
     gain: float = parameter("1", 0.1, 3.0, 1.0, typical=0.8)

@@ -46,6 +46,7 @@ class Leak(Effect):
     site: ClassVar[str] = "chamber"
     title: ClassVar[str] = "leak of a chamber"
     kernel: ClassVar = leak_kernel
+    gauged: ClassVar[bool] = True
     stores: ClassVar[bool] = True
 
     leak_per_s: float = parameter("1/s", 0.0, 2.0, 0.0, typical=0.3)
