@@ -36,7 +36,7 @@ from softrl.pod.newtons import converge
 from softrl.pod.potential import Tables
 from softrl.pod.products import TILE
 
-LANES = 32  # trajectories in step: enough for vectors, few enough for the cache; a multiple of a tile's
+LANES = 64  # trajectories in step, at most: enough for vectors, few enough for the cache; a multiple of a tile's
 
 
 def run_batch(
@@ -45,21 +45,28 @@ def run_batch(
     """Roll out from ``y`` and ``velocity`` (B, r) under ``load`` (B, steps, r) Pa and N.
 
     Blocks of trajectories run in threads, one a core. Returns the path (B, steps, r), the number of steps that did not
-    converge, and the largest ``|y|``; the same motions as ``pod.kernel.run_kernel`` makes, to round-off.
+    converge, and the largest ``|y|``; the same motions as ``pod.kernel.run_kernel`` makes, to round-off, and bit for bit the
+    same in whatever block.
     """
-    path, columns = np.empty(load.shape), columns_of(tables)
-    blocks = [slice(first, first + LANES) for first in range(0, len(y), LANES)]
+    path, columns, cores = np.empty(load.shape), columns_of(tables), len(os.sched_getaffinity(0))
+    lanes = min(LANES, _whole_tiles(-(-len(y) // cores)) or TILE)
+    blocks = [slice(first, first + lanes) for first in range(0, len(y), lanes)]
 
     def run(block: slice) -> tuple[int, float]:
-        lanes = len(y[block])
-        filled = np.minimum(np.arange(-(-lanes // TILE) * TILE), lanes - 1)  # whole tiles: the last trajectory again
+        count = len(y[block])
+        filled = np.minimum(np.arange(_whole_tiles(count)), count - 1)  # the last trajectory again and again
         moving = (np.array(part[block][filled].T, order="C") for part in (y, velocity))
         push = np.ascontiguousarray(load[block][filled].transpose(1, 2, 0))
         return run_block(*moving, dt_s, push, tables, columns, path[block])
 
-    with ThreadPoolExecutor(min(len(blocks), len(os.sched_getaffinity(0))) or 1) as threads:
+    with ThreadPoolExecutor(min(len(blocks), cores) or 1) as threads:
         ends = list(threads.map(run, blocks))
     return path, sum(failed for failed, _ in ends), max((farthest for _, farthest in ends), default=0.0)
+
+
+def _whole_tiles(lanes: int) -> int:
+    """Return the lanes of as many tiles as hold ``lanes``."""
+    return -(-lanes // TILE) * TILE
 
 
 @standing
