@@ -1,7 +1,8 @@
 """How small inner functions are compiled.
 
 They only borrow arrays, so they are compiled without reference counts, and into their callers: taking a model's tuple apart, or
-passing its hundred words, costs more than the arithmetic of a small body. Such a function cannot allocate.
+passing its hundred words, costs more than the arithmetic of a small body. Such a function cannot allocate. Larger ones may
+stand alone.
 """
 
 from typing import Any
@@ -10,8 +11,8 @@ import numba as nb
 
 FAST = {"reassoc", "contract"}  # sums in any order: what lets the compiler use vectors
 
-_INNER: dict[str, Any] = {
-    "cache": True, "nogil": True, "error_model": "numpy", "forceinline": True, "_nrt": False,
-}  # fmt: skip
+_ALONE: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False}
+_INNER: dict[str, Any] = _ALONE | {"forceinline": True}
+standing: Any = nb.njit(fastmath=FAST, **_ALONE)
 borrowing: Any = nb.njit(**_INNER)
 summing: Any = nb.njit(fastmath=FAST, **_INNER)

@@ -11,19 +11,32 @@ from typing import Any
 import numba as nb
 import numpy as np
 
-from softrl.core.compiled import FAST
-from softrl.core.threads import one_thread
-from softrl.pod.chords import fill_viscosities
+from softrl.core.compiled import standing
+from softrl.pod.chords import fill_viscosities, go_half_way
+from softrl.pod.columns import Columns, columns_of
 from softrl.pod.inertia import Course, make_course
-from softrl.pod.inertias import add_inertias, fill_amplitudes, fill_inertias, fill_kinetic, fill_work
+from softrl.pod.inertias import add_inertias, fill_amplitudes, fill_inertias, fill_kinetic, fill_work, kinetic_of
 from softrl.pod.inside import AXES, Inside, make_inside
 from softrl.pod.insides import begin_insides, end_insides, fill_gives
 from softrl.pod.kernel import MAX_ITERATIONS, SCALINGS
-from softrl.pod.lanes import Lanes, add, add_times, fill_monomials, make_lanes, scale_down, to_balls
+from softrl.pod.lanes import (
+    Lanes,
+    add,
+    add_times,
+    largest,
+    make_lanes,
+    put,
+    put_rate,
+    put_sum,
+    put_times,
+    scale_down,
+    to_balls,
+)
 from softrl.pod.newtons import converge
 from softrl.pod.potential import Tables
+from softrl.pod.products import TILE
 
-LANES = 128  # trajectories in step: many for the matrix products, few enough for the cache
+LANES = 64  # trajectories in step, at most: enough for vectors, few enough for the cache; a multiple of a tile's
 
 
 def run_batch(
@@ -32,115 +45,159 @@ def run_batch(
     """Roll out from ``y`` and ``velocity`` (B, r) under ``load`` (B, steps, r) Pa and N.
 
     Blocks of trajectories run in threads, one a core. Returns the path (B, steps, r), the number of steps that did not
-    converge, and the largest ``|y|``; the same motions as ``pod.kernel.run_kernel`` makes, to round-off.
+    converge, and the largest ``|y|``; the same motions as ``pod.kernel.run_kernel`` makes, to round-off, and bit for bit the
+    same in whatever block.
     """
-    path = np.empty(load.shape)
-    blocks = [slice(first, first + LANES) for first in range(0, len(y), LANES)]
+    path, columns, cores = np.empty(load.shape), columns_of(tables), len(os.sched_getaffinity(0))
+    lanes = min(LANES, _whole_tiles(-(-len(y) // cores)) or TILE)
+    blocks = [slice(first, first + lanes) for first in range(0, len(y), lanes)]
 
     def run(block: slice) -> tuple[int, float]:
-        moving = (np.array(part[block].T, order="C") for part in (y, velocity))
-        return run_block(*moving, dt_s, load[block], tables, path[block])
+        count = len(y[block])
+        filled = np.minimum(np.arange(_whole_tiles(count)), count - 1)  # the last trajectory again and again
+        moving = (np.array(part[block][filled].T, order="C") for part in (y, velocity))
+        push = np.ascontiguousarray(load[block][filled].transpose(1, 2, 0))
+        return run_block(*moving, dt_s, push, tables, columns, path[block])
 
-    threads = ThreadPoolExecutor(min(len(blocks), len(os.sched_getaffinity(0))) or 1)
-    with one_thread(), threads:
+    with ThreadPoolExecutor(min(len(blocks), cores) or 1) as threads:
         ends = list(threads.map(run, blocks))
     return path, sum(failed for failed, _ in ends), max((farthest for _, farthest in ends), default=0.0)
 
 
-@nb.njit(cache=True, fastmath=FAST, error_model="numpy")
+def _whole_tiles(lanes: int) -> int:
+    """Return the lanes of as many tiles as hold ``lanes``."""
+    return -(-lanes // TILE) * TILE
+
+
+@standing
 def _begin(
-    start: np.ndarray, ahead: np.ndarray, velocity: np.ndarray, load: np.ndarray, dt: float, tables: Any, course: Course,
-    held: Lanes,
+    start: np.ndarray, ahead: np.ndarray, load: np.ndarray, dt: float, tables: Any, course: Course, held: Lanes
 ) -> None:
-    """Fill what is constant in a step, and free flight ``ahead``, as ``pod.kernel.begin_step``; ``load`` (lanes, r)."""
-    r, lanes = start.shape
+    """Fill what is constant in a step, as ``pod.kernel.begin_step``; ``load`` (r, lanes)."""
+    r = len(start)
     free, drag, late = tables.scales[0] / dt**2, tables.scales[1] / dt, tables.scales[2] / dt
     for i in range(r):
-        for lane in range(lanes):
-            ahead[i, lane] = start[i, lane] + dt * velocity[i, lane]
-    np.dot(tables.frame.T, load.T, held.right)
-    for i in range(r):
+        held.right[i] = 0.0
         add_times(held.right[i], -late, held.steep[i])
         for j in range(r):
-            held.inertia[i, j] = late * held.stiff[i, j]
+            add_times(held.right[i], tables.frame[j, i], load[j])
+            put_times(held.inertia[i, j], late, held.stiff[i, j])
             add(held.right[i], held.inertia[i, j], start[j])
     add_inertias(free, drag, course, held)
 
 
-@nb.njit(cache=True, error_model="numpy")
+@standing
 def _end(
-    y: np.ndarray, start: np.ndarray, velocity: np.ndarray, inner: np.ndarray, dt: float, tables: Any, insides: Inside,
-    course: Course, held: Lanes, energies: tuple[np.ndarray, np.ndarray],
-) -> None:
-    """Bring rates, amplitudes and the energies (lanes,) up to date, as ``pod.kernel.end_step``."""
+    y: np.ndarray, start: np.ndarray, velocity: np.ndarray, inner: np.ndarray, dt: float, tables: Any, columns: Columns,
+    insides: Inside, course: Course, held: Lanes, energies: tuple[np.ndarray, np.ndarray],
+) -> float:
+    """Bring rates, amplitudes and the energies (lanes,) up to date, as ``pod.kernel.end_step``; return the largest ``|y|``."""
     kinetic, bent = energies
-    share, most = held.some[3], held.some[4]
-    former, formerly = velocity.copy(), inner[1].copy()
-    velocity[:] = (y - start) / dt
+    most = held.some[4]
+    for i in range(len(y)):
+        put(held.former[i], velocity[i])
+        put_rate(velocity[i], y[i], start[i], dt)
+    for k in range(AXES):
+        put(held.formerly[k], inner[1, k])
     end_insides(inner, y, dt, insides, held.some[0], bent)
-    fill_work(y, velocity, former, inner[1], formerly, dt, insides, course, held, most)
+    fill_work(y, velocity, inner[1], dt, insides, course, held, most)
     for lane in range(len(most)):
         most[lane] = max(kinetic[lane] + most[lane], 0.0)
-    course.before[:] = course.now
-    fill_amplitudes(y, 0, False, tables, held, course.now, course.lead)
+    for a in range(len(course.now)):
+        put(course.before[a], course.now[a])
+    fill_amplitudes(y, y.shape[1], tables, columns, held, course.now, course.lead)
+    farthest = largest(held.radius)
     fill_kinetic(velocity, inner, dt, insides, course, held, kinetic)
-    for _ in range(SCALINGS):
-        if (kinetic <= most).all():
-            break
-        for lane in range(len(most)):
-            share[lane] = math.sqrt(most[lane] / kinetic[lane]) if kinetic[lane] > most[lane] else 1.0
-        velocity *= share
-        inner[1] *= share
-        fill_amplitudes(y - dt * velocity, 0, False, tables, held, course.before, course.lead)
-        fill_kinetic(velocity, inner, dt, insides, course, held, kinetic)
+    _hold_back(y, velocity, inner, dt, tables, columns, insides, course, held, energies[0])
+    return farthest
 
 
-@nb.njit(cache=True)
-def _set_out(
-    y: np.ndarray, velocity: np.ndarray, inner: np.ndarray, bent: np.ndarray, dt: float, tables: Any, insides: Inside,
-    held: Lanes,
+@standing
+def _hold_back(
+    y: np.ndarray, velocity: np.ndarray, inner: np.ndarray, dt: float, tables: Any, columns: Columns, insides: Inside,
+    course: Course, held: Lanes, kinetic: np.ndarray,
 ) -> None:
-    """Fill the insides' stiffnesses and scale them back to the energies ``bent`` (lanes,), as ``pod.kernel``."""
-    to_balls(y + 0.5 * dt * velocity, held.points, held.radius)
-    fill_monomials(held.points, tables, held.values[: tables.give.shape[1]])
-    fill_gives(tables, held.values, insides)
+    """Scale the rates of lanes whose energy is above what it may be, ``some[4]``, as ``pod.kernel.end_step``: these alone."""
+    most = held.some[4]
+    for _ in range(SCALINGS):
+        over = 0
+        for lane in range(len(kinetic)):
+            if kinetic[lane] > most[lane]:
+                share = math.sqrt(most[lane] / kinetic[lane])
+                for k in range(AXES):
+                    inner[1, k, lane] *= share
+                for i in range(len(y)):
+                    velocity[i, lane] *= share
+                    held.middle[i, over] = y[i, lane] - dt * velocity[i, lane]
+                held.order[over] = lane
+                over += 1
+        if over == 0:
+            break
+        fill_amplitudes(held.middle, over, tables, columns, held, course.ahead, course.lead)
+        for place in range(over):
+            lane = held.order[place]
+            for a in range(len(course.now)):
+                course.before[a, lane] = course.ahead[a, place]
+            kinetic[lane] = kinetic_of(lane, velocity, inner, dt, insides, course)
+
+
+@standing
+def _set_out(
+    y: np.ndarray, velocity: np.ndarray, inner: np.ndarray, bent: np.ndarray, dt: float, tables: Any, columns: Columns,
+    insides: Inside, held: Lanes,
+) -> None:
+    """Fill the insides' stiffnesses and scale them back to the energies ``bent`` (lanes,), as ``pod.kernel``.
+
+    The monomials half way of free flight, where viscosity is wanted next, stay.
+    """
+    for i in range(len(y)):
+        put_sum(held.middle[i], y[i], 0.5 * dt, velocity[i])
+    go_half_way(held.middle, tables, columns, held)
+    fill_gives(columns, held.values, insides)
     scale_down(inner[0], bent, insides.give, held.some)
 
 
 @nb.njit(cache=True, error_model="numpy", nogil=True)
 def run_block(
-    y: np.ndarray, velocity: np.ndarray, dt: float, load: np.ndarray, tables: Any, path: np.ndarray
+    y: np.ndarray, velocity: np.ndarray, dt: float, load: np.ndarray, tables: Any, columns: Columns, path: np.ndarray
 ) -> tuple[int, float]:
-    """Fill ``path`` (lanes, steps, r) from ``y`` and ``velocity`` (r, lanes), used up, under ``load``."""
+    """Fill ``path`` (B, steps, r) from ``y`` and ``velocity`` (r, lanes), used up, under ``load`` (steps, r, lanes).
+
+    There are whole tiles of lanes; ``path`` is that of the first ones, as many as it has room for.
+    """
     r, lanes = y.shape
-    held, start, ahead = make_lanes(r, lanes, tables), np.empty((r, lanes)), np.empty((r, lanes))
-    waiting, progress = np.empty(lanes, dtype=np.bool_), np.empty((lanes, 2))
+    held, start, ahead, by = make_lanes(r, lanes, tables), np.empty((r, lanes)), np.empty((r, lanes)), np.zeros((r, lanes))
     kinetic, bent = np.empty(lanes), np.full(lanes, np.inf)
     insides, inner = make_inside(r, (lanes,)), np.zeros((2, AXES, lanes))
     to_balls(y, held.points, held.radius)
     failed, farthest = 0, held.radius.max()
     course = make_course(r, len(tables.amplitudes), (lanes,))
-    fill_amplitudes(y - dt * velocity, 0, False, tables, held, course.before, course.lead)
-    fill_inertias(y, np.zeros((r, lanes)), tables, insides, course, held)
+    fill_amplitudes(y - dt * velocity, lanes, tables, columns, held, course.before, course.lead)
+    fill_inertias(y, tables, columns, insides, course, held)
     course.now[:] = course.ahead
     fill_kinetic(velocity, inner, dt, insides, course, held, kinetic)
-    _set_out(y, velocity, inner, bent, dt, tables, insides, held)
-    for step in range(load.shape[1]):
-        start[:] = y
+    _set_out(y, velocity, inner, bent, dt, tables, columns, insides, held)
+    for step in range(len(load)):
+        for i in range(r):
+            put(start[i], y[i])
+            put_times(by[i], dt, velocity[i])
+            put_sum(ahead[i], start[i], 1.0, by[i])
+            put(y[i], ahead[i])
         for again in range(2):  # inertia is that where the first iteration leads, viscosity that half way there
-            by = y - start if again else dt * velocity
-            fill_inertias(start, by, tables, insides, course, held)
+            if again:
+                for i in range(r):
+                    put_rate(by[i], y[i], start[i], 1.0)
+                    put_sum(held.middle[i], start[i], 0.5, by[i])
+                go_half_way(held.middle, tables, columns, held)
             if tables.scales[2] > 0.0:
-                fill_viscosities(start, by, tables, insides, held)
-            _begin(start, ahead, velocity, load[:, step].copy(), dt, tables, course, held)
+                fill_viscosities(by, tables, columns, insides, held)
+            fill_inertias(y, tables, columns, insides, course, held)
+            _begin(start, ahead, load[step], dt, tables, course, held)
             begin_insides(inner, ahead, start, dt, tables, insides, held.trial, held.inertia, held.right)
-            if not again:
-                y[:] = ahead
-            missed = converge(y, waiting, progress, tables, held, MAX_ITERATIONS if again else 1)
-        failed += missed
-        path[:, step] = y.T
-        _end(y, start, velocity, inner, dt, tables, insides, course, held, (kinetic, bent))
-        _set_out(y, velocity, inner, bent, dt, tables, insides, held)
-        to_balls(y, held.points, held.radius)
-        farthest = max(farthest, held.radius.max())
+            missed = converge(y, tables, columns, held, MAX_ITERATIONS if again else 1)
+        for lane in range(len(path)):
+            path[lane, step] = y[:, lane]
+        failed += (held.order[:missed] < len(path)).sum()
+        farthest = max(farthest, _end(y, start, velocity, inner, dt, tables, columns, insides, course, held, (kinetic, bent)))
+        _set_out(y, velocity, inner, bent, dt, tables, columns, insides, held)
     return failed, farthest

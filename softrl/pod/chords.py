@@ -2,21 +2,33 @@
 
 from typing import Any
 
-import numba as nb
 import numpy as np
 
+from softrl.core.compiled import standing
+from softrl.pod.columns import Columns, fill_monomials, fill_rows
 from softrl.pod.inside import Inside
 from softrl.pod.insides import fill_drags
-from softrl.pod.lanes import Lanes, add, add_times, fill_monomials, fill_rows, fill_squares, squares_of, take, to_balls
+from softrl.pod.lanes import Lanes, add, add_times, fill_squares, squares_of, take, to_balls
 from softrl.pod.viscosity import TINY
 
 
-@nb.njit(cache=True, error_model="numpy")
-def fill_viscosities(start: np.ndarray, by: np.ndarray, tables: Any, insides: Inside, held: Lanes) -> None:
-    """Fill viscosities and the forces of their slopes for steps ``by`` (r, lanes), as ``pod.viscosity.fill_viscosity``."""
-    metric, driven = (tables.stiffness_root, tables.stiffness_factor), held.some[3]
-    _fill_chords(metric, start + 0.5 * by, by, tables.drag_root.shape[1], tables, held, held.stiff, held.steep)
-    fill_drags(held.root, tables, held.values, insides)
+@standing
+def go_half_way(middle: np.ndarray, tables: Any, columns: Columns, held: Lanes) -> None:
+    """Fill the points of ``middle`` (r, lanes) and all monomials there that ``fill_viscosities`` and ``fill_gives`` want."""
+    most = max(len(columns.stiffness_root), len(columns.drag_root), len(columns.give))
+    to_balls(middle, held.points, held.radius)
+    fill_monomials(held.points, tables, middle.shape[1], held.values[:most])
+
+
+@standing
+def fill_viscosities(by: np.ndarray, tables: Any, columns: Columns, insides: Inside, held: Lanes) -> None:
+    """Fill viscosities and the forces of their slopes for steps ``by`` (r, lanes), as ``pod.viscosity.fill_viscosity``.
+
+    ``go_half_way`` came before.
+    """
+    driven = held.some[3]
+    _fill_chords(by, tables, columns, held, held.stiff, held.steep)
+    fill_drags(held.root, columns, held.values, insides)
     driven[:] = 0.0
     for i in range(len(by)):
         take(driven, held.steep[i], by[i])
@@ -27,24 +39,21 @@ def fill_viscosities(start: np.ndarray, by: np.ndarray, tables: Any, insides: In
             held.steep[i, lane] /= share
 
 
-@nb.njit(cache=True)
+@standing
 def _fill_chords(
-    metric: Any, middle: np.ndarray, by: np.ndarray, least: int, tables: Any, held: Lanes, matrix: np.ndarray,
-    slope: np.ndarray,
+    by: np.ndarray, tables: Any, columns: Columns, held: Lanes, matrix: np.ndarray, slope: np.ndarray
 ) -> None:
     """Fill ``matrix`` (r, r, lanes) and ``slope`` (r, lanes), as ``pod.chord.fill_chord``; ``pairs`` are used up."""
-    entries, factor = metric
-    to_balls(middle, held.points, held.radius)
-    fill_monomials(held.points, tables, held.values[: max(least, entries.shape[1])])
-    fill_rows(entries, held.values, held.pairs)
+    entries, factor = tables.stiffness_root, tables.stiffness_factor
+    fill_rows(columns.stiffness_root, held.values, held.pairs)
     _fill_roots(factor, held)
     fill_squares(held.root, matrix)
     _fill_weights(factor, by, held)
-    np.dot(entries.T, held.pairs, held.mixed[: entries.shape[1]])
+    fill_rows(entries, held.pairs, held.mixed[: entries.shape[1]])
     _fill_slopes(entries.shape[1], tables, held, slope)
 
 
-@nb.njit(cache=True)
+@standing
 def _fill_roots(factor: np.ndarray, held: Lanes) -> None:
     """Fill ``root`` from the entries in ``pairs`` and the lower triangular ``factor``."""
     r, pair = len(factor), 0
@@ -58,7 +67,7 @@ def _fill_roots(factor: np.ndarray, held: Lanes) -> None:
             pair += 1
 
 
-@nb.njit(cache=True)
+@standing
 def _fill_weights(factor: np.ndarray, by: np.ndarray, held: Lanes) -> None:
     """Fill ``pairs`` with the derivatives of the squares of ``by`` by the entries of the roots."""
     moved, led = held.gradient, held.wanted
@@ -78,7 +87,7 @@ def _fill_weights(factor: np.ndarray, by: np.ndarray, held: Lanes) -> None:
             pair += 1
 
 
-@nb.njit(cache=True, error_model="numpy")
+@standing
 def _fill_slopes(count: int, tables: Any, held: Lanes, slope: np.ndarray) -> None:
     """Fill ``slope`` with a quarter of the gradients of the first ``count`` monomials weighed by ``mixed``."""
     outward = held.some[2]

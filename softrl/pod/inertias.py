@@ -3,9 +3,10 @@
 import math
 from typing import Any
 
-import numba as nb
 import numpy as np
 
+from softrl.core.compiled import borrowing, standing
+from softrl.pod.columns import Columns, fill_leads, fill_monomials
 from softrl.pod.inertia import Course
 from softrl.pod.inside import AXES, Inside
 from softrl.pod.insides import fill_masses, shared_energies
@@ -15,52 +16,71 @@ from softrl.pod.lanes import (
     add_scaled,
     add_times,
     combine,
-    fill_monomials,
-    fill_rows,
     fill_squares,
+    largest,
+    put,
+    put_rate,
+    put_times,
     take,
     to_balls,
 )
+from softrl.pod.products import multiply
 
 
-@nb.njit(cache=True)
+@standing
 def fill_amplitudes(
-    y: np.ndarray, least: int, with_lead: bool, tables: Any, held: Lanes, amplitudes: np.ndarray, lead: np.ndarray
+    y: np.ndarray, lanes: int, tables: Any, columns: Columns, held: Lanes, amplitudes: np.ndarray, lead: np.ndarray
 ) -> None:
-    """Fill the amplitudes (k, lanes) at ``y`` (r, lanes) and their gradients, as ``pod.inertia.fill_amplitudes``."""
-    r = len(y)
-    to_balls(y, held.points, held.radius)
-    fill_monomials(held.points, tables, held.values[: max(least, tables.amplitudes.shape[1])])
-    fill_rows(tables.amplitudes, held.values, amplitudes)
-    outside = held.radius.max() > 1.0
-    if with_lead or outside:
-        fill_rows(tables.amplitude_slope, held.values, lead)
-    if outside:
-        for a in range(len(amplitudes)):
-            for i in range(r):
-                add(amplitudes[a], lead[a * r + i], y[i])
-                take(amplitudes[a], lead[a * r + i], held.points[i])
+    """Fill the amplitudes (k, >= lanes) at the first ``lanes`` of ``y`` (r, >= lanes); ``lead`` is scratch.
+
+    As ``pod.inertia.fill_amplitudes``.
+    """
+    to_balls(y, held.points, held.radius[:lanes])
+    fill_monomials(held.points, tables, lanes, held.values[: len(columns.amplitudes)])
+    multiply(columns.amplitudes, held.values, 0, len(columns.amplitudes), lanes, amplitudes)
+    if largest(held.radius[:lanes]) > 1.0:
+        multiply(columns.amplitude_slope, held.values, 0, len(columns.amplitude_slope), lanes, lead)
+        _go_on(y, lanes, lead, amplitudes, held)
 
 
-@nb.njit(cache=True)
-def fill_inertias(start: np.ndarray, by: np.ndarray, tables: Any, insides: Inside, course: Course, held: Lanes) -> None:
-    """Fill amplitudes and masses where steps ``by`` (r, lanes) from ``start`` lead, as ``pod.inertia.fill_inertia``."""
-    course.aim[:] = start
-    course.aim[:] += by
-    fill_amplitudes(course.aim, tables.give_root.shape[1], True, tables, held, course.ahead, course.lead)
+@standing
+def _go_on(y: np.ndarray, lanes: int, lead: np.ndarray, amplitudes: np.ndarray, held: Lanes) -> None:
+    """Add to ``amplitudes`` what they change by from the unit ball to ``y``; nothing at all for lanes inside."""
+    r, beyond = len(y), held.wanted
+    for i in range(r):
+        put_rate(beyond[i, :lanes], y[i], held.points[i], 1.0)
+    for a in range(len(amplitudes)):
+        for i in range(r):
+            add(amplitudes[a, :lanes], lead[a * r + i], beyond[i])
+
+
+@standing
+def fill_inertias(aim: np.ndarray, tables: Any, columns: Columns, insides: Inside, course: Course, held: Lanes) -> None:
+    """Fill amplitudes and masses where steps lead, ``aim`` (r, lanes), as ``pod.inertia.fill_inertia``.
+
+    ``held`` then has the monomials there of which the potential's Hessian is made.
+    """
+    for i in range(len(aim)):
+        put(course.aim[i], aim[i])
+    most = max(len(columns.hessian), len(columns.amplitude_slope), len(columns.give_root))
+    to_balls(aim, held.points, held.radius)
+    fill_monomials(held.points, tables, aim.shape[1], held.values[:most])
+    fill_leads(columns, held, course.lead, course.ahead)
+    if largest(held.radius) > 1.0:
+        _go_on(aim, aim.shape[1], course.lead, course.ahead, held)
     fill_squares(course.lead, held.mass)
     _fill_roots(held.mass, held.root)
-    fill_masses(held.root, tables, held.values, insides)
+    fill_masses(held.root, columns, held.values, insides)
 
 
-@nb.njit(cache=True, error_model="numpy")
+@standing
 def _fill_roots(mass: np.ndarray, root: np.ndarray) -> None:
     """Fill ``root`` (r r, lanes) with the triangles of ``pod.inertia.fill_root``."""
     r = len(mass)
     root[:] = 0.0
     for i in range(r):
         for j in range(i, r):
-            root[i * r + j] = mass[i, j]
+            put(root[i * r + j], mass[i, j])
             for k in range(i):
                 take(root[i * r + j], root[k * r + i], root[k * r + j])
         for lane in range(mass.shape[2]):
@@ -71,7 +91,7 @@ def _fill_roots(mass: np.ndarray, root: np.ndarray) -> None:
                 root[i * r + j, lane] = root[i * r + j, lane] / pivot if pivot > 0.0 else 0.0
 
 
-@nb.njit(cache=True)
+@standing
 def add_inertias(free: float, drag: float, course: Course, held: Lanes) -> None:
     """Add the forces of inertia to ``inertia`` and ``right``, as ``pod.inertia.add_inertia``."""
     r, force = len(held.right), held.some[0]
@@ -85,7 +105,7 @@ def add_inertias(free: float, drag: float, course: Course, held: Lanes) -> None:
             take(held.right[i], course.lead[a * r + i], force)
 
 
-@nb.njit(cache=True)
+@standing
 def fill_kinetic(
     velocity: np.ndarray, inner: np.ndarray, dt: float, insides: Inside, course: Course, held: Lanes, kinetic: np.ndarray
 ) -> None:
@@ -97,14 +117,33 @@ def fill_kinetic(
         add(kinetic, rate, rate)
 
 
-@nb.njit(cache=True)
+@borrowing
+def kinetic_of(lane: int, velocity: np.ndarray, inner: np.ndarray, dt: float, insides: Inside, course: Course) -> float:
+    """Return twice the kinetic energy of one lane, as ``fill_kinetic``."""
+    total = 0.0
+    for a in range(len(course.now)):
+        total += ((course.now[a, lane] - course.before[a, lane]) / dt) ** 2
+    for k in range(AXES):
+        for i in range(len(velocity)):
+            total += 2.0 * velocity[i, lane] * insides.couple[i, k, lane] * inner[1, k, lane]
+        for j in range(AXES):
+            total += inner[1, j, lane] * insides.own[j, k, lane] * inner[1, k, lane]
+    return total
+
+
+@standing
 def fill_work(
-    y: np.ndarray, velocity: np.ndarray, former: np.ndarray, giving: np.ndarray, formerly: np.ndarray, dt: float,
-    insides: Inside, course: Course, held: Lanes, work: np.ndarray,
+    y: np.ndarray, velocity: np.ndarray, giving: np.ndarray, dt: float, insides: Inside, course: Course, held: Lanes,
+    work: np.ndarray,
 ) -> None:
-    """Fill twice the works (lanes,), as ``pod.inertia.work_of_inertia``."""
+    """Fill twice the works (lanes,), as ``pod.inertia.work_of_inertia``; the ``former`` rates are used up."""
     r, rate, moved = len(velocity), held.some[0], held.some[1]
-    by, changed, gained = (y - course.aim) / dt, giving - formerly, velocity - former
+    by, changed, gained = held.wanted, held.formerly, held.former
+    for i in range(r):
+        put_rate(by[i], y[i], course.aim[i], dt)
+        put_rate(gained[i], velocity[i], gained[i], 1.0)
+    for k in range(AXES):
+        put_rate(changed[k], giving[k], changed[k], 1.0)
     work[:] = 0.0
     for a in range(len(course.now)):
         moved[:] = 0.0
@@ -124,4 +163,4 @@ def fill_work(
         for k in range(AXES):
             add(rate, insides.own[j, k], changed[k])
         add(work, rate, giving[j])
-    work *= 2.0
+    put_times(work, 2.0, work)

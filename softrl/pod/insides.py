@@ -2,36 +2,36 @@
 
 from typing import Any
 
-import numba as nb
 import numpy as np
 
-from softrl.core.compiled import summing
+from softrl.core.compiled import standing, summing
+from softrl.pod.columns import fill_rows
 from softrl.pod.inside import AXES, LEAST
-from softrl.pod.lanes import add, add_scaled, fill_rows, squares_of, take
+from softrl.pod.lanes import add, add_scaled, put, squares_of, take
 
 
-@nb.njit(cache=True)
-def fill_masses(root: np.ndarray, tables: Any, values: np.ndarray, insides: Any) -> None:
+@standing
+def fill_masses(root: np.ndarray, columns: Any, values: np.ndarray, insides: Any) -> None:
     """Fill masses at monomials ``values`` (k, lanes); ``root`` (r r, lanes) are those of the coordinates' masses."""
-    fill_rows(tables.give_root, values, insides.rows)
+    fill_rows(columns.give_root, values, insides.rows)
     _join(root, insides.rows, insides.couple, insides.own)
 
 
-@nb.njit(cache=True)
-def fill_gives(tables: Any, values: np.ndarray, insides: Any) -> None:
+@standing
+def fill_gives(columns: Any, values: np.ndarray, insides: Any) -> None:
     """Fill the stiffnesses at monomials ``values``."""
-    fill_rows(tables.give, values, insides.gives)
+    fill_rows(columns.give, values, insides.gives)
     _fill_own(insides.gives, insides.give)
 
 
-@nb.njit(cache=True)
-def fill_drags(root: np.ndarray, tables: Any, values: np.ndarray, insides: Any) -> None:
+@standing
+def fill_drags(root: np.ndarray, columns: Any, values: np.ndarray, insides: Any) -> None:
     """Fill viscosities at monomials ``values``; ``root`` are those of the coordinates' viscosities."""
-    fill_rows(tables.drag_root, values, insides.rows)
+    fill_rows(columns.drag_root, values, insides.rows)
     _join(root, insides.rows, insides.drag, insides.tough)
 
 
-@nb.njit(cache=True)
+@standing
 def _join(root: np.ndarray, rows: np.ndarray, across: np.ndarray, own: np.ndarray) -> None:
     r = len(across)
     for i in range(r):
@@ -42,14 +42,14 @@ def _join(root: np.ndarray, rows: np.ndarray, across: np.ndarray, own: np.ndarra
     _fill_own(rows, own)
 
 
-@nb.njit(cache=True)
+@standing
 def _fill_own(rows: np.ndarray, matrix: np.ndarray) -> None:
     for j in range(AXES):
         for k in range(j, AXES):
             matrix[j, k] = 0.0
             for a in range(len(rows) // AXES):
                 add(matrix[j, k], rows[AXES * a + j], rows[AXES * a + k])
-            matrix[k, j] = matrix[j, k]
+            put(matrix[k, j], matrix[j, k])
 
 
 @summing
@@ -59,7 +59,7 @@ def _blend(left: np.ndarray, a: float, right: np.ndarray, b: float, out: np.ndar
         out[lane] = a * left[lane] + b * right[lane]
 
 
-@nb.njit(cache=True)
+@standing
 def begin_insides(
     inner: np.ndarray, ahead: np.ndarray, start: np.ndarray, dt: float, tables: Any, insides: Any, scratch: np.ndarray,
     inertia: np.ndarray, right: np.ndarray,
@@ -98,7 +98,7 @@ def begin_insides(
                 take(inertia[i, j], share, pull[j, k])
 
 
-@nb.njit(cache=True)
+@standing
 def end_insides(inner: np.ndarray, y: np.ndarray, dt: float, insides: Any, part: np.ndarray, bent: np.ndarray) -> None:
     """Bring ``inner`` (2, 3, lanes) up to date with the arrivals at ``y``; fill twice the energies it stores, ``bent``."""
     left, given = insides.push, insides.rows
@@ -110,11 +110,11 @@ def end_insides(inner: np.ndarray, y: np.ndarray, dt: float, insides: Any, part:
         for k in range(AXES):
             add(given[j], insides.inverse[j, k], left[k])
         _blend(given[j], 1.0 / dt, inner[0, j], -1.0 / dt, inner[1, j])
-        inner[0, j] = given[j]
+        put(inner[0, j], given[j])
     squares_of(insides.give, inner[0], part, bent)
 
 
-@nb.njit(cache=True)
+@standing
 def shared_energies(velocity: np.ndarray, inner: np.ndarray, insides: Any, part: np.ndarray, total: np.ndarray) -> None:
     """Fill ``total`` (lanes,) with twice the kinetic energies of the insides and of what they share; ``part`` is scratch."""
     squares_of(insides.own, inner[1], part, total)
@@ -125,7 +125,7 @@ def shared_energies(velocity: np.ndarray, inner: np.ndarray, insides: Any, part:
         add(total, part, velocity[i])
 
 
-@nb.njit(cache=True, error_model="numpy")
+@standing
 def _invert(m: np.ndarray) -> None:
     """Invert symmetric matrices (3, 3, lanes) in place, as ``pod.inside`` does."""
     for lane in range(m.shape[2]):

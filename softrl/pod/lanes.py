@@ -6,7 +6,9 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 
-from softrl.core.compiled import summing
+from softrl.core.compiled import borrowing, standing, summing
+from softrl.pod.inside import AXES
+from softrl.pod.potential import Room, make_room
 
 
 class Lanes(NamedTuple):
@@ -15,11 +17,12 @@ class Lanes(NamedTuple):
     Attributes
     ----------
     mass, stiff, inertia, matrix : (r, r, lanes), the last one scratch
-    steep, right, gradient, direction, wanted, trial : (r, lanes)
+    steep, right, gradient, direction, wanted, trial, moving, middle, former : (r, lanes);  formerly : (3, lanes)
     points : (r, lanes) in the unit ball;  radius : (lanes,) of the states they belong to
-    root : (r r, lanes);  pairs : (r (r + 1) / 2, lanes)
+    root : (r r, lanes);  pairs, pulls : (r (r + 1) / 2, lanes)
     values : (k, lanes) monomials;  mixed : (k, lanes) polynomials, one a lane
-    some : (5, lanes) scratch
+    order : (lanes,) which of them Newton's iteration still moves;  progress : (lanes, 2) as in ``pod.kernel.iterate``
+    some : (5, lanes) scratch;  room, and alone (2 r + 2, r), that of a lane which goes alone
     """
 
     mass: np.ndarray
@@ -32,24 +35,35 @@ class Lanes(NamedTuple):
     direction: np.ndarray
     wanted: np.ndarray
     trial: np.ndarray
+    moving: np.ndarray
+    middle: np.ndarray
+    former: np.ndarray
+    formerly: np.ndarray
     points: np.ndarray
     radius: np.ndarray
     root: np.ndarray
     pairs: np.ndarray
+    pulls: np.ndarray
     values: np.ndarray
     mixed: np.ndarray
+    order: np.ndarray
+    progress: np.ndarray
     some: np.ndarray
+    room: Room
+    alone: np.ndarray
 
 
 @nb.njit(cache=True)
 def make_lanes(r: int, lanes: int, tables: Any) -> Lanes:
     """Return room for ``lanes`` lanes."""
-    full, one = (r, r, lanes), (r, lanes)
+    full, one, pairs, many = (r, r, lanes), (r, lanes), (r * (r + 1) // 2, lanes), (len(tables.parent), lanes)
     return Lanes(
         np.zeros(full), np.zeros(full), np.zeros(full), np.zeros(full),
         np.zeros(one), np.zeros(one), np.zeros(one), np.zeros(one), np.zeros(one), np.zeros(one), np.zeros(one),
-        np.zeros(lanes), np.zeros((r * r, lanes)), np.zeros((r * (r + 1) // 2, lanes)),
-        np.zeros((len(tables.parent), lanes)), np.zeros((len(tables.parent), lanes)), np.zeros((5, lanes)),
+        np.zeros(one), np.zeros(one), np.zeros((AXES, lanes)), np.zeros(one), np.zeros(lanes),
+        np.zeros((r * r, lanes)), np.zeros(pairs), np.zeros(pairs), np.zeros(many), np.zeros(many),
+        np.zeros(lanes, dtype=np.int64), np.zeros((lanes, 2)), np.zeros((5, lanes)),
+        make_room(tables), np.zeros((2 * r + 2, r)),
     )  # fmt: skip
 
 
@@ -58,6 +72,34 @@ def add(total: np.ndarray, left: np.ndarray, right: np.ndarray) -> None:
     """Add ``left * right`` to ``total``, (lanes,) each."""
     for lane in range(len(total)):
         total[lane] += left[lane] * right[lane]
+
+
+@summing
+def put(total: np.ndarray, right: np.ndarray) -> None:
+    """Fill ``total`` with ``right``, (lanes,) each."""
+    for lane in range(len(total)):
+        total[lane] = right[lane]
+
+
+@summing
+def put_rate(total: np.ndarray, after: np.ndarray, before: np.ndarray, dt: float) -> None:
+    """Fill ``total`` with ``(after - before) / dt``, (lanes,) each."""
+    for lane in range(len(total)):
+        total[lane] = (after[lane] - before[lane]) / dt
+
+
+@summing
+def put_sum(total: np.ndarray, left: np.ndarray, factor: float, right: np.ndarray) -> None:
+    """Fill ``total`` with ``left + factor * right``, (lanes,) each."""
+    for lane in range(len(total)):
+        total[lane] = left[lane] + factor * right[lane]
+
+
+@summing
+def put_times(total: np.ndarray, factor: float, right: np.ndarray) -> None:
+    """Fill ``total`` with ``factor * right``, (lanes,) each."""
+    for lane in range(len(total)):
+        total[lane] = factor * right[lane]
 
 
 @summing
@@ -88,29 +130,18 @@ def combine(a: float, x: np.ndarray, b: float, y: np.ndarray, c: float, z: np.nd
         out[lane] = a * x[lane] + b * y[lane] + c * z[lane]
 
 
-@nb.njit(cache=True)
-def fill_monomials(points: np.ndarray, tables: Any, values: np.ndarray) -> None:
-    """Fill the monomials ``values`` (k, lanes) at ``points`` (r, lanes)."""
-    lanes = points.shape[1]
-    values[0] = 1.0
-    for k in range(1, len(values)):
-        lower, variable = tables.parent[k], tables.variable[k]
-        for lane in range(lanes):
-            values[k, lane] = values[lower, lane] * points[variable, lane]
+@borrowing
+def largest(values: np.ndarray) -> float:
+    """Return the largest of ``values`` (lanes,), none of which is negative."""
+    most = 0.0
+    for lane in range(len(values)):
+        most = max(most, values[lane])
+    return most
 
 
-@nb.njit(cache=True)
-def fill_rows(coefficients: np.ndarray, values: np.ndarray, rows: np.ndarray) -> None:
-    """Fill ``rows`` (m, lanes) with the polynomials ``coefficients`` (m, k) at monomials ``values`` (>= k, lanes)."""
-    if coefficients.shape[1] > 0:
-        np.dot(coefficients, values[: coefficients.shape[1]], rows)
-    else:
-        rows[:] = 0.0
-
-
-@nb.njit(cache=True, error_model="numpy")
+@standing
 def to_balls(y: np.ndarray, points: np.ndarray, radius: np.ndarray) -> None:
-    """Fill the nearest points (r, lanes) of the unit ball to ``y`` (r, lanes), and their ``radius`` (lanes,)."""
+    """Fill the nearest points (r, >= lanes) of the unit ball to ``y`` (r, >= lanes), and their ``radius`` (lanes,)."""
     radius[:] = 0.0
     for i in range(len(y)):
         add(radius, y[i], y[i])
@@ -121,7 +152,7 @@ def to_balls(y: np.ndarray, points: np.ndarray, radius: np.ndarray) -> None:
             points[i, lane] = y[i, lane] / max(radius[lane], 1.0)
 
 
-@nb.njit(cache=True)
+@standing
 def fill_squares(root: np.ndarray, squares: np.ndarray) -> None:
     """Fill ``squares`` (r, r, lanes) with R' R of ``root`` (k r, lanes)."""
     r = len(squares)
@@ -130,10 +161,10 @@ def fill_squares(root: np.ndarray, squares: np.ndarray) -> None:
             squares[i, j] = 0.0
             for k in range(len(root) // r):
                 add(squares[i, j], root[k * r + i], root[k * r + j])
-            squares[j, i] = squares[i, j]
+            put(squares[j, i], squares[i, j])
 
 
-@nb.njit(cache=True)
+@standing
 def squares_of(matrix: np.ndarray, vector: np.ndarray, part: np.ndarray, total: np.ndarray) -> None:
     """Fill ``total`` (lanes,) with vector' matrix vector; ``part`` (lanes,) is scratch."""
     total[:] = 0.0
@@ -144,7 +175,7 @@ def squares_of(matrix: np.ndarray, vector: np.ndarray, part: np.ndarray, total: 
         add(total, part, vector[i])
 
 
-@nb.njit(cache=True, error_model="numpy")
+@standing
 def scale_down(vector: np.ndarray, energy: np.ndarray, matrix: np.ndarray, some: np.ndarray) -> None:
     """Scale ``vector`` (r, lanes) until its squares in ``matrix`` are no more than ``energy`` (lanes,)."""
     squares_of(matrix, vector, some[0], some[1])

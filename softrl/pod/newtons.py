@@ -5,41 +5,43 @@ What a lane seldom needs, the potential outside the samples and a Newton matrix 
 
 from typing import Any
 
-import numba as nb
 import numpy as np
 
-from softrl.core.compiled import borrowing
+from softrl.core.compiled import borrowing, standing
+from softrl.pod.columns import Columns, fill_curves, fill_monomials
 from softrl.pod.kernel import CLOSE, LONGEST_STEP
-from softrl.pod.lanes import Lanes, add, fill_monomials, fill_rows, take, to_balls
+from softrl.pod.lanes import Lanes, add, put, take, to_balls
 from softrl.pod.linear import newton_direction
-from softrl.pod.potential import fill_potential, make_room
+from softrl.pod.potential import fill_potential
 
 
-@nb.njit(cache=True)
-def _fill_wanted(y: np.ndarray, waiting: np.ndarray, tables: Any, held: Lanes) -> None:
-    """Fill gradient and Newton's direction at ``y`` (r, lanes), those of lanes that do not wait for nothing."""
-    r, lanes = y.shape
-    to_balls(y, held.points, held.radius)
-    fill_monomials(held.points, tables, held.values[: tables.gradient.shape[1]])
-    fill_rows(tables.gradient, held.values, held.gradient)
-    fill_rows(tables.hessian, held.values, held.pairs)
+@standing
+def _fill_wanted(y: np.ndarray, lanes: int, known: bool, tables: Any, columns: Columns, held: Lanes) -> None:
+    """Fill gradient and Newton's direction at the first ``lanes`` of ``y`` (r, >= lanes); monomials there may be ``known``."""
+    r = len(y)
+    if not known:
+        to_balls(y, held.points, held.radius[:lanes])
+        fill_monomials(held.points, tables, lanes, held.values[: len(columns.hessian)])
+    fill_curves(tables, columns, held, lanes)
     for lane in range(lanes):
-        if waiting[lane] and held.radius[lane] > 1.0:
+        if held.radius[lane] > 1.0:
             _fill_outside(y, lane, tables, held)
     for i in range(r):
         for lane in range(lanes):
             held.gradient[i, lane] -= held.right[i, lane]
         for j in range(r):
-            add(held.gradient[i], held.inertia[i, j], y[j])
-    _solve(waiting, tables, held)
+            add(held.gradient[i, :lanes], held.inertia[i, j], y[j])
+    _solve(lanes, tables, held)
 
 
-@nb.njit(cache=True)
+@standing
 def _fill_outside(y: np.ndarray, lane: int, tables: Any, held: Lanes) -> None:
     """Fill the potential's derivatives of one lane outside the samples."""
     r = len(y)
-    gradient, hessian = np.empty(r), np.empty((r, r))
-    fill_potential(y[:, lane].copy(), tables, make_room(tables), gradient, hessian)
+    hessian, gradient, point = held.alone[:r], held.alone[2 * r], held.alone[2 * r + 1]
+    for i in range(r):
+        point[i] = y[i, lane]
+    fill_potential(point, tables, held.room, gradient, hessian)
     pair = 0
     for i in range(r):
         held.gradient[i, lane] = gradient[i]
@@ -48,11 +50,11 @@ def _fill_outside(y: np.ndarray, lane: int, tables: Any, held: Lanes) -> None:
             pair += 1
 
 
-@nb.njit(cache=True, error_model="numpy")
-def _solve(waiting: np.ndarray, tables: Any, held: Lanes) -> None:
+@standing
+def _solve(lanes: int, tables: Any, held: Lanes) -> None:
     """Fill ``wanted`` by LDL' of the Hessians in ``pairs`` with inertia; lanes that are not definite go alone."""
     matrix, wanted, pivot, least = held.matrix, held.wanted, held.some[0], held.some[1]
-    r, lanes = wanted.shape
+    r = len(wanted)
     least[:] = np.inf
     pair = 0
     for i in range(r):  # row i of the upper triangle becomes D L' there
@@ -60,7 +62,7 @@ def _solve(waiting: np.ndarray, tables: Any, held: Lanes) -> None:
             for lane in range(lanes):
                 matrix[i, j, lane] = held.pairs[pair, lane] + held.inertia[i, j, lane]
             pair += 1
-        wanted[i] = held.gradient[i]
+        put(wanted[i, :lanes], held.gradient[i])
     for k in range(r):
         for lane in range(lanes):
             least[lane] = min(least[lane], matrix[k, k, lane])
@@ -70,30 +72,32 @@ def _solve(waiting: np.ndarray, tables: Any, held: Lanes) -> None:
             for lane in range(lanes):
                 share[lane] = matrix[k, i, lane] * pivot[lane]
             for j in range(i, r):
-                take(matrix[i, j], share, matrix[k, j])
-            take(wanted[i], share, wanted[k])
+                take(matrix[i, j, :lanes], share, matrix[k, j])
+            take(wanted[i, :lanes], share, wanted[k])
         for lane in range(lanes):
             wanted[k, lane] *= pivot[lane]
     for i in range(r - 1, -1, -1):
         for k in range(i + 1, r):
-            take(wanted[i], matrix[k, i], wanted[k])
+            take(wanted[i, :lanes], matrix[k, i], wanted[k])
     for lane in range(lanes):
-        if waiting[lane] and not least[lane] > 0.0:
+        if not least[lane] > 0.0:
             _solve_alone(lane, tables, held)
 
 
-@nb.njit(cache=True)
+@standing
 def _solve_alone(lane: int, tables: Any, held: Lanes) -> None:
     """Fill the direction of one lane, whose Newton matrix has to be made definite."""
     r = len(held.wanted)
-    matrix, scratch, direction = np.empty((r, r)), np.empty((r, r)), np.empty(r)
+    matrix, scratch, gradient, direction = held.alone[:r], held.alone[r : 2 * r], held.alone[2 * r], held.alone[2 * r + 1]
     pair = 0
     for i in range(r):
+        gradient[i] = held.gradient[i, lane]
         for j in range(i, r):
             matrix[i, j] = matrix[j, i] = held.pairs[pair, lane] + held.inertia[i, j, lane]
             pair += 1
-    newton_direction(matrix, tables.quadratic, held.gradient[:, lane].copy(), True, scratch, direction)
-    held.wanted[:, lane] = direction
+    newton_direction(matrix, tables.quadratic, gradient, True, scratch, direction)
+    for i in range(r):
+        held.wanted[i, lane] = direction[i]
 
 
 @borrowing
@@ -118,15 +122,42 @@ def _move(y: np.ndarray, lane: int, progress: np.ndarray, held: Lanes) -> float:
     return longest
 
 
-@nb.njit(cache=True)
-def converge(y: np.ndarray, waiting: np.ndarray, progress: np.ndarray, tables: Any, held: Lanes, most: int) -> int:
-    """Move ``y`` to where the forces balance, in ``most`` iterations; return the number of lanes that do not get there."""
-    waiting[:], progress[:] = True, -1.0
-    for _ in range(most):
-        _fill_wanted(y, waiting, tables, held)
-        for lane in range(len(waiting)):
-            if waiting[lane]:
-                waiting[lane] = _move(y, lane, progress[lane], held) >= CLOSE
-        if not waiting.any():
+@borrowing
+def _bring(source: int, target: int, held: Lanes) -> None:
+    """Bring what Newton's iteration knows of the lane ``source`` to the place ``target``."""
+    r = len(held.moving)
+    for i in range(r):
+        for j in range(r):
+            held.inertia[i, j, target] = held.inertia[i, j, source]
+        for part in (held.right, held.trial, held.direction, held.moving):
+            part[i, target] = part[i, source]
+    for k in range(2):
+        held.progress[target, k] = held.progress[source, k]
+    held.order[target] = held.order[source]
+
+
+@standing
+def converge(y: np.ndarray, tables: Any, columns: Columns, held: Lanes, most: int) -> int:
+    """Move ``y`` to where the forces balance, in ``most`` iterations; return the number of lanes that do not get there.
+
+    ``order`` begins with theirs. Lanes that are there go from among the others, whose ``inertia`` and ``right`` close up.
+    """
+    lanes = y.shape[1]
+    for i in range(len(y)):
+        put(held.moving[i], y[i])
+    for lane in range(lanes):
+        held.order[lane], held.progress[lane, 0], held.progress[lane, 1] = lane, -1.0, -1.0
+    for iteration in range(most):
+        _fill_wanted(held.moving, lanes, iteration == 0, tables, columns, held)
+        left = 0
+        for lane in range(lanes):
+            waits = _move(held.moving, lane, held.progress[lane], held) >= CLOSE
+            for i in range(len(y)):
+                y[i, held.order[lane]] = held.moving[i, lane]
+            if waits and left < lane:
+                _bring(lane, left, held)
+            left += waits
+        lanes = left
+        if lanes == 0:
             break
-    return waiting.sum()
+    return lanes
