@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -35,6 +36,7 @@ def draw(points: list[Point]) -> dict[str, Figure]:
         _draw_trade(axis, found, trade(points, f"expert_{curve}"))
         axis.set_title(f"{curve.replace('_', ' ')}\n{verdict(found, scales_of(points))}", fontsize=9)
     figure.axes[0].legend(fontsize=8)
+    figure.suptitle("policy on held-out curves: mean and s.d. over seeds; hollow: another alpha is better in both", fontsize=9)
     return {"alpha": figure}
 
 
@@ -78,16 +80,12 @@ def pareto_front(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 def _draw_trade(axis: Axes, found: Trade, expert: Trade) -> None:
     front = pareto_front(found.position, found.force)
-    axis.plot(found.position[front], found.force[front], "-", color="C0", lw=1.2, label="Pareto front", zorder=1)
+    axis.plot(found.position[front], found.force[front], "--", color="0.6", lw=1.0, label="Pareto front of the means")
     if len(expert.alpha):
-        axis.plot(expert.position, expert.force, "D", mfc="none", mec="0.5", ms=8, label="model-based expert", zorder=2)
-    axis.errorbar(found.position, found.force, found.force_spread, found.position_spread, fmt="o", color="0.6", ms=5,
-                  lw=0.9, capsize=2.5, label="policy: mean and s.d. over seeds", zorder=3)  # fmt: skip
-    axis.plot(found.position[front], found.force[front], "o", color="C0", ms=6, zorder=4)
-    for i, a in enumerate(found.alpha):  # neighbours often lie on each other: their labels go to both sides in turn
-        side = (7, 6) if i % 2 == 0 else (-7, -13)
-        axis.annotate(f"{a:g}", (found.position[i], found.force[i]), xytext=side, textcoords="offset points", fontsize=8,
-                      ha="left" if i % 2 == 0 else "right")  # fmt: skip
+        axis.plot(expert.position, expert.force, "D", mfc="none", mec="0.5", ms=9, label="model-based expert")
+    colors = colormaps["viridis"](np.linspace(0.0, 0.9, len(found.alpha)))
+    for i, (a, color) in enumerate(zip(found.alpha, colors, strict=True)):
+        axis.errorbar(found.position[i], found.force[i], found.force_spread[i], found.position_spread[i], fmt="o", lw=1.0,
+                      color=color, mfc=color if i in front else "none", ms=6, capsize=3, label=f"alpha {a:g}")  # fmt: skip
     axis.set(xlabel="rms position error [mm]", ylabel="rms force error [N]")
     axis.margins(0.15)
-    axis.annotate("numbers: alpha", (0.02, 0.02), xycoords="axes fraction", fontsize=8, color="0.4")

@@ -49,4 +49,4 @@ def test_a_point_stands_for_an_alpha_and_bars_for_its_seeds() -> None:
     assert axis.get_xlabel().endswith("[mm]") and axis.get_ylabel().endswith("[N]")
     assert "a trade-off: 2 of 2" in axis.get_title()
     labels = {text.get_text() for text in axis.get_legend().get_texts()}
-    assert labels == {"Pareto front", "model-based expert", "policy: mean and s.d. over seeds"}
+    assert labels == {"Pareto front of the means", "model-based expert", "alpha 0.1", "alpha 0.9"}

@@ -88,7 +88,9 @@ class ContactTask(Task, ABC):
         """Whether the slope is what the controllers are told that it is."""
         return self.roughness_m == 0.0 and self.friction_spread == 0.0
 
-    def ground(self, plane: Plane | None, size: int, rng: np.random.Generator) -> tuple[Plane | None, float | np.ndarray]:
+    def ground(
+        self, plane: Plane | None, size: int, rng: np.random.Generator
+    ) -> tuple[Plane | None, float | np.ndarray]:
         """Return the slope and its friction where ``size`` tips touch it, each at a patch of its own."""
         if plane is None or self.certain:
             return plane, self.friction
