@@ -10,6 +10,7 @@ from softrl.rl.workspace import Workspace
 from softrl.surrogate.twin import TwinState
 
 OBSERVATION_LIMIT = 10.0
+PATCH_SEED = 1
 TIP, THETA = slice(0, 3), slice(3, 6)  # columns of an observation: where the tip is, and the last command as an action
 
 
@@ -103,6 +104,7 @@ class Batch:
         self.elapsed, self.push = np.zeros(size, dtype=int), np.zeros((size, 3))
         self.episode_steps, self.expert_columns = task.episode_steps + self.approach, task.seen_by_expert()
         self.differences: np.ndarray | None = None
+        self._patches = np.random.default_rng(PATCH_SEED)  # of the ground; training draws its own
 
     def start(
         self,
@@ -126,6 +128,7 @@ class Batch:
     def start_random(self, which: np.ndarray, rng: np.random.Generator) -> None:
         """Start the episodes ``which`` (indices) from sampled commands, on random curves, under random forces."""
         count, samples = len(which), self.space.surrogate.sample_joints
+        self._patches = rng
         self.start(
             which, samples[rng.integers(len(samples), size=count)], rng.integers(len(self.goals.position), size=count),
             rng.integers(self.goals.position.shape[1], size=count), rng.choice([-1, 1], size=count),
@@ -164,6 +167,5 @@ class Batch:
         return Step(self.observation(), self.task.reward(position_error, force_error), position_error, force_error)
 
     def _equilibrium(self, theta: np.ndarray, push: np.ndarray, before: np.ndarray | None) -> TwinState:
-        return self.space.twin.solve(
-            theta, push if push.any() else None, self.plane, self.task.friction, before, refuse=False
-        )
+        plane, friction = self.task.ground(self.plane, len(theta), self._patches)
+        return self.space.twin.solve(theta, push if push.any() else None, plane, friction, before, refuse=False)

@@ -18,7 +18,7 @@ class Evaluation(NamedTuple):
     Attributes
     ----------
     reward : mean per step
-    position_rmse : m;  force_mae : N, mean absolute error
+    position_rmse : m;  force_mae : N, mean absolute error;  force_rmse : N
     tip : (steps, episodes, 3) m;  target : (steps, episodes, 3) m
     contact_force, wanted_force : (steps, episodes) N
     """
@@ -26,6 +26,7 @@ class Evaluation(NamedTuple):
     reward: float
     position_rmse: float
     force_mae: float
+    force_rmse: float
     tip: np.ndarray
     target: np.ndarray
     contact_force: np.ndarray
@@ -58,7 +59,8 @@ def lap_all(controller: Controller, batch: Batch, push: np.ndarray | None = None
         rows.append((step.reward, step.position_error, step.force_error, batch.tip.copy(), position[:, 0],
                      batch.contact_force.copy(), force[:, 0]))  # fmt: skip
     reward, near, firm, *traces = (np.stack(column) for column in zip(*rows, strict=True))
-    return Evaluation(float(reward.mean()), float(np.sqrt(np.mean(near**2))), float(firm.mean()), *traces)
+    rms_near, rms_firm = (float(np.sqrt(np.mean(error**2))) for error in (near, firm))
+    return Evaluation(float(reward.mean()), rms_near, float(firm.mean()), rms_firm, *traces)
 
 
 def expert(batch: Batch) -> np.ndarray:

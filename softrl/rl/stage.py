@@ -173,6 +173,7 @@ def _report(
             metrics[f"heldout/{label}{curve}_reward"] = found.reward
             if batch.plane is not None:
                 metrics[f"heldout/{label}{curve}_force_error_n"] = found.force_mae
+                metrics[f"heldout/{label}{curve}_force_rmse_n"] = found.force_rmse
             if not label:
                 laps[curve] = found
         metrics |= _under_load(config, world, lesson.actor, curve, goals)

@@ -87,7 +87,7 @@ class Twin:
         theta: np.ndarray,
         force: np.ndarray | None = None,
         plane: Plane | None = None,
-        friction: float = 0.0,
+        friction: float | np.ndarray = 0.0,
         start: np.ndarray | None = None,
         refuse: bool = True,
     ) -> TwinState:
@@ -95,8 +95,8 @@ class Twin:
 
         Parameters
         ----------
-        plane : (normal (3,) towards the robot's side, point (3,) m)
-        friction : Coulomb's coefficient
+        plane : (normal (3,) towards the robot's side, point (3,) m, or (B, 3) m if each has a height of its own)
+        friction : Coulomb's coefficient, one or (B,)
         start : (B, 3) m, tips before the motion, from which sliding is counted; the unloaded tips by default
         refuse : if not, an equilibrium that was not found is answered by where the search ended; a chain that is pressed
             ten times harder than it is meant to buckles, and a learner that explores does press
@@ -116,12 +116,12 @@ class Twin:
             return TwinState(
                 tip, quaternion, np.zeros(batch), np.zeros((batch, 3)), np.tile(theta, (1, len(self.chain.below)))
             )
-        normal, point = (
-            (np.zeros(3), np.zeros(3)) if plane is None else (np.ascontiguousarray(v, dtype=float) for v in plane)
-        )
+        normal, point = (np.zeros(3), np.zeros(3)) if plane is None else plane
+        normal, points = np.ascontiguousarray(normal, dtype=float), np.array(np.broadcast_to(point, (batch, 3)))
+        grips = np.array(np.broadcast_to(np.asarray(friction, dtype=float), batch))
         before = self.tip(theta) if start is None else _rows(start)
         *state, failed = _equilibria(
-            theta, forces, normal, point, float(friction), before, self.chain, self.springs, self.contact_stiffness
+            theta, forces, normal, points, grips, before, self.chain, self.springs, self.contact_stiffness
         )
         if failed and refuse:
             raise SolverError(
@@ -141,7 +141,7 @@ def _equilibria(
     force: np.ndarray,
     normal: np.ndarray,
     point: np.ndarray,
-    friction: float,
+    friction: np.ndarray,
     start: np.ndarray,
     chain: Chain,
     springs: Springs,
@@ -185,12 +185,12 @@ def _equilibria(
             if touching:
                 tip_compliance(jacobian, soft, springs.share, compliance)
                 before = press
-                press = _press(press, expected, normal, point, compliance, contact_stiffness)
+                press = _press(press, expected, normal, point[b], compliance, contact_stiffness)
                 for i in range(3):  # what the new normal force moves, friction answers to
                     expected[i] += (press - before) * (compliance[i] @ normal)
                 change = abs(press - before)
-                if friction > 0.0:
-                    change += _grip(grip, expected, start[b], normal, compliance, friction * press)
+                if friction[b] > 0.0:
+                    change += _grip(grip, expected, start[b], normal, compliance, friction[b] * press)
             for j in range(joints):
                 q[j] += forward[j]
             if move < 1e-12 and change < TOLERANCE_N:

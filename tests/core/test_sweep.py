@@ -21,7 +21,7 @@ class Parent:
 
 
 def force_point(alpha: str, position: float, force: float) -> Point:
-    metrics = {"circle_position_rmse_mm": position, "circle_force_error_n": force, "expert_circle_force_error_n": 0.1}
+    metrics = {"circle_position_rmse_mm": position, "circle_force_rmse_n": force, "expert_circle_force_rmse_n": 0.1}
     return Point({"alpha": alpha}, {f"heldout/{name}": value for name, value in metrics.items()})
 
 

@@ -131,6 +131,45 @@ def test_a_hidden_force_moves_tips_and_the_expert_takes_its_share_back(space: Wo
     np.testing.assert_allclose(left, (1.0 - gain) * np.linalg.norm(blind, axis=-1), rtol=0.15)
 
 
+def test_a_rough_slope_is_met_anew_and_the_same_in_every_evaluation(space: Workspace) -> None:
+    known, rough = (task_of("hybrid", lap_steps=20, roughness_m=r, friction_spread=s) for r, s in ((0.0, 0.0), (5e-4, 1.0)))
+    goals = known.evaluation_goals("circle", space)
+    first, again = (evaluate(open_loop, rough, space, goals, 2) for _ in range(2))
+    np.testing.assert_array_equal(first.tip, again.tip)
+    sure = evaluate(open_loop, known, space, goals, 2)
+    assert first.force_rmse > sure.force_rmse + 0.1
+    plane = rough.plane(space)
+    (normal, points), grip = rough.ground(plane, 500, np.random.default_rng(0))
+    height = (points - plane[1]) @ normal
+    assert 0.4e-3 < np.abs(height).max() <= 0.5e-3 and 0.0 <= grip.min() < 0.03 and 0.57 < grip.max() <= 0.6
+    assert known.ground(plane, 500, np.random.default_rng(0)) == (plane, known.friction)
+
+
+def test_each_tip_may_meet_a_plane_and_a_friction_of_its_own(space: Workspace) -> None:
+    normal, point = task_of("hybrid").plane(space)
+    theta = space.twin.joints_for_tip(space.centre + np.array([[4e-3, 0.0, 2e-3], [0.0, 5e-3, 3e-3]]))
+    start, grip = space.twin.tip(theta) + np.array([2e-3, 0.0, 0.0]), np.array([0.1, 0.5])
+    points = point + np.outer([0.0, 4e-4], normal)
+    both = space.twin.solve(theta, None, (normal, points), grip, start)
+    for i in range(2):
+        one = space.twin.solve(theta[i : i + 1], None, (normal, points[i]), float(grip[i]), start[i : i + 1])
+        np.testing.assert_array_equal(both.tip[i], one.tip[0])
+
+
+def test_the_expert_presses_less_where_friction_is_unknown_and_position_counts(space: Workspace) -> None:
+    asked = {}
+    for alpha in (0.1, 0.9):
+        task = task_of("hybrid", lap_steps=40, alpha=alpha, roughness_m=5e-4, friction_spread=1.0)
+        goals = task.evaluation_goals("circle", space)
+        asked[alpha] = evaluate(expert, task, space, goals, 4)
+        known = replace(task, roughness_m=0.0, friction_spread=0.0)
+        sure = evaluate(expert, known, space, goals, 2)
+        assert sure.position_rmse < 1e-4 and sure.force_rmse < 0.02  # both at once, whatever alpha is
+    assert asked[0.9].contact_force.mean() < 0.7 * asked[0.1].contact_force.mean()
+    assert asked[0.9].position_rmse < 0.7 * asked[0.1].position_rmse
+    assert asked[0.9].force_rmse > asked[0.1].force_rmse + 0.1
+
+
 def test_curves_close_and_have_unit_size() -> None:
     for curve in CURVES.values():
         points = curve(400)

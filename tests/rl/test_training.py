@@ -33,13 +33,18 @@ CONFIG = Config(training_curves=8, validation_curves=2, episodes=2, motion=MOTIO
 SMALL = {
     "bc": {"hidden": 32, "envs": 32, "steps": 40, "iterations": 500},
     "sac": {"hidden": 16, "envs": 8, "steps": 400, "learning_starts": 100, "judge_every": 200, "gradient_steps": 1},
+    "sac_from_bc": {"hidden": 16, "envs": 8, "steps": 200, "learning_starts": 100, "judge_every": 100, "gradient_steps": 1},
     "ppo": {"hidden": 16, "envs": 8, "steps": 512, "rollout": 32, "batch_size": 128, "judge_every": 256, "epochs": 2},
 }
 
 
 def agent_of(name: str) -> Agent:
     """Return an agent of conf/, made small."""
-    return build_target(yaml.safe_load((CONF / "agent" / f"{name}.yaml").read_text()) | SMALL[name], "agent")
+    node = yaml.safe_load((CONF / "agent" / f"{name}.yaml").read_text()) | SMALL[name]
+    if node.pop("defaults", None):  # sac_from_bc is both in one
+        clone, learner = (yaml.safe_load((CONF / "agent" / f"{part}.yaml").read_text()) for part in ("bc", "sac"))
+        node = learner | node | {"start_from": clone | SMALL["bc"]}
+    return build_target(node, "agent")
 
 
 def train(name: str, robot: Robot, surrogate: Surrogate, *effects: Effect) -> tuple[Policy, dict[str, float]]:
@@ -69,6 +74,16 @@ def test_cloning_comes_near_the_expert(cloned: tuple[Policy, dict[str, float]]) 
 def test_other_agents_run_and_keep_their_best(name: str, robot: Robot, surrogate: Surrogate) -> None:
     policy, metrics = train(name, robot, surrogate)
     assert policy.agent_name == name and 0.0 <= metrics["val/reward"] <= 1.0
+
+
+def test_a_corrected_clone_is_no_worse_than_the_clone(
+    cloned: tuple[Policy, dict[str, float]], robot: Robot, surrogate: Surrogate
+) -> None:
+    policy, metrics = train("sac_from_bc", robot, surrogate)
+    assert policy.agent_name == "sac" and policy.layers - cloned[0].layers in (0, 1)  # 0: no correction was better
+    assert metrics["val/reward"] >= cloned[1]["val/reward"]  # the clone is judged first, and the best is kept
+    seen = np.zeros((1, policy.observation_size))
+    assert np.abs(act(policy)(seen) - act(cloned[0])(seen)).max() <= 0.1 + 1e-3
 
 
 def test_the_clone_answers_to_a_hidden_force(cloned: tuple[Policy, dict[str, float]]) -> None:

@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 class Practice(NamedTuple):
     """Where an agent trains: ``make(size, seed)`` gives episodes, ``judge`` the validation reward of an actor.
 
-    ``rounds`` is how often a clone is let act and learns from it: once where nothing has a memory, more where errors add up.
+    ``rounds`` is how often a clone in motion is let act and learns from it.
     ``bends`` are candidates for what a second difference of the commands weighs in motion, see ``prediction.answer``.
     """
 

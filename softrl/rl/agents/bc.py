@@ -22,7 +22,6 @@ from softrl.surrogate.mlp import train_network
 log = logging.getLogger(__name__)
 CARRIERS = 3  # units that pass the linear part of the map through both tanh layers, one per action
 CARRIED = 0.02  # scale at which they do it: the cube of it is what tanh adds
-EDGE = 0.999  # actions are squashed by tanh, which never reaches 1
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ class Bc(Agent):
         """Return the clone."""
         env = practice.make(self.envs, seed)
         model = PPO("MlpPolicy", env, n_steps=2, policy_kwargs=policy_layers(self.hidden), seed=seed, device="cpu")
-        return clone(self, clipped_layers(model.policy), "clip", env, practice, seed)
+        return clone(self, clipped_layers(model.policy), env, practice, seed)
 
 
 def policy_layers(hidden: int) -> dict[str, object]:
@@ -72,7 +71,7 @@ def clipped_layers(policy: ActorCriticPolicy) -> list[torch.nn.Module]:
     return [*policy.mlp_extractor.policy_net, policy.action_net]
 
 
-def clone(bc: Bc, layers: list[torch.nn.Module], squash: str, env: TwinVecEnv, practice: Practice, seed: int) -> Lesson:
+def clone(bc: Bc, layers: list[torch.nn.Module], env: TwinVecEnv, practice: Practice, seed: int) -> Lesson:
     """Put a clone of the expert into the ``layers`` of an actor, in place, and return it with the untrained one's reward.
 
     Notes
@@ -81,43 +80,34 @@ def clone(bc: Bc, layers: list[torch.nn.Module], squash: str, env: TwinVecEnv, p
     that by L-BFGS in double precision where SB3's own shape, trained from its random start, stays ten times above; it is
     then folded into SB3's shape, the linear path carried by three units in the linear range of tanh. It sees the
     columns that the expert looks at, or these whitened, because friction goes by where the target lies from the tip, a small
-    difference of both; the others get no weight. An actor squashed by tanh must bend its answers back by
-    arctanh first, which costs it a factor of four in error. A robot in motion is another matter, see ``_in_motion``; an
-    actor squashed by tanh is there a clone all the same, and acts itself in the rounds after the first (DAgger).
+    difference of both; the others get no weight. A robot in motion is another matter, see ``_in_motion``.
     """
     best = Best(practice.judge)
-    best.consider(actor_from(layers, squash), 0)
+    best.consider(actor_from(layers, "clip"), 0)
     rng = np.random.default_rng(seed)
-    if env.batch.differences is not None and squash == "clip":
+    if env.batch.differences is not None:
         _in_motion(bc, layers, env, practice, best, rng)
-        return best.lesson()
-    seen, told = _collect(bc, env, None, rng)
-    for number in range(1, practice.rounds):
-        _fit(bc, layers, squash, env, (seen, told), bc.iterations // practice.rounds, seed, best, number)
-        more = _collect(bc, env, actor_from(layers, squash), rng)
-        seen, told = np.concatenate([seen, more[0]]), np.concatenate([told, more[1]])
-    _fit(bc, layers, squash, env, (seen, told), bc.iterations // practice.rounds, seed, best, bc.iterations)
+    else:
+        _fit(bc, layers, env, _collect(bc, env, rng), seed, best)
     return best.lesson()
 
 
 def _fit(
-    bc: Bc, layers: list[torch.nn.Module], squash: str, env: TwinVecEnv, rows: tuple[np.ndarray, np.ndarray],
-    iterations: int, seed: int, best: Best, number: int,
-) -> None:  # fmt: skip
-    """Fit the ``layers`` to observations (rows, k) and actions (rows, 3); without iterations by a linear map.
+    bc: Bc, layers: list[torch.nn.Module], env: TwinVecEnv, rows: tuple[np.ndarray, np.ndarray], seed: int, best: Best
+) -> None:
+    """Fit the ``layers`` to observations (rows, k) and actions (rows, 3).
 
     Where nothing sticks a map of whitened columns is the worse one, so both are tried and the unseen curves choose.
     """
-    observation, action = rows
-    wanted = np.arctanh(np.clip(action, -EDGE, EDGE)) if squash == "tanh" else action
+    observation, wanted = rows
     columns = env.batch.expert_columns
     columns = columns[np.ptp(observation[:, columns], axis=0) > 0.0]
     found = []
     for whitener in (Whitener.scaling(observation[:, columns]), Whitener.fit(observation[:, columns])):
-        fitted = train_network(whitener.whiten(observation[:, columns]), wanted, bc.hidden - CARRIERS, iterations, seed)
+        fitted = train_network(whitener.whiten(observation[:, columns]), wanted, bc.hidden - CARRIERS, bc.iterations, seed)
         plain = _fold(_of_observations(fitted, whitener, columns, observation.shape[1]))
         _put(layers, plain)
-        found.append((best.consider(actor_from(layers, squash), number), plain))
+        found.append((best.consider(actor_from(layers, "clip"), bc.iterations), plain))
     _put(layers, max(found, key=lambda trial: np.nan_to_num(trial[0], nan=-np.inf))[1])
 
 
@@ -201,20 +191,14 @@ def _fold(w: dict[str, np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
     ]  # fmt: skip
 
 
-def _collect(
-    bc: Bc, env: TwinVecEnv, actor: Actor | None, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return observations (rows, k) and the expert's actions (rows, 3) there, states disturbed by noisy actions.
-
-    The actions taken are the expert's, or those of ``actor``.
-    """
+def _collect(bc: Bc, env: TwinVecEnv, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Return observations (rows, k) and the expert's actions (rows, 3) there, states disturbed by noisy actions."""
     observation = env.reset()
     seen, wanted = [], []
     for _ in range(bc.steps):
         action = env.batch.expert_action()
         seen.append(observation)
         wanted.append(action)
-        taken = action if actor is None else act_scaled(actor, observation)
-        env.step_async(np.clip(taken + bc.exploration * rng.normal(size=action.shape), -1.0, 1.0))
+        env.step_async(np.clip(action + bc.exploration * rng.normal(size=action.shape), -1.0, 1.0))
         observation = env.step_wait()[0]
     return np.concatenate(seen).astype(float), np.concatenate(wanted)

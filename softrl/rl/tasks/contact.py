@@ -2,6 +2,7 @@
 
 from abc import ABC
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -11,6 +12,8 @@ from softrl.rl.workspace import Workspace
 from softrl.surrogate.twin import Plane
 
 EXPERT_ITERATIONS = 12
+GROUND_SEED, GROUND_CURVES, GROUND_EVERY, PATCHES = 0, 4, 8, 12  # where the expert weighs position against force
+WANTED, ASKED = 18, 49  # and the forces that it tries there
 SMALLEST_SHARE = 0.05  # of the workspace's size: what a slope must leave to move in
 
 
@@ -22,12 +25,16 @@ class ContactTask(Task, ABC):
     ----------
     slope_deg : tilt of the surface about the y axis;  friction_coefficient : Coulomb's
     force_min_n, force_max_n : range of the wanted normal force
+    roughness_m, friction_spread : by how much at most the slope's height, and as a share its friction, are off the values
+        above; drawn anew for every step (patches smaller than one), known to no controller
     """
 
     slope_deg: float
     friction_coefficient: float
     force_min_n: float
     force_max_n: float
+    roughness_m: float
+    friction_spread: float
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -39,6 +46,10 @@ class ContactTask(Task, ABC):
             raise ConfigError(f"task.slope_deg={self.slope_deg:g}; expected less than 60")
         if self.friction_coefficient < 0.0:
             raise ConfigError(f"task.friction_coefficient={self.friction_coefficient:g} must not be negative")
+        if self.roughness_m < 0.0:
+            raise ConfigError(f"task.roughness_m={self.roughness_m:g} must not be negative")
+        if not 0.0 <= self.friction_spread <= 1.0:
+            raise ConfigError(f"task.friction_spread={self.friction_spread:g}; expected a share between 0 and 1")
 
     @property
     def friction(self) -> float:
@@ -72,13 +83,37 @@ class ContactTask(Task, ABC):
         """Return the slope through the workspace's centre."""
         return self.frame()[:, 2], space.centre
 
+    @property
+    def certain(self) -> bool:
+        """Whether the slope is what the controllers are told that it is."""
+        return self.roughness_m == 0.0 and self.friction_spread == 0.0
+
+    def ground(
+        self, plane: Plane | None, size: int, rng: np.random.Generator
+    ) -> tuple[Plane | None, float | np.ndarray]:
+        """Return the slope and its friction where ``size`` tips touch it, each at a patch of its own."""
+        if plane is None or self.certain:
+            return plane, self.friction
+        height, grip = rng.uniform(-1.0, 1.0, (2, size))
+        normal, point = plane
+        return (normal, point + self.roughness_m * height[:, None] * normal), self.friction * (
+            1.0 + self.friction_spread * grip
+        )
+
     def seen_by_expert(self) -> np.ndarray:
         """Return the columns of an observation that the expert's answer depends on."""
         return np.array([*TIP_SEEN, *TARGET_SEEN])
 
     def answer(self, seen: Seen, space: Workspace) -> np.ndarray:
-        """Return what the expert commands (B, 3) when it sees where the tip is, from which it slides."""
-        return self._commands(seen.position, seen.force, space, seen.tip)
+        """Return what the expert commands (B, 3) when it sees where the tip is, from which it slides.
+
+        Notes
+        -----
+        On a slope that is what it is told to be, force and position are both met, whatever ``alpha`` is. Where friction
+        is not known, what it does to the tip grows with the force: how hard it pays to press is a matter of ``alpha``.
+        """
+        force = seen.force if self.certain else np.interp(seen.force, *_worthwhile(self, space))
+        return self._commands(seen.position, force, space, seen.tip)
 
     def expert(self, position: np.ndarray, force: np.ndarray, space: Workspace) -> np.ndarray:
         """Return commands (B, 3) for contact points (B, 3) m and forces (B,) N, blind to the tip: without friction."""
@@ -111,3 +146,26 @@ class ContactTask(Task, ABC):
             lowest = np.minimum(miss, lowest)
             aim = aim + error - (lacking * soft)[:, None] * normal
         return twin.joints_for_tip(best)
+
+
+@lru_cache(maxsize=8)
+def _worthwhile(task: ContactTask, space: Workspace) -> tuple[np.ndarray, np.ndarray]:
+    """Return wanted forces (k,) N and, for each, the force (k,) N that the expert does best to ask for.
+
+    Notes
+    -----
+    Best is the largest mean reward (eq. 21) over steps of random curves, each on several patches of the slope.
+    """
+    rng = np.random.default_rng(GROUND_SEED)
+    lap = task.training_goals(GROUND_CURVES, space, rng).position
+    start, position = (np.roll(lap, shift, axis=1)[:, ::GROUND_EVERY].reshape(-1, 3) for shift in (1, 0))
+    wanted = np.linspace(task.force_min_n, task.force_max_n, WANTED)
+    asked = np.linspace(0.0, 1.2 * task.force_max_n, ASKED)
+    plane, grip = task.ground(task.plane(space), PATCHES * len(position), rng)
+    mean = np.empty((ASKED, WANTED))
+    for row, force in zip(mean, asked, strict=True):
+        theta = np.repeat(task._commands(position, np.full(len(position), force), space, start), PATCHES, axis=0)
+        state = space.twin.solve(theta, None, plane, grip, np.repeat(start, PATCHES, axis=0), refuse=False)
+        near = task.position_error(state.tip, np.repeat(position, PATCHES, axis=0), task.plane(space))
+        row[:] = [task.reward(near, np.abs(state.contact_force - f)).mean() for f in wanted]
+    return wanted, asked[mean.argmax(axis=0)]

@@ -105,6 +105,10 @@ class Task(ABC):
         """Coulomb's coefficient of that surface."""
         return 0.0
 
+    def ground(self, plane: Plane | None, size: int, rng: np.random.Generator) -> tuple[Plane | None, float | np.ndarray]:
+        """Return what ``size`` tips touch where they are: the plane, and its friction, one or (size,)."""
+        return plane, self.friction
+
     @property
     def force_unit_n(self) -> float:
         """Force that counts as 1 in observations."""
