@@ -28,7 +28,7 @@ from softrl.diagnosis.problem import Residual
 def test_structure_that_is_plainly_left_is_told_unless_nearly_all_is_explained(
     name: str, of_all: float, left: float, uneven: bool, unknown: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    judge: Any = SimpleNamespace(material=1.0, thresholds=SimpleNamespace(explained_share=0.75))
+    judge: Any = SimpleNamespace(material=1.0, travel=200.0, thresholds=SimpleNamespace(explained_share=0.75))
     offer: Any = SimpleNamespace(pays=False)
     final: Any = SimpleNamespace(hypothesis=Hypothesis((Choice(name),), ()), squares=None)
     for own, value in (("_drives", []), ("heldout_residual", None), ("_uneven", uneven)):
@@ -67,7 +67,7 @@ def test_a_valve_that_sticks_for_moments_is_unknown_and_noise_of_as_much_error_i
     rms = float(np.sqrt(residual.squares.mean()))
     left = 2.6  # times what counts, of which little is below the noise
     judge: Any = SimpleNamespace(
-        material=rms / left, seed=seed, floor=np.inf, thresholds=SimpleNamespace(explained_share=0.75),
+        material=rms / left, travel=200.0 * rms / left, seed=seed, floor=np.inf, thresholds=SimpleNamespace(explained_share=0.75),
         rms=lambda squares: float(np.sqrt(np.mean(squares))),
     )  # fmt: skip
     for own, value in (("_drives", drives), ("heldout_residual", residual), ("_slopes", ()), ("_changing", 0.0)):
@@ -77,3 +77,20 @@ def test_a_valve_that_sticks_for_moments_is_unknown_and_noise_of_as_much_error_i
     final: Any = SimpleNamespace(hypothesis=Hypothesis((), ()), squares=residual.squares)
     reasons = reasons_of(judge, final, SimpleNamespace(pays=False), Explained(0.0, 0.0, rms))  # type: ignore[arg-type]
     assert bool(reasons) is (kind == "sticks")
+
+
+@pytest.mark.parametrize(
+    ("of_all", "left", "told"), [(0.6, 25.0, True), (0.6, 15.0, False), (0.9, 45.0, False), (0.9, 55.0, True)]
+)
+def test_what_is_left_is_no_noise_where_it_is_loud_beside_the_motion(
+    monkeypatch: pytest.MonkeyPatch, of_all: float, left: float, told: bool
+) -> None:
+    """Whatever a map without physics makes of it: a tenth of the motion, a quarter beside what explains most of it."""
+    monkeypatch.setattr(leftover, "_uneven", lambda *_: False)
+    monkeypatch.setattr(leftover, "_drives", lambda _: [])
+    monkeypatch.setattr(leftover, "heldout_residual", lambda *_: None)
+    judge: Any = SimpleNamespace(material=1.0, travel=200.0, thresholds=SimpleNamespace(explained_share=0.75))
+    final: Any = SimpleNamespace(hypothesis=Hypothesis((Choice("tube_line"),), ()), squares=None)
+    offer: Any = SimpleNamespace(pays=False)
+    reasons = reasons_of(judge, final, offer, Explained(0.98, of_all, left))
+    assert bool(reasons) is told and all("of the motion" in reason for reason in reasons)
