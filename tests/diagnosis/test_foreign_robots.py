@@ -29,6 +29,10 @@ VALVES: dict[str, tuple[Physics, tuple[set[str], ...]]] = {
     "rate": (lambda other, p: foreign.rate_limited(p, 0.4 * other.full_pa), ({"rate_limit"},)),
     "ceiling": (lambda other, p: np.minimum(p, 0.5 * other.full_pa), ({"supply_limit", "knee"},)),
 }
+SUPPLIES: dict[str, tuple[Physics, tuple[set[str], ...]]] = {
+    "span": (lambda _, p: 0.85 * p, ({"gain"},)),
+    "burst": (weaker_last_chamber_midway, ({"failure", "gain"},)),
+}
 BODIES: dict[str, tuple[Physics, tuple[set[str], ...]]] = {
     "creep": (lambda _, p: 0.8 * p + 0.3 * foreign.first_order(p, 5.0), ({"viscoelasticity"},)),
     "failure": (weaker_last_chamber_midway, ({"failure", "gain"},)),
@@ -76,3 +80,13 @@ def test_what_the_valve_of_another_robot_does(tmp_path: Path, name: str, hidden:
 def test_what_the_body_of_another_robot_does(tmp_path: Path, name: str, hidden: str) -> None:
     act, expected = BODIES[hidden]
     assert_named(diagnosed(OTHERS[name], tmp_path, act=act), (*expected, *THE_VALVE * OTHERS[name].gauges))
+
+
+@pytest.mark.parametrize("name", [name for name, other in OTHERS.items() if other.gauges])
+@pytest.mark.parametrize("hidden", SUPPLIES)
+def test_what_a_gauge_shows_of_a_chamber_is_named_before_it(tmp_path: Path, name: str, hidden: str) -> None:
+    valve, expected = SUPPLIES[hidden]
+    found = diagnosed(OTHERS[name], tmp_path, valve)
+    assert_named(found, (*expected, *THE_VALVE))
+    (told,) = [effect for effect in found.effects if effect["name"] in expected[0]]
+    assert "before the gauge" in told["where"] and told["pinned"]["before_gauge"]
