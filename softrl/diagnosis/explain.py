@@ -93,7 +93,7 @@ def _entry(finding: Finding, named: Named) -> dict[str, Any]:
             p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit, "at_bound": p.at_bound}
             for p in named.intervals
         },
-        "pinned": pinned_values(choice) | ({"before_gauge": True} if choice.gauged else {}),
+        "pinned": pinned_values(choice) | ({"before_gauge": True} if choice.before_gauge else {}),
         "evidence": (
             f"{finding.part.title}: without it the held-out error above the noise is {without:.3g} {unit}, with it "
             f"{without - factor * named.gap.value:.3g} {unit} (gain {factor * named.gap.low:.3g} to "
@@ -112,7 +112,7 @@ def where(choice: Choice) -> str:
         places = {"valve": "all valves", "load": "tip", "sensor": "pose sensor", "chamber": "all chambers"}
         place = "one layer" if effect_class(choice.name).layered else places.get(choice.site, "whole body")
     place += f", {GATES[choice.gate.field]}" if choice.gate else ""
-    return f"{place}, {BEFORE_GAUGE}" if choice.gauged else place
+    return f"{place}, {BEFORE_GAUGE}" if choice.before_gauge else place
 
 
 def shown_in(finding: Finding) -> tuple[float, str]:

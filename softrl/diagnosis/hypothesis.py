@@ -36,7 +36,7 @@ class Choice(NamedTuple):
     """One effect of the library; ``chamber`` is -1 for all chambers, or where the effect knows none.
 
     ``pinned`` names the parameters that are held at their neutral values; ``gate`` says above which pressure or from when on
-    alone it acts, ``session`` in which session alone, if anywhere; ``gauged`` that it acts before the gauge of the pressure.
+    alone it acts, ``session`` in which session alone, if anywhere; ``before_gauge`` that gauges show it.
     """
 
     name: str
@@ -44,19 +44,19 @@ class Choice(NamedTuple):
     pinned: tuple[str, ...] = ()
     gate: Gate | None = None
     session: str = ""
-    gauged: bool = False
+    before_gauge: bool = False
 
     def label(self) -> str:
         """Return the name, with the chamber (counted from 1), the gate and the session where it acts there alone."""
         where = [f"chamber {self.chamber + 1}"] * (self.chamber >= 0) + [f"session {self.session}"] * bool(self.session)
         where += [GATES[self.gate.field]] if self.gate else []
-        where += [BEFORE_GAUGE] * self.gauged
+        where += [BEFORE_GAUGE] * self.before_gauge
         return f"{self.name} ({', '.join(where)})" if where else self.name
 
     @property
     def site(self) -> str:
         """Where along the pipeline it acts."""
-        return "valve" if self.gauged else effect_class(self.name).site
+        return "valve" if self.before_gauge else effect_class(self.name).site
 
     @property
     def shifts_time(self) -> bool:
@@ -226,7 +226,7 @@ def build_effect(choice: Choice, values: Sequence[float]) -> Effect:
     cls = effect_class(choice.name)
     named = pinned_values(choice) | dict(zip((f.name for f in free_fields(choice)), values, strict=True))
     fixed: dict[str, Any] = {"chamber": choice.chamber} if has_chamber(choice.name) else {}
-    return cls(**named, **fixed, before_gauge=choice.gauged)
+    return cls(**named, **fixed, before_gauge=choice.before_gauge)
 
 
 def pinned_values(choice: Choice) -> dict[str, float]:
@@ -270,16 +270,16 @@ def candidates(
     found = []
     for name in names:
         effect = effect_class(name)
-        gauged = effect.gauged and gauges_only
-        if effect.site not in sites and not gauged:
+        ahead = effect.gauged and gauges_only
+        if effect.site not in sites and not ahead:
             continue
         if not effect.suits(robot) or (effect.together and len(excited) < robot.chambers):
             continue
         if (effect.layered and not layers) or (effect.needs and effect.needs not in varied):
             continue
-        found.append(Choice(name, gauged=gauged))
+        found.append(Choice(name, before_gauge=ahead))
         if has_chamber(name) and robot.chambers > 1 and len(excited) > 1:
-            found += [Choice(name, chamber, gauged=gauged) for chamber in excited]
+            found += [Choice(name, chamber, before_gauge=ahead) for chamber in excited]
     return found
 
 
