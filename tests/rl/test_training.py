@@ -124,6 +124,9 @@ def test_training_that_diverges_keeps_the_best_so_far() -> None:
     class Diverging:
         num_timesteps = 7
 
+        def set_logger(self, logger: object) -> None:
+            pass
+
         def learn(self, steps: int, callback: object) -> None:
             raise ValueError("found invalid values: nan")
 

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
+from stable_baselines3.common.logger import Logger
 
 from softrl.core.errors import ConfigError, SolverError
 from softrl.rl.actor import Actor
@@ -65,6 +66,7 @@ def learn_or_keep(model: Any, steps: int, judge: Any, best: "Best") -> None:
     SolverError
         If it diverged before any actor was judged.
     """
+    model.set_logger(Logger(folder=None, output_formats=[]))  # or it leaves a folder of its own among temporary files
     try:
         model.learn(steps, callback=judge)
     except ValueError as error:  # how torch's distributions refuse what is not finite
