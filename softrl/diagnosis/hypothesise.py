@@ -50,9 +50,18 @@ def forward(
 def _grow(
     fitting: Problem, judge: Judge, choices: Sequence[Choice], search: Search, path: Path, report: Callable[[str], None]
 ) -> None:
-    """Add effects to the best hypothesis of ``path`` while that pays."""
+    """Add effects to the best hypothesis of ``path`` while that pays.
+
+    What is added may drive out what was there, and that be the best addition then: where the search has been it does not go on.
+    """
+    been: set[frozenset[str]] = set()
     while len(path.best.hypothesis.effects) < search.max_effects:
         current = path.best
+        acting = frozenset(choice.label() for choice in current.hypothesis.effects)
+        if acting in been:
+            report(f"{current.hypothesis.label()}: the search has been here")
+            break
+        been.add(acting)
         if judge.excess(current.mean_square) < judge.material:
             report(f"{current.hypothesis.label()}: what is left is less than counts")
             break
