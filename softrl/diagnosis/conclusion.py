@@ -16,10 +16,10 @@ from softrl.diagnosis.explain import (
     rival_entries,
     sentences,
     unexplained,
-    verdict_of,
 )
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.response import step_responses
+from softrl.diagnosis.verdict import verdict_of
 
 
 def conclude(

@@ -12,13 +12,13 @@ from softrl.diagnosis.hypothesis import AT_END, BEFORE_GAUGE, GATES, LATE, Choic
 from softrl.diagnosis.locate import significant
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.separate import separating_program
+from softrl.diagnosis.verdict import AS_GOOD, alternatives, misleads
 from softrl.effects.library import effect_class
 from softrl.robots.robot import Robot
 
 LATE_SHARE = 0.2  # of the interval between samples: a log that is less late goes without saying
 PIECE_SHARE = 0.2  # of the wrong bending: a piece of the body with less goes without saying
 TOLD = 0.02  # logarithm of a retuned parameter over its nominal value: less goes without saying
-AS_GOOD = 1.05  # times the retuned error: nothing was gained
 WORDS = {
     "valve": "between command and chamber pressure",
     "chamber": "in the chamber",
@@ -38,38 +38,6 @@ EXPERIMENTS = {
     "load": "the same holds with the base turned by 90 degrees, and with a known mass at the tip",
     "sensor": "the tip moved by hand to known places without pressure, and a fast multisine",
 }
-
-
-def verdict_of(findings: Sequence[Finding], heldout: dict[str, float]) -> str:
-    """Return the verdict of all parts together, and of the competitors' ``heldout`` errors from command to motion."""
-    named = [effect for finding in findings for effect in finding.named]
-    if findings[-1].unknown or (not named and any(finding.unknown for finding in findings)):
-        return "unknown"
-    if not named:
-        return "nothing missing"
-    if misleads(heldout) or (findings[0].unknown and not explains(findings[0], heldout)):
-        return "unknown"
-    return "indistinguishable" if any(_class(finding) for finding in findings) else "named"
-
-
-def misleads(heldout: dict[str, float]) -> bool:
-    """Return whether the corrected simulator errs plainly more than one retuned, or one with a single lag, does.
-
-    Whatever its parts do on their own, they do not serve together then.
-    """
-    plain = min(heldout["retuned"], heldout.get("one_lag", heldout["retuned"]))
-    return heldout["corrected"] > AS_GOOD * max(plain, heldout["noise_floor"])
-
-
-def explains(valve: Finding, heldout: dict[str, float]) -> bool:
-    """Return whether the correction explains from the command what effects should, though its ``valve`` is not understood."""
-    retuned, corrected = (max(heldout[name] ** 2 - heldout["noise_floor"] ** 2, 0.0) for name in ("retuned", "corrected"))
-    return retuned - corrected >= valve.judge.thresholds.explained_share * retuned
-
-
-def _class(finding: Finding) -> list[str]:
-    """Return the alternatives of another name that held-out data cannot tell apart from a named effect."""
-    return [r.choice.label() for r in finding.rivals if r.equivalent and r.choice.name != r.instead_of.name]
 
 
 def effect_entries(findings: Sequence[Finding]) -> list[dict[str, Any]]:
@@ -186,8 +154,8 @@ def next_experiment(findings: Sequence[Finding], verdict: str, robot: Robot, noi
         return None
     open_sites = [r.choice.site for f in findings for r in f.rivals if r.equivalent]
     open_sites += [r.instead_of.site for f in findings for r in f.rivals if r.equivalent]
-    between = sorted({name for f in findings for name in _class(f)})
-    named = [n.choice.label() for f in findings for n in f.named if _class(f)]
+    between = sorted({name for f in findings for name in alternatives(f)})
+    named = [n.choice.label() for f in findings for n in f.named if alternatives(f)]
     if verdict == "unknown":
         open_sites = ["valve"] if findings[0].unknown and len(findings) > 1 else ["body", "load"]
     found: dict[str, Any] = {

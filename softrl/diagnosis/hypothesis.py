@@ -11,14 +11,9 @@ import numpy as np
 from softrl.core.simulator import Simulator
 from softrl.effects.effect import Effect
 from softrl.effects.library import effect_class
-from softrl.robots.robot import Robot
 
 GATES = {"above_share": "above a pressure", "since_s": "from a time on"}
 BEFORE_GAUGE = "before the gauge"
-BEGINS = (0.3, 0.6)  # shares of the run and of its highest pressure at which searches for a gate begin
-BEGIN_ALONE = (0.45,)  # the same for one chamber alone, of which there are many
-# what may change from one day to the next: warmth, rest and age of the wall; what it carries; how it is mounted
-BY_SESSION = ("stiffness_scale", "strain_softening", "payload", "mount_tilt")
 LATE = "late_s"  # how late a log has it that rows act, tuned with the simulator's parameters
 LATE_SCALE = 12.0  # sampling intervals that are one scaled unit: what a log may be late counts as no far retuning
 AT_END = 0.97  # a retuned parameter this close to the end of its range (in logarithms) is not plausible
@@ -252,49 +247,6 @@ def has_chamber(name: str) -> bool:
     return any(field.name == "chamber" for field in fields(effect_class(name)))
 
 
-def candidates(
-    names: Sequence[str],
-    sites: Sequence[str],
-    robot: Robot,
-    excited: Sequence[int],
-    layers: bool = False,
-    varied: Sequence[str] = (),
-    gauges_only: bool = False,
-) -> list[Choice]:
-    """Return every effect out of ``names`` at ``sites``: for all chambers, and for each that was driven.
-
-    ``layers`` says whether the body has layers, and ``varied`` which surroundings were recorded and changed, without which
-    some effects cannot be shown. ``gauges_only`` says that measured pressures are what is compared: what happens to a
-    chamber before its gauge is considered, too.
-    """
-    found = []
-    for name in names:
-        effect = effect_class(name)
-        ahead = effect.gauged and gauges_only
-        if effect.site not in sites and not ahead:
-            continue
-        if not effect.suits(robot) or (effect.together and len(excited) < robot.chambers):
-            continue
-        if (effect.layered and not layers) or (effect.needs and effect.needs not in varied):
-            continue
-        found.append(Choice(name, before_gauge=ahead))
-        if has_chamber(name) and robot.chambers > 1 and len(excited) > 1:
-            found += [Choice(name, chamber, before_gauge=ahead) for chamber in excited]
-    return found
-
-
-def in_one_session(names: Sequence[str], training: Sequence[str], heldout: Sequence[str]) -> list[Choice]:
-    """Return the effects out of ``names`` that may act in one session alone, for every session but the last.
-
-    Parameters
-    ----------
-    training, heldout : session of every run; only a session with two runs to fit and one to judge can show such an effect
-    """
-    sessions = list(dict.fromkeys(training))
-    shown = [s for s in sessions if training.count(s) > 1 and s in heldout]
-    return [Choice(name, session=s) for name in names if name in BY_SESSION for s in shown if s != sessions[-1]]
-
-
 def starts(choice: Choice, seen: Sequence[dict[str, float]] = ()) -> list[np.ndarray]:
     """Return scaled points (p,) of an effect that is plain to see: typical values, and spread-out shapes of it.
 
@@ -332,26 +284,3 @@ def neutral(choice: Choice) -> np.ndarray:
     if choice.gate:
         point[-1] = axes[-1].scaled(choice.gate.begin)
     return point
-
-
-def may_be_gated(choice: Choice) -> list[str]:
-    """Return the fields of the gates that ``choice`` may have: a time, and where pressure acts a pressure."""
-    effect = effect_class(choice.name)
-    if effect.together or effect.layered:
-        return []
-    times = [] if effect.clock is not None else ["since_s"]
-    return times + ["above_share"] * (effect.site in ("valve", "chamber", "body"))
-
-
-def gated(choice: Choice, duration_s: float, highest_share: float) -> list[Choice]:
-    """Return the forms of ``choice`` that act above a pressure or from a time on only, begun at several places.
-
-    Parameters
-    ----------
-    duration_s : of the runs
-    highest_share : pressure that they reach, as a share of the robot's largest
-    """
-    begins = BEGINS if choice.chamber < 0 else BEGIN_ALONE
-    whole = {"since_s": duration_s, "above_share": highest_share}
-    gates = [Gate(field, share * whole[field]) for field in may_be_gated(choice) for share in begins]
-    return [choice._replace(gate=gate) for gate in gates]

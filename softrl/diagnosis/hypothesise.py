@@ -4,8 +4,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from softrl.diagnosis.choices import gated
 from softrl.diagnosis.flexible import pressures
-from softrl.diagnosis.hypothesis import Choice, Hypothesis, gated, neutral
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, neutral
 from softrl.diagnosis.judge import SHOWN, Judge
 from softrl.diagnosis.moves import addition, not_taken, pays, prune, swap
 from softrl.diagnosis.path import Path

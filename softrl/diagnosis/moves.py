@@ -5,7 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from softrl.diagnosis.hypothesis import Choice, Gate, Hypothesis, effect_axes, may_be_gated, starts
+from softrl.diagnosis.choices import may_be_gated
+from softrl.diagnosis.hypothesis import Choice, Gate, Hypothesis, effect_axes, starts
 from softrl.diagnosis.judge import SHOWN, SHOWN_BESIDE, Judge
 from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem

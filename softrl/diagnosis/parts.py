@@ -7,9 +7,9 @@ import numpy as np
 
 from softrl.core.simulator import Layered
 from softrl.diagnosis.blocks import correlation_time
+from softrl.diagnosis.choices import candidates, in_one_session
 from softrl.diagnosis.data import Data
 from softrl.diagnosis.examine import Finding, Part
-from softrl.diagnosis.hypothesis import candidates, in_one_session
 from softrl.diagnosis.prelude import preludes
 from softrl.diagnosis.problem import ORIENTATION_LEVER, Problem
 from softrl.effects.effect import SITES

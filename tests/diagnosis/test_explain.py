@@ -5,7 +5,8 @@ from typing import Any
 
 import pytest
 
-from softrl.diagnosis.explain import _at_the_end, verdict_of
+from softrl.diagnosis.explain import _at_the_end
+from softrl.diagnosis.verdict import verdict_of
 
 
 @pytest.mark.parametrize(

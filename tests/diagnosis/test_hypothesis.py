@@ -7,17 +7,8 @@ import pytest
 
 from softrl.core.config import build
 from softrl.core.tracking import NullTracker
-from softrl.diagnosis.hypothesis import (
-    Choice,
-    Gate,
-    Hypothesis,
-    build_effect,
-    candidates,
-    effect_axes,
-    gated,
-    neutral,
-    starts,
-)
+from softrl.diagnosis.choices import candidates, gated
+from softrl.diagnosis.hypothesis import Choice, Gate, Hypothesis, build_effect, effect_axes, neutral, starts
 from softrl.diagnosis.moves import where_it_acts
 from softrl.diagnosis.search import Fit
 from softrl.diagnosis.slim import pinned

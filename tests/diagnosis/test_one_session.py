@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from softrl.core.tracking import NullTracker
-from softrl.diagnosis.hypothesis import Choice, Hypothesis, Space, in_one_session
+from softrl.diagnosis.choices import in_one_session
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, Space
 from softrl.diagnosis.stage import run
 from softrl.effects.library import effect_class
 from softrl.pcc.simulator import PccSimulator

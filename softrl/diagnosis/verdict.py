@@ -1,0 +1,39 @@
+"""The verdict of a diagnosis: nothing missing, named, indistinguishable, or unknown."""
+
+from collections.abc import Sequence
+
+from softrl.diagnosis.examine import Finding
+
+AS_GOOD = 1.05  # times the retuned error: nothing was gained
+
+
+def verdict_of(findings: Sequence[Finding], heldout: dict[str, float]) -> str:
+    """Return the verdict of all parts together, and of the competitors' ``heldout`` errors from command to motion."""
+    named = [effect for finding in findings for effect in finding.named]
+    if findings[-1].unknown or (not named and any(finding.unknown for finding in findings)):
+        return "unknown"
+    if not named:
+        return "nothing missing"
+    if misleads(heldout) or (findings[0].unknown and not explains(findings[0], heldout)):
+        return "unknown"
+    return "indistinguishable" if any(alternatives(finding) for finding in findings) else "named"
+
+
+def misleads(heldout: dict[str, float]) -> bool:
+    """Return whether the corrected simulator errs plainly more than one retuned, or one with a single lag, does.
+
+    Whatever its parts do on their own, they do not serve together then.
+    """
+    plain = min(heldout["retuned"], heldout.get("one_lag", heldout["retuned"]))
+    return heldout["corrected"] > AS_GOOD * max(plain, heldout["noise_floor"])
+
+
+def explains(valve: Finding, heldout: dict[str, float]) -> bool:
+    """Return whether the correction explains from the command what effects should, though its ``valve`` is not understood."""
+    retuned, corrected = (max(heldout[name] ** 2 - heldout["noise_floor"] ** 2, 0.0) for name in ("retuned", "corrected"))
+    return retuned - corrected >= valve.judge.thresholds.explained_share * retuned
+
+
+def alternatives(finding: Finding) -> list[str]:
+    """Return the alternatives of another name that held-out data cannot tell apart from a named effect."""
+    return [r.choice.label() for r in finding.rivals if r.equivalent and r.choice.name != r.instead_of.name]
