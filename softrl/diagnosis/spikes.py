@@ -6,6 +6,7 @@ import numpy as np
 from scipy.ndimage import median_filter, percentile_filter
 
 from softrl.diagnosis.gaps import rows
+from softrl.diagnosis.strayed import strayed
 from softrl.effects.hold import reading_period
 from softrl.recordings.recording import Recording
 
@@ -25,14 +26,20 @@ def without_spikes(runs: Sequence[Recording]) -> tuple[tuple[Recording, ...], li
             if values is not None:
                 seen = values.reshape(len(values), -1)
                 first, reading = _readings(run.time, seen)
-                wrong |= spikes(seen[first])[reading]
+                away = strayed(run.time[first], seen[first], _pressures(run)[first])
+                wrong |= (spikes(seen[first]) | away)[reading]
         if wrong.any():
             lines.append(
                 f"{run.name}: {np.count_nonzero(wrong)} samples, first at t = {run.time[wrong][0]:.2f} s, jump away and "
-                "back within an instant and are left out: the tracking mistook something"
+                "back at once or within seconds and are left out: the tracking mistook something"
             )
         kept.append(rows(run, ~wrong) if wrong.any() else run)
     return tuple(kept), lines
+
+
+def _pressures(run: Recording) -> np.ndarray:
+    """Return all pressures (steps, m) of ``run`` side by side."""
+    return run.pressure_cmd if run.pressure_meas is None else np.hstack([run.pressure_cmd, run.pressure_meas])
 
 
 def _readings(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
