@@ -63,13 +63,13 @@ def joined(training: Problem, findings: Sequence[Finding], search: Search, thres
 
 
 def tuned_together(first: Trial, last: Trial) -> np.ndarray:
-    """Return what is tuned besides effects from command to motion, scaled: the body as in the last part, the log as in the first.
+    """Return what is tuned besides effects from command to motion, scaled: the body as in the last part, the log as in both.
 
-    The drive of a body by measured pressures has a lateness of its own.
+    How late the motion is against the measured pressures comes on top of how late those are against the command.
     """
     found = last.fit.point[len(of_effects(last)) :].copy()
-    if LATE in first.hypothesis.tuned:
-        found[-1] = first.fit.point[-1]
+    if LATE in first.hypothesis.tuned and first is not last:
+        found[-1] += first.fit.point[-1]
     return np.asarray(found)
 
 

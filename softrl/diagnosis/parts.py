@@ -10,13 +10,17 @@ from softrl.diagnosis.blocks import correlation_time
 from softrl.diagnosis.choices import candidates, in_one_session
 from softrl.diagnosis.data import Data
 from softrl.diagnosis.examine import Finding, Part
+from softrl.diagnosis.hypothesis import LATE
+from softrl.diagnosis.judge import Judge
 from softrl.diagnosis.prelude import preludes
 from softrl.diagnosis.problem import ORIENTATION_LEVER, Problem
+from softrl.diagnosis.trial import Trial
 from softrl.effects.effect import SITES
 from softrl.effects.replay import Between, evenly
 from softrl.recordings.recording import Recording
 
 SURE = 3.0  # standard errors that a sensor's bias must exceed
+EARLIER = (0.0, 0.25, 0.5, 0.75)  # shares of how late a log was found to be, of which the least that does as well is taken
 VALVE_STEPS = 4  # of a valve to one of the body: it costs little, and pressures are measured well
 
 
@@ -33,6 +37,26 @@ def valve_part(whole: Problem, data: Data, effects: list[str]) -> Part:
     choices = candidates(effects, ("valve",), whole.robot, data.check.excited, gauges_only=True)
     floor = floor_in_bin(data.pressure_noise, data, problem)
     return Part("command to measured pressure", problem, data.heldout, floor, data.pressure_travel, tuple(choices))
+
+
+def punctual(valve: Finding) -> Finding:
+    """Return the finding with a log that is no later than the pressures tell.
+
+    Where a regulator is quicker than the log, its pressure is the same at every sample however late the rows act in between;
+    the body behind it tells.
+    """
+    return replace(valve, base=_earliest(valve.judge, valve.base), final=_earliest(valve.judge, valve.final))
+
+
+def _earliest(judge: Judge, trial: Trial) -> Trial:
+    if LATE not in trial.hypothesis.tuned:
+        return trial
+    for share in EARLIER:
+        sooner = trial.fit.point * np.r_[np.ones(len(trial.fit.point) - 1), share]
+        squares = judge.problem.residual(trial.hypothesis, sooner, trial.placed).squares
+        if not judge.tells(squares, trial.squares):
+            return trial._replace(fit=trial.fit._replace(point=sooner), squares=squares)
+    return trial
 
 
 def part_behind(valve: Finding, whole: Problem, data: Data, effects: list[str]) -> Part:

@@ -24,7 +24,7 @@ from softrl.diagnosis.join import joined
 from softrl.diagnosis.judge import Judge, Thresholds
 from softrl.diagnosis.locate import corrected, locate
 from softrl.diagnosis.mistaken import mistaken
-from softrl.diagnosis.parts import both_at_once, floor_in_bin, part_behind, valve_part
+from softrl.diagnosis.parts import both_at_once, floor_in_bin, part_behind, punctual, valve_part
 from softrl.diagnosis.prelude import preludes
 from softrl.diagnosis.problem import Numerics, Problem
 from softrl.diagnosis.quality import mixed
@@ -181,7 +181,7 @@ def _examine(config: Config, whole: Problem, data: Data, full: Data) -> list[Fin
     """
     if not (data.pressure and config.measured_pressure):
         return [_look(config, both_at_once(whole, data, config.effects))]
-    valve = _look(config, valve_part(whole, full, config.effects))
+    valve = punctual(_look(config, valve_part(whole, full, config.effects)))
     return [valve, _look(config, part_behind(valve, whole, data, config.effects))]
 
 
