@@ -67,6 +67,7 @@ def made(
     sessions: int = 5,
     noise_m: float = 1e-4,
     measured: bool = False,
+    period_s: float = 0.02,
     warmth: Callable[[int, np.ndarray], np.ndarray] | None = None,
     process: Callable[[Recording], Recording] | None = None,
 ) -> RecordingSet:
@@ -78,7 +79,7 @@ def made(
     plant = Plant(simulator, chain_of(robot, effects))
     runs = []
     for number in range(sessions):
-        time, pressure = programs(robot, rng, 0.02)
+        time, pressure = programs(robot, rng, period_s)
         temperature = None if warmth is None else warmth(number, time)
         blank = Recording(f"run_{number}", f"day_{number}", time, pressure, temperature=temperature)
         run = replace(replay(plant, blank, 0.01), temperature=temperature)

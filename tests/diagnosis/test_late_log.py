@@ -13,6 +13,7 @@ from softrl.diagnosis.stage import run
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.delay import Delay
 from softrl.effects.effect import Effect
+from softrl.effects.friction import Friction
 from softrl.effects.lag import Lag
 from softrl.effects.payload import Payload
 from softrl.effects.replay import replay
@@ -72,6 +73,15 @@ def test_the_corrected_simulator_is_as_late_as_the_log(
     missed = np.concatenate([r.position - replay(plant, r, 0.01).position for r in heldout])
     alone = 1e3 * float(np.sqrt(np.mean(np.sum(missed**2, axis=1))))
     assert alone == pytest.approx(found.errors_mm["heldout"]["corrected"], rel=0.05)
+
+
+def test_a_regulator_quicker_than_its_log_does_not_put_the_drive_at_the_wrong_time(body: PccSimulator) -> None:
+    hidden = Friction(dry=0.08, loaded=0.05)
+    recordings = made(body, (hidden,), sessions=4, measured=True, period_s=0.05, noise_m=3e-4)
+    found = run(configured(candidates=["friction", "hysteresis", "play"]), body.robot, recordings, body, tracker=NullTracker())
+    assert [effect["name"] for effect in found.effects] == ["friction"], found.sentences
+    assert found.effects[0]["parameters"]["dry"]["value"] == pytest.approx(hidden.dry, rel=0.1)
+    assert found.errors_mm["heldout"]["corrected"] < 1.1 * found.errors_mm["heldout"]["noise_floor"]
 
 
 def test_a_delay_longer_than_an_interval_is_named_whole(body: PccSimulator) -> None:
