@@ -9,6 +9,7 @@ from softrl.diagnosis.along import BENDS
 from softrl.diagnosis.correct import Model
 from softrl.diagnosis.examine import Finding, Named
 from softrl.diagnosis.hypothesis import AT_END, BEFORE_GAUGE, GATES, LATE, Choice, has_chamber, pinned_values
+from softrl.diagnosis.lateness import lateness
 from softrl.diagnosis.locate import significant
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.separate import separating_program
@@ -16,7 +17,6 @@ from softrl.diagnosis.verdict import AS_GOOD, alternatives, misleads
 from softrl.effects.library import effect_class
 from softrl.robots.robot import Robot
 
-LATE_SHARE = 0.2  # of the interval between samples: a log that is less late goes without saying
 PIECE_SHARE = 0.2  # of the wrong bending: a piece of the body with less goes without saying
 TOLD = 0.02  # logarithm of a retuned parameter over its nominal value: less goes without saying
 WORDS = {
@@ -41,9 +41,14 @@ EXPERIMENTS = {
 
 
 def effect_entries(findings: Sequence[Finding]) -> list[dict[str, Any]]:
-    """Return one entry a named effect, as in ``diagnosis.json``, maps without physics last."""
-    found = [(finding, named) for finding in findings for named in finding.named]
-    return [_entry(*pair) for pair in sorted(found, key=lambda pair: effect_class(pair[1].choice.name).together)]
+    """Return one entry a named effect, as in ``diagnosis.json``: what explains most first, part by part, maps last.
+
+    ``place`` is where in the chain it acts, which is not the order in which effects are told.
+    """
+    acting = [choice for finding in findings for choice in finding.final.hypothesis.effects]
+    found = [(finding, named) for finding in findings for named in sorted(finding.named, key=lambda n: -n.gap.value)]
+    found.sort(key=lambda pair: effect_class(pair[1].choice.name).together)
+    return [_entry(*pair) | {"place": acting.index(pair[1].choice)} for pair in found]
 
 
 def _entry(finding: Finding, named: Named) -> dict[str, Any]:
@@ -211,7 +216,7 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
             f"With what is named {', '.join(still)} still ends at the edge of the plausible range: the simulator's body differs "
             "from the robot's in more than that, so take the parameters above as a description, not as measurements."
         )
-    lines += _along_sentence(diagnosis) + _log_sentence(findings[0])
+    lines += _along_sentence(diagnosis) + lateness(findings)
     left = [finding for finding in findings if finding.left > finding.judge.material]
     lines += [_left_sentence(finding) + _from_command(diagnosis, finding) for finding in left]
     return lines
@@ -223,20 +228,6 @@ def _along_sentence(diagnosis: Diagnosis) -> list[str]:
     plain = [f"it {row['region']} ({row['effect_size']:.0%})" for row in rows if row["effect_size"] >= PIECE_SHARE]
     told = "Before any effect is added the markers show where the body's bending is wrong (share of what is): "
     return [told + "; ".join(plain) + "."] if plain else []
-
-
-def _log_sentence(finding: Finding) -> list[str]:
-    """Return how late commands act by the log, where it counts beside the interval between samples."""
-    problem, final = finding.part.problem, finding.final
-    late_s = problem.space(final.hypothesis).late(final.fit.point)
-    if late_s < LATE_SHARE * problem.late_max_s or problem.late_max_s == 0.0:
-        return []
-    if late_s > (1.0 - LATE_SHARE) * problem.late_max_s:
-        return ["By the log each row's command acts from its time until the next row's."]
-    return [
-        f"By the log each row's command acts until {1e3 * late_s:.2g} ms after its time, of {1e3 * problem.late_max_s:.2g} ms "
-        "between rows: taken as how the log is written, not as physics."
-    ]
 
 
 def _at_the_end(diagnosis: Diagnosis) -> list[str]:

@@ -18,6 +18,11 @@ from softrl.diagnosis.trial import Search, Trial, of_effects, shared_out
 log = logging.getLogger(__name__)
 
 
+def put_together(whole: Problem, findings: Sequence[Finding]) -> Problem:
+    """Return the problem from command to motion: its log may be late by as much as those of all its parts."""
+    return replace(whole, late_max_s=len(findings) * whole.late_max_s)
+
+
 def joined(training: Problem, findings: Sequence[Finding], search: Search, thresholds: Thresholds) -> list[Finding]:
     """Return the findings with the last part's parameters refitted from command to motion, the valve's effects held.
 
@@ -65,11 +70,12 @@ def joined(training: Problem, findings: Sequence[Finding], search: Search, thres
 def tuned_together(first: Trial, last: Trial) -> np.ndarray:
     """Return what is tuned besides effects from command to motion, scaled: the body as in the last part, the log as in both.
 
-    How late the motion is against the measured pressures comes on top of how late those are against the command.
+    How late the motion is against the measured pressures comes on top of how late those are against the command; see
+    ``put_together`` for the scale of their sum.
     """
     found = last.fit.point[len(of_effects(last)) :].copy()
     if LATE in first.hypothesis.tuned and first is not last:
-        found[-1] += first.fit.point[-1]
+        found[-1] = 0.5 * (first.fit.point[-1] + found[-1])
     return np.asarray(found)
 
 

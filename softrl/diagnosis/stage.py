@@ -20,7 +20,7 @@ from softrl.diagnosis.examine import Finding, Part, examine
 from softrl.diagnosis.figures import draw_all
 from softrl.diagnosis.frames import in_other_frames
 from softrl.diagnosis.hypothesis import Hypothesis
-from softrl.diagnosis.join import joined
+from softrl.diagnosis.join import joined, put_together
 from softrl.diagnosis.judge import Judge, Thresholds
 from softrl.diagnosis.locate import corrected, locate
 from softrl.diagnosis.mistaken import mistaken
@@ -128,6 +128,7 @@ def diagnose(
     if apart:
         return cannot_tell(Refusal(data.check, apart), robot.name, type(simulator).__name__), None
     findings = _examine(config, whole, data, found)
+    whole = put_together(whole, findings)
     findings = joined(whole.on(data.training), findings, config.search, config.thresholds)
     models = competitors(config.search, whole.on(data.training), findings)
     judged = judged_on(whole, data, models, config.search.workers)

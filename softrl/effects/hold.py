@@ -13,10 +13,12 @@ from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
 SCANNED = 1000  # samples of each run, from its start, on which all periods are tried
-FINEST = 2.5  # median times between samples: a shorter period does not show
+FINEST = 1.15  # median times between samples: a shorter period does not show
+PAUSE = 2.5  # the same for a time between samples in which any sensor moves further
+BRIEF = 0.5  # the same for one so short that noise alone would seem to be fast
 NEXT = 0.5  # by which the last reading moves between two periods that are tried, in samples
 NEAR, FINER = 2.0, 0.2  # steps either side of the best that are tried again on whole runs, by how much finer
-TELLS = 0.3  # correlation of changes with readings above which a period is taken to be one
+TELLS = 0.15  # correlation of changes with readings above which a period is taken to be one
 CHANCE = 6.0  # and this many times what chance gives it, for very many periods are tried
 FIRST = -1e12  # number of the reading before the first
 
@@ -90,7 +92,7 @@ def reading_period(series: Sequence[tuple[np.ndarray, np.ndarray]]) -> float | N
     Periods are tried so closely that the last reading falls between the same samples for one of them, and the one is
     taken whose readings coincide best with changes of the values.
     """
-    whole = _Changes.of([(time, values) for time, values in series if len(time) > FINEST])
+    whole = _Changes.of([(time, values) for time, values in series if len(time) > PAUSE])
     if whole is None:
         return None
     part = _Changes.of([(time[:SCANNED], values[:SCANNED]) for time, values in series])
@@ -108,7 +110,7 @@ def reading_period(series: Sequence[tuple[np.ndarray, np.ndarray]]) -> float | N
 class _Changes:
     """Changes between samples of all runs, about their mean, and when each begins and ends, s since the run's first sample.
 
-    All are (changes,) arrays, without those across pauses, in which any sensor moves further.
+    All are (changes,) arrays, without those across pauses, in which any sensor moves further; sizes for equal times.
     """
 
     begin: np.ndarray
@@ -127,7 +129,8 @@ class _Changes:
         # their size, not its square: a few fast motions would outweigh all others
         sizes = np.concatenate([np.linalg.norm(np.diff(values, axis=0), axis=1) for _, values in series])
         sample = float(np.median(end - begin))
-        kept = end - begin < FINEST * sample
+        kept = end - begin < PAUSE * sample
+        sizes /= np.maximum(end - begin, BRIEF * sample) / sample  # what takes longer moves further, and holds more readings
         if not kept.any() or not np.ptp(sizes[kept]):
             return None
         return cls(begin[kept], end[kept], sizes[kept] - sizes[kept].mean(), sample, float(end.max()))

@@ -1,0 +1,40 @@
+"""How late a log is, in words: no physics, but whoever reads on should know."""
+
+from collections.abc import Sequence
+
+from softrl.diagnosis.examine import Finding
+
+LATE_SHARE = 0.2  # of the interval between samples: a log that is less late goes without saying
+
+
+def lateness(findings: Sequence[Finding]) -> list[str]:
+    """Return how late commands act by the log, and how late the motion is seen, where it counts beside the interval."""
+    return [*_of_commands(findings[0]), *(line for finding in findings[1:] for line in _of_motion(finding))]
+
+
+def _of_commands(finding: Finding) -> list[str]:
+    late_s, interval_s = _late_of(finding)
+    if late_s < LATE_SHARE * interval_s or interval_s == 0.0:
+        return []
+    if late_s > (1.0 - LATE_SHARE) * interval_s:
+        return ["By the log each row's command acts from its time until the next row's."]
+    return [
+        f"By the log each row's command acts until {1e3 * late_s:.2g} ms after its time, of {1e3 * interval_s:.2g} ms "
+        "between rows: taken as how the log is written, not as physics."
+    ]
+
+
+def _of_motion(finding: Finding) -> list[str]:
+    late_s, interval_s = _late_of(finding)
+    if late_s < LATE_SHARE * interval_s or interval_s == 0.0:
+        return []
+    return [
+        f"The motion comes {1e3 * late_s:.2g} ms behind the pressures of its row: taken as how the log is written, though a "
+        "tracker that is late by less than a row would show so, too."
+    ]
+
+
+def _late_of(finding: Finding) -> tuple[float, float]:
+    """Return how late the log is, s, and the interval between its samples."""
+    problem, final = finding.part.problem, finding.final
+    return problem.space(final.hypothesis).late(final.fit.point), problem.late_max_s
