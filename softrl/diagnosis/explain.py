@@ -188,7 +188,7 @@ def _planned(findings: Sequence[Finding], noise_m: float) -> dict[str, Any] | No
 def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
     """Return the finding in plain words, the verdict first."""
     lines = [_verdict_sentence(diagnosis), _error_sentence(diagnosis)]
-    if diagnosis.effects and misleads(diagnosis.errors_mm["heldout"]):
+    if diagnosis.effects and misleads(findings, diagnosis.errors_mm["heldout"]):
         behind = " What is named holds under the measured pressure; what the command does to it is not understood."
         lines.append(
             "Do not rely on the corrected simulator: from the command it predicts held-out runs worse than retuning or one lag."

@@ -123,13 +123,14 @@ class Hypothesis:
 class Space:
     """The free parameters of a hypothesis: effects first, in order, then the simulator's and how late the log is.
 
-    The log may be late by ``late_max_s`` at most, and by nothing where an effect shifts all motion in time itself.
+    The log may be late by ``late_max_s`` at most, and by ``late_apart_s`` where an effect shifts all motion in time itself.
     """
 
     hypothesis: Hypothesis
     simulator: Simulator
     tuned_factor: float
     late_max_s: float = 0.0
+    late_apart_s: float = 0.0
 
     @cached_property
     def axes(self) -> tuple[Axis, ...]:
@@ -144,7 +145,8 @@ class Space:
     @property
     def _late(self) -> Axis:
         shifted = any(choice.shifts_time for choice in self.hypothesis.effects)
-        return Axis("log", LATE, "s", 0.0, 0.0 if shifted else self.late_max_s, 0.0, LATE_SCALE * self.late_max_s, False)
+        most = self.late_apart_s if shifted else self.late_max_s
+        return Axis("log", LATE, "s", 0.0, most, 0.0, LATE_SCALE * self.late_max_s, False)
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:

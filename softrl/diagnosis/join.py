@@ -20,7 +20,8 @@ log = logging.getLogger(__name__)
 
 def put_together(whole: Problem, findings: Sequence[Finding]) -> Problem:
     """Return the problem from command to motion: its log may be late by as much as those of all its parts."""
-    return replace(whole, late_max_s=len(findings) * whole.late_max_s)
+    most, parts = whole.late_max_s, len(findings)
+    return replace(whole, late_max_s=parts * most, late_apart_s=(parts - 1) * most)
 
 
 def joined(training: Problem, findings: Sequence[Finding], search: Search, thresholds: Thresholds) -> list[Finding]:

@@ -84,6 +84,7 @@ class Problem:
     before : by run the pressures (chambers,) Pa under which the body stood before the first sample, where they are known
         better than by the first pressures themselves, see ``prelude``
     late_max_s : how late a log may have it that rows act: an interval between its samples
+    late_apart_s : the same where an effect shifts time that does so in a part examined apart: the other part has its own log
     between : by run what its measured pressures do between their samples, where the valve is understood
     defect : by run what is added to the residual (bins, channels), see ``rough_about``
     """
@@ -98,6 +99,7 @@ class Problem:
     orientation: bool
     before: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     late_max_s: float = 0.0
+    late_apart_s: float = 0.0
     between: Mapping[str, Between] = field(default_factory=dict)
     defect: tuple[np.ndarray, ...] = ()
 
@@ -120,7 +122,7 @@ class Problem:
 
     def space(self, hypothesis: Hypothesis) -> Space:
         """Return the free parameters of a hypothesis."""
-        return Space(hypothesis, self.simulator, self.numerics.tuned_factor, self.late_max_s)
+        return Space(hypothesis, self.simulator, self.numerics.tuned_factor, self.late_max_s, self.late_apart_s)
 
     @property
     def tuned(self) -> tuple[str, ...]:

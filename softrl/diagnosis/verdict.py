@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from softrl.diagnosis.examine import Finding
 
 AS_GOOD = 1.05  # times the retuned error: nothing was gained
@@ -14,17 +16,19 @@ def verdict_of(findings: Sequence[Finding], heldout: dict[str, float]) -> str:
         return "unknown"
     if not named:
         return "nothing missing"
-    if misleads(heldout) or (findings[0].unknown and not explains(findings[0], heldout)):
+    if misleads(findings, heldout) or (findings[0].unknown and not explains(findings[0], heldout)):
         return "unknown"
     return "indistinguishable" if any(alternatives(finding) for finding in findings) else "named"
 
 
-def misleads(heldout: dict[str, float]) -> bool:
+def misleads(findings: Sequence[Finding], heldout: dict[str, float]) -> bool:
     """Return whether the corrected simulator errs plainly more than one retuned, or one with a single lag, does.
 
-    Whatever its parts do on their own, they do not serve together then.
+    Whatever its parts do on their own, they do not serve together then. Where valve and body were both understood apart, a
+    lag that is fitted from the command, with whatever else makes up for it, is no witness against them.
     """
-    plain = min(heldout["retuned"], heldout.get("one_lag", heldout["retuned"]))
+    apart = len(findings) > 1 and not any(finding.unknown for finding in findings)
+    plain = heldout["retuned"] if apart else min(heldout["retuned"], heldout.get("one_lag", np.inf))
     return heldout["corrected"] > AS_GOOD * max(plain, heldout["noise_floor"])
 
 
