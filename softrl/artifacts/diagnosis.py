@@ -80,7 +80,7 @@ class Diagnosis(Artifact):
     def named(self) -> list[dict[str, Any]]:
         """Return {name, chamber, parameters (name -> value)} of every named effect, as effects are built from.
 
-        They come in the chain's order. What acted in one earlier session only is history, and left out.
+        What acted in one earlier session only is history, and left out.
         """
         return [
             {
@@ -89,7 +89,7 @@ class Diagnosis(Artifact):
                 "parameters": effect.get("pinned", {})
                 | {name: entry["value"] for name, entry in effect["parameters"].items()},
             }
-            for effect in sorted(self.effects, key=lambda effect: effect.get("place", 0))
+            for effect in self.effects
             if not effect.get("session")
         ]
 

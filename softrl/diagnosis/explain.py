@@ -41,14 +41,9 @@ EXPERIMENTS = {
 
 
 def effect_entries(findings: Sequence[Finding]) -> list[dict[str, Any]]:
-    """Return one entry a named effect, as in ``diagnosis.json``: what explains most first, part by part, maps last.
-
-    ``place`` is where in the chain it acts, which is not the order in which effects are told.
-    """
-    acting = [choice for finding in findings for choice in finding.final.hypothesis.effects]
+    """Return one entry a named effect, as in ``diagnosis.json``: what explains most first, part by part, maps last."""
     found = [(finding, named) for finding in findings for named in sorted(finding.named, key=lambda n: -n.gap.value)]
-    found.sort(key=lambda pair: effect_class(pair[1].choice.name).together)
-    return [_entry(*pair) | {"place": acting.index(pair[1].choice)} for pair in found]
+    return [_entry(*pair) for pair in sorted(found, key=lambda pair: effect_class(pair[1].choice.name).together)]
 
 
 def _entry(finding: Finding, named: Named) -> dict[str, Any]:

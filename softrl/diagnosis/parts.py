@@ -15,8 +15,9 @@ from softrl.diagnosis.judge import Judge
 from softrl.diagnosis.prelude import preludes
 from softrl.diagnosis.problem import ORIENTATION_LEVER, Problem
 from softrl.diagnosis.trial import Trial
+from softrl.effects.chain import chain_of
 from softrl.effects.effect import SITES
-from softrl.effects.replay import Between, evenly
+from softrl.effects.replay import Supply
 from softrl.recordings.recording import Recording
 
 SURE = 3.0  # standard errors that a sensor's bias must exceed
@@ -65,12 +66,14 @@ def part_behind(valve: Finding, whole: Problem, data: Data, effects: list[str]) 
     A command that is no pressure, or a valve that is not understood, says nothing about a sensor's zero and noise, nor about
     what happens between its samples.
     """
-    body, between = data, {}
+    body, supply = data, {}
     if whole.robot.command == "pressure" and not valve.unknown:
-        training, heldout = (_mended(runs, valve, data.pressure_noise) for runs in (whole.runs, data.heldout))
-        body, between = replace(data, training=training, heldout=heldout), _between((*training, *heldout), valve)
+        known = [_understood(runs, valve, data.pressure_noise) for runs in (whole.runs, data.heldout)]
+        training, heldout = (tuple(run for run, _ in side) for side in known)
+        body = replace(data, training=training, heldout=heldout)
+        supply = {run.name: found for side in known for run, found in side}
     before = preludes(body.training, (*body.training, *body.heldout), whole.robot)
-    behind = replace(whole, drive="measured", runs=body.training, before=before, between=between)
+    behind = replace(whole, drive="measured", runs=body.training, before=before, supply=supply)
     sites = tuple(site for site in SITES if site != "valve")
     return _motion_part(behind, body, "measured pressure to motion", effects, sites)
 
@@ -97,39 +100,24 @@ def _supplied(runs: Sequence[Recording], valve: Finding) -> list[Recording]:
     return problem.replayed(valve.final.hypothesis, valve.final.fit.point, ("pressure_meas",))
 
 
-def _mended(runs: Sequence[Recording], valve: Finding, noise: float) -> tuple[Recording, ...]:
+def _understood(runs: Sequence[Recording], valve: Finding, noise: float) -> list[tuple[Recording, Supply]]:
     """Return the runs with pressures as far as the valve explains them, or their difference from that is no ``noise``, Pa.
 
     A body that is driven by a sensor's noise shakes. What is kept of a difference is the share of its mean square that noise
-    leaves, as in Wiener's filter of a signal that is as white.
+    leaves, as in Wiener's filter of a signal that is as white. Beside each run stands the valve, for what it does between
+    samples.
     """
-    found = []
+    final, problem = valve.final, valve.part.problem
+    space, point, found = problem.space(final.hypothesis), final.fit.point, []
+    chain = chain_of(problem.robot, space.effects(point))
     for run, made in zip(runs, _supplied(runs, valve), strict=True):
         apart = run.pressure_meas - made.pressure_meas
         apart -= _bias(apart)
         square = float(np.mean(np.sum(apart**2, axis=1)))
-        share = max(1.0 - noise**2 / square, 0.0) if square > 0.0 else 0.0
-        found.append(replace(run, pressure_meas=made.pressure_meas + share * apart))
-    return tuple(found)
-
-
-def _between(runs: Sequence[Recording], valve: Finding) -> dict[str, Between]:
-    """Return by run what its pressures do between samples, as far as the valve explains it.
-
-    At ten samples a second most of what a valve does to a step is over before the next.
-    """
-    found, fine = {}, [_often(run, valve.part.problem.numerics.dt_s) for run in runs]
-    for stamps, made in zip([run.time for run in runs], _supplied(fine, valve), strict=True):
-        at_samples = made.pressure_meas[np.searchsorted(made.time, stamps)]
-        found[made.name] = Between(made.time, made.pressure_meas - evenly(made.time, stamps, at_samples))
+        apart *= max(1.0 - noise**2 / square, 0.0) if square > 0.0 else 0.0
+        mended = replace(run, pressure_meas=made.pressure_meas + apart)
+        found.append((mended, Supply(chain, space.late(point), apart)))
     return found
-
-
-def _often(run: Recording, dt_s: float) -> Recording:
-    """Return the commands and pressures of ``run`` with further rows ``dt_s`` apart, each under the command that acts then."""
-    time = np.union1d(run.time, np.arange(run.time[0], run.time[-1], dt_s))
-    command = run.pressure_cmd[np.searchsorted(run.time, time)]
-    return Recording(run.name, run.session, time, command, pressure_meas=evenly(time, run.time, run.pressure_meas))
 
 
 def _bias(differences: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from softrl.diagnosis.hypothesis import LATE, Hypothesis, Space
 from softrl.diagnosis.still_body import StillBody
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.library import effect_class, names
-from softrl.effects.replay import CHANNELS, Between, replay
+from softrl.effects.replay import CHANNELS, Supply, replay
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
@@ -85,7 +85,7 @@ class Problem:
         better than by the first pressures themselves, see ``prelude``
     late_max_s : how late a log may have it that rows act: an interval between its samples
     late_apart_s : the same where an effect shifts time that does so in a part examined apart: the other part has its own log
-    between : by run what its measured pressures do between their samples, where the valve is understood
+    supply : by run the valve, where it is understood, and what is measured beyond what it does
     defect : by run what is added to the residual (bins, channels), see ``rough_about``
     """
 
@@ -100,7 +100,7 @@ class Problem:
     before: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     late_max_s: float = 0.0
     late_apart_s: float = 0.0
-    between: Mapping[str, Between] = field(default_factory=dict)
+    supply: Mapping[str, Supply] = field(default_factory=dict)
     defect: tuple[np.ndarray, ...] = ()
 
     def on(self, runs: Sequence[Recording]) -> "Problem":
@@ -235,8 +235,8 @@ class Problem:
 
     def _replay(self, plant: Plant, run: Recording, channels: tuple[str, ...], late_s: float) -> Recording:
         settle = 0.0 if self._from_rest(run) else self.numerics.settle_s
-        before, between = self.before.get(run.name), self.between.get(run.name)
-        made = replay(plant, run, self.numerics.dt_s, self.drive, settle, before, channels, late_s, between)
+        before, supply = self.before.get(run.name), self.supply.get(run.name)
+        made = replay(plant, run, self.numerics.dt_s, self.drive, settle, before, channels, late_s, supply)
         for name in self._compared:
             if not np.isfinite(_present(getattr(made, name))).all():
                 raise SolverError(f"run {run.name}: the simulation did not stay finite; try a smaller dt_s")

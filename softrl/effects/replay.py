@@ -22,11 +22,15 @@ CHANNELS = ("pressure_meas", "position", "quaternion", "bend_angle")
 KEPT = 128  # recordings whose pressures on the grid are kept
 
 
-class Between(NamedTuple):
-    """What measured pressures do between their samples beyond changing evenly: times (steps,) s, (steps, chambers) Pa."""
+class Supply(NamedTuple):
+    """A valve that is understood: its effects, how late rows act there, s, and what is measured beyond what it does.
 
-    time: np.ndarray
-    pressure: np.ndarray
+    ``apart`` (samples, chambers) Pa, which changes evenly between samples.
+    """
+
+    chain: EffectChain
+    late_s: float
+    apart: np.ndarray
 
 
 def replay(
@@ -38,7 +42,7 @@ def replay(
     before: Sequence[float] | None = None,
     channels: Sequence[str] = CHANNELS,
     late_s: float = 0.0,
-    between: Between | None = None,
+    supply: Supply | None = None,
 ) -> Recording:
     """Return what the plant's sensors report under a recording's commands, at the recording's times.
 
@@ -56,7 +60,7 @@ def replay(
         pressure the valve too stood under them
     channels : which are wanted; the others are None, and cost nothing
     late_s : how long after its time each row still acts, where a log was written so
-    between : what measured pressures do between their samples, where it is known
+    supply : the valve, where it is understood: at ten samples a second most of what it does to a step is over before the next
 
     Returns
     -------
@@ -70,7 +74,7 @@ def replay(
     Between grid points positions are interpolated linearly, quaternions likewise and normalised; pressures are held.
     """
     return replay_batch(
-        [plant], recording, dt_s, drive, settle_s, before=before, channels=channels, late_s=late_s, between=between
+        [plant], recording, dt_s, drive, settle_s, before=before, channels=channels, late_s=late_s, supply=supply
     )[0]
 
 
@@ -84,10 +88,10 @@ def replay_batch(
     before: Sequence[float] | None = None,
     channels: Sequence[str] = CHANNELS,
     late_s: float = 0.0,
-    between: Between | None = None,
+    supply: Supply | None = None,
 ) -> list[Recording]:
     """Return what ``replay`` returns for each of ``plants``, whose robot is the same; see ``simulate_batch``."""
-    time, pressure, force = _kept_on_grid(Same(recording), dt_s, drive, settle_s, late_s, Same(between))
+    time, pressure, force = _kept_on_grid(Same(recording), dt_s, drive, settle_s, late_s, Same(supply))
     past = None if before is None else np.tile(np.asarray(before, dtype=float), (round(settle_s / dt_s), 1))
     if past is not None and drive == "command" and recording.pressure_meas is None:
         pressure, past = np.vstack([past, pressure[len(past) :]]), None
@@ -144,38 +148,38 @@ def _taken_at(chain: EffectChain, stamps: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=KEPT)
 def _kept_on_grid(
-    same: Same[Recording], dt_s: float, drive: str, settle_s: float, late_s: float, between: Same[Between | None]
+    same: Same[Recording], dt_s: float, drive: str, settle_s: float, late_s: float, supply: Same[Supply | None]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Return what drives a recording on the grid, kept: fits replay the same few recordings thousands of times."""
-    return _drive_on_grid(same.thing, dt_s, drive, settle_s, late_s, between.thing)
+    return _drive_on_grid(same.thing, dt_s, drive, settle_s, late_s, supply.thing)
 
 
 def _drive_on_grid(
-    recording: Recording, dt_s: float, drive: str, settle_s: float, late_s: float = 0.0, between: Between | None = None
+    recording: Recording, dt_s: float, drive: str, settle_s: float, late_s: float = 0.0, supply: Supply | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Return the uniform grid (steps,) s, the pressures (steps, chambers) Pa and forces (steps, 3) N on it."""
     time, first = _grid(recording, dt_s, settle_s)
     stamps, rows = recording.time + late_s, _driving(recording, drive)
-    if drive == "measured":
-        known = between and Between(between.time + late_s, between.pressure)
-        stamps, rows = _filled_in(stamps, rows, time, known)
-    pressure = _mean_held(stamps, rows, time, dt_s)
+    if drive == "measured" and supply is not None:
+        _, command, _ = _drive_on_grid(recording, dt_s, "command", settle_s, late_s + supply.late_s)
+        chain = replace(supply.chain, before_s=settle_s)
+        pressure = chain.filter(["valve"], command, dt_s) + evenly(time, stamps, supply.apart)
+    else:
+        known, held = (stamps, rows) if drive == "command" else _filled_in(stamps, rows, time)
+        pressure = _mean_held(known, held, time, dt_s)
     if first and recording.pressure_meas is not None:
         pressure[:first] = recording.pressure_meas[0]
     force = None if recording.tip_force is None else _mean_held(recording.time + late_s, recording.tip_force, time, dt_s)
     return time, pressure, force
 
 
-def _filled_in(
-    stamps: np.ndarray, rows: np.ndarray, time: np.ndarray, between: Between | None
-) -> tuple[np.ndarray, np.ndarray]:
+def _filled_in(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return samples (samples,), (samples, n) with further ones at the grid's times, where a pressure has changed evenly.
 
     A command is held, but a measured pressure that was held until the next sample would be early by half the time to it.
     """
     filled = np.union1d(stamps, time[(time > stamps[0]) & (time < stamps[-1])])
-    found = evenly(filled, stamps, rows)
-    return filled, found if between is None else found + evenly(filled, between.time, between.pressure)
+    return filled, evenly(filled, stamps, rows)
 
 
 def evenly(at: np.ndarray, time: np.ndarray, rows: np.ndarray) -> np.ndarray:

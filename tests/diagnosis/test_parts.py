@@ -15,6 +15,7 @@ from softrl.robots.robot import Robot
 from tests.diagnosis.series import coloured
 
 FINE_S = 0.002
+LAG = Lag(fill_s=0.06, vent_s=0.06)
 
 
 def test_a_bias_is_taken_out_where_it_is_one_for_sure_only() -> None:
@@ -32,30 +33,44 @@ def steps(robot: Robot, period_s: float) -> tuple[Recording, np.ndarray, np.ndar
     rows = 2e4 * rng.uniform(size=(round(20.0 / period_s) + 1, robot.chambers)).round(1)
     time, stamps = FINE_S * np.arange(round(20.0 / FINE_S) + 1), period_s * np.arange(len(rows))
     fine = rows[np.minimum(np.searchsorted(stamps, time - 1e-9), len(rows) - 1)]
-    chain = EffectChain(robot, (Lag(fill_s=0.06, vent_s=0.06),))
+    chain = EffectChain(robot, (LAG,))
     true = SignalFilter(chain, "valve").advance(fine, FINE_S)
     run = Recording("run", "day", stamps, rows, pressure_meas=evenly(stamps, time, true))
     return run, time, true
 
 
-def understood(monkeypatch: pytest.MonkeyPatch, time: np.ndarray, true: np.ndarray) -> Any:
-    """Return a valve whose law gives ``true`` (steps, chambers) at ``time`` (steps,)."""
+def understood(monkeypatch: pytest.MonkeyPatch, robot: Robot, time: np.ndarray, true: np.ndarray) -> Any:
+    """Return a valve that is known to lag by 60 ms, which gives ``true`` (steps, chambers) at ``time`` (steps,)."""
 
     def supplied(runs: list[Recording], _: Any) -> list[Recording]:
         return [Recording(r.name, r.session, r.time, r.pressure_cmd, pressure_meas=evenly(r.time, time, true)) for r in runs]
 
     monkeypatch.setattr(parts, "_supplied", supplied)
-    return SimpleNamespace(part=SimpleNamespace(problem=SimpleNamespace(numerics=SimpleNamespace(dt_s=FINE_S))))
+    space = SimpleNamespace(effects=lambda _: (LAG,), late=lambda _: 0.0)
+    problem = SimpleNamespace(robot=robot, space=lambda _: space)
+    final = SimpleNamespace(hypothesis=None, fit=SimpleNamespace(point=None))
+    return SimpleNamespace(final=final, part=SimpleNamespace(problem=problem))
 
 
 def test_a_body_sees_what_the_valve_does_between_samples(monkeypatch: pytest.MonkeyPatch, tripod: Robot) -> None:
     run, time, true = steps(tripod, 0.1)
-    known = parts._between([run], understood(monkeypatch, time, true))["run"]
+    ((mended, known),) = parts._understood([run], understood(monkeypatch, tripod, time, true), 1.0)
     grid, plain, _ = _drive_on_grid(run, 0.01, "measured", 0.0)
-    _, mended, _ = _drive_on_grid(run, 0.01, "measured", 0.0, 0.0, known)
+    _, seen, _ = _drive_on_grid(mended, 0.01, "measured", 0.0, 0.0, known)
     wanted = evenly(grid, time, true)
-    missed = [float(np.sqrt(np.mean((drive - wanted)[2:] ** 2))) for drive in (plain, mended)]
+    missed = [float(np.sqrt(np.mean((drive - wanted)[2:] ** 2))) for drive in (plain, seen)]
     assert missed[0] > 500.0 and missed[1] < 0.1 * missed[0], missed
+
+
+def test_the_body_is_driven_the_same_by_an_understood_valve_and_by_its_pressures(
+    monkeypatch: pytest.MonkeyPatch, tripod: Robot
+) -> None:
+    run, time, true = steps(tripod, 0.1)
+    ((mended, known),) = parts._understood([run], understood(monkeypatch, tripod, time, true), 1.0)
+    grid, seen, _ = _drive_on_grid(mended, 0.01, "measured", 0.0, 0.03, known)
+    _, command, _ = _drive_on_grid(run, 0.01, "command", 0.0, 0.03)
+    made = EffectChain(tripod, (LAG,)).filter(["valve"], command, 0.01)
+    np.testing.assert_allclose(seen, made, atol=1e-3 * np.ptp(true))
 
 
 @pytest.mark.parametrize(("unexplained", "kept"), [(0.0, 0.0), (3e3, 1.0)])
@@ -68,6 +83,6 @@ def test_a_gauge_s_noise_does_not_drive_the_body_but_what_the_valve_leaves_does(
     left = unexplained * np.sin(2.0 * run.time)[:, None] * np.ones(3)
     clean = evenly(run.time, time, true)
     seen = Recording("run", "day", run.time, run.pressure_cmd, pressure_meas=clean + left + noise)
-    (mended,) = parts._mended([seen], understood(monkeypatch, time, true), 200.0 * np.sqrt(3.0))
-    missed = np.asarray(mended.pressure_meas) - clean - left
-    assert np.sqrt(np.mean(missed**2)) < 40.0 + 180.0 * kept
+    ((mended, known),) = parts._understood([seen], understood(monkeypatch, tripod, time, true), 200.0 * np.sqrt(3.0))
+    for missed in (np.asarray(mended.pressure_meas) - clean - left, known.apart - left):
+        assert np.sqrt(np.mean(missed**2)) < 40.0 + 180.0 * kept
