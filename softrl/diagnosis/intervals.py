@@ -16,6 +16,7 @@ from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.trial import Trial
 
 AT_BOUND = 1e-3  # share of a range at whose ends a parameter is said to be at a bound
+WIDER, WORSE = 0.02 * 2.0 ** np.arange(10), 1.02  # steps, scaled, from where nothing changes; times the cost that is a change
 FORM_SHARE = 0.05  # of the residual; found on single hidden effects, each fitted by its own law
 
 
@@ -43,14 +44,41 @@ def intervals(problem: Problem, trial: Trial, thresholds: Thresholds) -> list[In
     found, bounds = [], space.bounds
     for k, axis in enumerate(space.axes):
         u = float(trial.fit.point[k])
-        free = bool(trial.fit.jacobian[:, k].any())
-        low, high = (u - reach[k], u + reach[k]) if free else (-np.inf, np.inf)
+        free = bool(trial.fit.jacobian[:, k].any()) and reach[k] < bounds[1][k] - bounds[0][k]
+        low, high = (u - reach[k], u + reach[k]) if free else _flat(problem, trial, k)
         ends = sorted((axis.physical(float(low)), axis.physical(float(high))))
         value = axis.physical(u)
         low, high = min(ends[0], value), max(ends[1], value)
         at_bound = bool(min(u - bounds[0][k], bounds[1][k] - u) < AT_BOUND * (bounds[1][k] - bounds[0][k]))
         found.append(Interval(axis.owner, axis.name, axis.unit, value, low, high, at_bound))
     return found
+
+
+def _flat(problem: Problem, trial: Trial, k: int) -> tuple[float, float]:
+    """Return the scaled values of parameter ``k``, which has hardly any influence where it is, at which it begins to have one.
+
+    A dead time between a quick valve and a slow log changes nothing until it reaches the next row.
+    """
+    low, high = problem.space(trial.hypothesis).bounds
+    ends = []
+    for towards, bound in ((-1.0, low[k]), (1.0, high[k])):
+        end = float(bound)
+        for step in WIDER:
+            point = trial.fit.point.copy()
+            point[k] = np.clip(point[k] + towards * step, low[k], high[k])
+            if _worse(problem, trial, point):
+                end = float(point[k])
+                break
+        ends.append(end)
+    return ends[0], ends[1]
+
+
+def _worse(problem: Problem, trial: Trial, point: np.ndarray) -> bool:
+    try:
+        residual = problem.residual(trial.hypothesis, point, trial.placed).flat
+    except SolverError:
+        return True
+    return 0.5 * float(residual @ residual) > WORSE * trial.fit.cost
 
 
 def by_effect(hypothesis: Hypothesis, found: list[Interval]) -> dict[Choice, list[Interval]]:

@@ -11,6 +11,7 @@ from softrl.core.tracking import NullTracker
 from softrl.diagnosis.hypothesis import LATE, Choice, Gate, Hypothesis, Space
 from softrl.diagnosis.stage import run
 from softrl.effects.chain import Plant, chain_of
+from softrl.effects.dead_time import DeadTime
 from softrl.effects.delay import Delay
 from softrl.effects.effect import Effect
 from softrl.effects.friction import Friction
@@ -82,6 +83,13 @@ def test_a_regulator_quicker_than_its_log_does_not_put_the_drive_at_the_wrong_ti
     assert [effect["name"] for effect in found.effects] == ["friction"], found.sentences
     assert found.effects[0]["parameters"]["dry"]["value"] == pytest.approx(hidden.dry, rel=0.1)
     assert found.errors_mm["heldout"]["corrected"] < 1.1 * found.errors_mm["heldout"]["noise_floor"]
+
+
+def test_a_dead_time_before_a_slow_log_is_known_to_within_a_row(body: PccSimulator) -> None:
+    recordings = made(body, (DeadTime(delay_s=0.1),), sessions=4, measured=True, period_s=0.05)
+    found = run(configured(candidates=["dead_time", "lag"]), body.robot, recordings, body, tracker=NullTracker())
+    known = found.effects[0]["parameters"]["delay_s"]
+    assert 0.04 <= known["low"] <= 0.1 <= known["high"] <= 0.18, known
 
 
 def test_a_delay_longer_than_an_interval_is_named_whole(body: PccSimulator) -> None:
