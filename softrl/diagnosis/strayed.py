@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from softrl.diagnosis.gaps import BRIDGED_CHANGE_S
+
 TIMES, LEAST_SHARE = 10.0, 0.02  # a jump is this many times the median step, and this share of the range
 CALM = 0.5  # of its height: steps in its own direction right before and after a jump are smaller
 CLOCKED, CLOCK = 4, 4  # so many jumps in a row, none of which comes sooner after another than by so many samples
@@ -29,6 +31,7 @@ def strayed(time: np.ndarray, values: np.ndarray, pressures: np.ndarray) -> np.n
     if len(cuts) < 2:
         return wrong
     first, end = np.r_[0, cuts], np.r_[cuts, len(values)]
+    span = _span(pressures)
     cost, before = np.full(len(first), np.inf), np.zeros(len(first), dtype=int)
     cost[0] = 0.0
     for j in range(1, len(first)):
@@ -38,7 +41,9 @@ def strayed(time: np.ndarray, values: np.ndarray, pressures: np.ndarray) -> np.n
             if apart > LONGEST_S:
                 break
             if cost[i] + apart < cost[j] and _goes_on(values, end[i], first[j]):
-                cost[j], before[j] = cost[i] + apart, i
+                meanwhile = float((np.ptp(pressures[end[i] - 1 : first[j] + 1], axis=0) / span).max())
+                if meanwhile * apart <= BRIDGED_CHANGE_S:  # what was commanded goes with the rows
+                    cost[j], before[j] = cost[i] + apart, i
     j = len(first) - 1
     while j > 0:
         wrong[end[before[j]] : first[j]] = True
@@ -55,8 +60,11 @@ def _goes_on(values: np.ndarray, left: int, back: int) -> bool:
 def _moved(time: np.ndarray, pressures: np.ndarray) -> np.ndarray:
     """Return how far (steps - 1,) the pressures moved before every step of the motion, the most of all in shares of its range."""
     since = np.minimum(np.searchsorted(time, time[1:] - BEFORE_S), np.maximum(np.arange(len(time) - 1) - 1, 0))
-    span = np.maximum(np.ptp(pressures, axis=0), 1e-300)
-    return np.asarray((np.abs(pressures[1:] - pressures[since]) / span).max(axis=1))
+    return np.asarray((np.abs(pressures[1:] - pressures[since]) / _span(pressures)).max(axis=1))
+
+
+def _span(pressures: np.ndarray) -> np.ndarray:
+    return np.asarray(np.maximum(np.ptp(pressures, axis=0), 1e-300))
 
 
 def _jumps(time: np.ndarray, values: np.ndarray, moved: np.ndarray) -> np.ndarray:
