@@ -13,6 +13,7 @@ from softrl.diagnosis.hypothesis import Choice, effect_axes, neutral
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.search import Fit, jacobian_at
 from softrl.diagnosis.trial import Trial, join
+from softrl.effects.library import effect_class
 
 log = logging.getLogger(__name__)
 MIN_AMPLITUDE = 0.25  # a search begins at least at this share of an effect's typical size
@@ -189,6 +190,9 @@ def _begins(
         return float(np.sum((residual + moved) ** 2))
 
     found: list[tuple[float, np.ndarray]] = []
+    if not effect_class(choice.name).sized:
+        moved = [(point, sizes.direction(point)) for point in points]
+        return sorted(((left(along), point) for point, along in moved if along is not None), key=lambda pair: pair[0])
     for typical in points:
         point, along = sizes.gently(typical, np.where(log_axis, typical, zero))
         if along is not None:

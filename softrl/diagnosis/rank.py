@@ -1,6 +1,6 @@
 """Every effect of the library fitted roughly beside a trial, so that only the promising ones are fitted in full."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +11,7 @@ from softrl.diagnosis.look import MIN_AMPLITUDE, Base, Begin, Look, bases_of, hi
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.search import NEAR, Fit, comes_to, refine
 from softrl.diagnosis.trial import Search, Trial, join, parallel, squares_left_out
+from softrl.effects.library import effect_class
 
 LOOK_SHARE = 0.2  # of the best effect's gain, along straight lines, which another needs to be fitted at all
 CLOSER = 0.25  # of that: what seems to explain less at the sizes that are tried first is not looked at more closely
@@ -55,7 +56,8 @@ def rank(fitting: Problem, current: Trial, choices: Sequence[Choice], search: Se
     seen, fitting = fitting.seen, fitting.rough_about(current.hypothesis, current.fit.point)
     bases = bases_of(fitting, current)
     for_all = [choice for choice in choices if choice.chamber < 0]
-    all_over = _leads(fitting, bases, [(c, starts(c, seen.get(c.name, ()))) for c in for_all], Best(0.0, np.inf), search)
+    tasks = [(c, starts(c, seen.get(c.name, ()))) for c in for_all]
+    all_over = _leads(fitting, bases, tasks, Best(0.0, np.inf), search, set(seen))
     leads = all_over.leads
     shapes = {_form(lead.choice): lead.point[: len(effect_axes(lead.choice))] for lead in leads}
     least = PROMISING * max((lead.gain for lead in leads), default=0.0)
@@ -73,18 +75,30 @@ def _form(choice: Choice) -> tuple[str, tuple[str, ...], str]:
 
 
 def _leads(
-    fitting: Problem, bases: list[Base], tasks: list[tuple[Choice, list[np.ndarray]]], best: Best, search: Search
+    fitting: Problem,
+    bases: list[Base],
+    tasks: list[tuple[Choice, list[np.ndarray]]],
+    best: Best,
+    search: Search,
+    seen: Collection[str] = (),
 ) -> Leads:
     """Return the leads of ``tasks`` (choice, starting points), and the best of all; ``best`` is that of others.
 
-    First steps are made for all that are followed; what is far behind the best by then is not improved further.
+    What is ``seen`` in the recordings themselves and has no size is followed whatever straight lines tell. First steps are made
+    for all that are followed; what is far behind the best by then is not improved further.
     """
     looks = _looks(fitting, bases, tasks, best.share, search)
     reach = max([best.share, *(look.share for look in looks)])
     bent = is_bent(bases, reach)
     followed = [
-        bool(look.begins) and (bent or look.share >= LOOK_SHARE * reach or hidden_by_retuning(bases[0], look.known[0]))
-        for look in looks
+        bool(look.begins)
+        and (
+            bent
+            or (choice.name in seen and not effect_class(choice.name).sized)
+            or look.share >= LOOK_SHARE * reach
+            or hidden_by_retuning(bases[0], look.known[0])
+        )
+        for (choice, _), look in zip(tasks, looks, strict=True)
     ]
     jobs = [
         (fitting, bases, choice, _begun(look, bent), search.rough_steps)

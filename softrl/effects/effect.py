@@ -97,6 +97,7 @@ class Effect:
     extends : name of the effect whose law is a limit of this one's: where both fit alike that one is meant, or empty
     together : whether its parameters mean something together only, so that none is tried without the others
     exact : whether its law has no other form: a turned frame explains nearly all where it acts, a wall's law may not
+    sized : whether half of its first parameter is half of the effect; half the period of a slow sensor is another sensor
     clock : slot of the state that counts the seconds since the first sample, if there is one
     shifts_time : whether all that it does is to let everything happen later
     retunes : whether all that it does, everywhere and always, is what another value of a simulator's parameters does
@@ -119,6 +120,7 @@ class Effect:
     extends: ClassVar[str] = ""
     together: ClassVar[bool] = False
     exact: ClassVar[bool] = False
+    sized: ClassVar[bool] = True
     clock: ClassVar[int | None] = None
     shifts_time: ClassVar[bool] = False
     retunes: ClassVar[bool] = False

@@ -62,10 +62,11 @@ class Hold(Effect):
     title: ClassVar[str] = "sample-and-hold of the pose sensor"
     kernel: ClassVar = hold_kernel
     exact: ClassVar[bool] = True
+    sized: ClassVar[bool] = False
     clock: ClassVar = 0
 
     # a slightly longer period makes the last readings of a run much later: what is plain to see is far below the period
-    period_s: float = parameter("s", 0.0, 1.0, 0.0, typical=0.15, scale=1e-3)
+    period_s: float = parameter("s", 0.0, 1.0, 0.0, typical=0.15, scale=1e-4)
 
     def reset(self, robot: Robot) -> np.ndarray:
         """Return the time since the first sample, the number of the reading, the pose held and that of the step before."""
