@@ -125,12 +125,13 @@ def without_relation(
 ) -> RecordingSet:
     """Return recordings of the retuned simulator plus the case's own residual drawn anew, with its spectrum made smooth.
 
-    The residual keeps its size and colour and loses all relation to the commands: there is nothing to be found.
+    The residual keeps its size and colour and loses all relation to the commands: there is nothing to be found. Without measured
+    pressures a log may be late by one interval, beside them by one against each; what is later than that would be physics.
     """
-    plant = built(late(given["retuned_late_s"]), given["retuned"], robot, nominal)
-    rng = np.random.default_rng(seed)
-    taken = []
-    for run in read(source, robot).recordings:
+    recorded, rng, taken = read(source, robot).recordings, np.random.default_rng(seed), []
+    interval_s = float(np.median([np.median(np.diff(run.time)) for run in recorded]))
+    plant = built(late(min(given["retuned_late_s"], interval_s)), given["retuned"], robot, nominal)
+    for run in recorded:
         predicted = seen(replay(plant, run, dt_s))
         left = seen(run) - predicted
         mixed = predicted + redrawn(left, rng)
