@@ -115,7 +115,7 @@ def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Fi
     """Return what is missing in one part, searched on training runs and judged on held-out runs.
 
     A rival that predicts the held-out runs better for sure, and all runs that its fits did not see, takes the place of the
-    effect that the training runs alone preferred.
+    effect that the training runs alone preferred; so does a simpler one, once, that all runs together cannot tell from it.
     """
     inside = part.judge(part.problem.runs, thresholds, seed)
     path = forward(part.problem, inside, part.problem.tuned, part.choices, search, lambda line: log.info("%s", line))
@@ -126,14 +126,23 @@ def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Fi
         better = _better(finding)
         if better is None:
             break
-        told = (
-            f"{better.choice.label()} takes the place of {better.instead_of.label()}, which the training runs preferred: it "
-            "predicts the held-out runs better, whose error is then the best of several."
-        )
-        log.info("%s", told)
-        found = _judged(part, judge, path, base, _put_in(path, finding.final, better), search)
-        finding = replace(found, switched=(*finding.switched, told))
+        why = "it predicts the held-out runs better, whose error is then the best of several"
+        finding = _switched(finding, judge, better, why, search)
+    plain = simpler(judge, finding.rivals, finding.final)
+    if plain is not None:
+        finding = _switched(finding, judge, plain, "it is simpler, and says the same as far as these runs tell", search)
     return finding
+
+
+def _switched(finding: Finding, judge: Judge, better: Rival, why: str, search: Search) -> Finding:
+    """Return the finding with a rival in the place of what the training runs preferred, which is told with the reason."""
+    told = (
+        f"{better.choice.label()} takes the place of {better.instead_of.label()}, which the training runs preferred: {why}."
+    )
+    log.info("%s", told)
+    final = _put_in(finding.path, finding.final, better)
+    found = _judged(finding.part, judge, finding.path, finding.base, final, search)
+    return replace(found, switched=(*finding.switched, told))
 
 
 def _judged(part: Part, judge: Judge, path: Path, base: Trial, final: Trial, search: Search) -> Finding:
@@ -175,6 +184,27 @@ def stand_in(judge: Judge, without: Trial, rivals: Sequence[Rival]) -> Rival | N
 def _better(finding: Finding) -> Rival | None:
     """Return the best of the rivals that are better for sure, held out."""
     return min((r for r in finding.rivals if r.better), key=lambda rival: rival.gap.value, default=None)
+
+
+def simpler(judge: Judge, rivals: Sequence[Rival], final: Trial) -> Rival | None:
+    """Return the best of the ``rivals`` that are simpler than what ``final`` has and say the same, if any does.
+
+    It has fewer parameters, and all runs cannot tell them apart; or it is the law that what is named extends, by less than
+    counts: a ceiling that yields by a hundredth is a ceiling.
+    """
+    found = [
+        rival
+        for rival in rivals
+        if (rival.equivalent and len(rival.trial.fit.point) < len(final.fit.point))
+        or (_extended(rival) and judge.removed(rival.trial.squares, final.squares) < judge.material)
+    ]
+    return min(found, key=lambda rival: rival.gap.value, default=None)
+
+
+def _extended(rival: Rival) -> bool:
+    """Return whether the effect whose place ``rival`` would take extends its law, where it acts."""
+    named, other = rival.instead_of, rival.choice
+    return effect_class(named.name).extends == other.name and named.chamber == other.chamber
 
 
 def overtakes(judge: Judge, both: Judge, rival: Trial, final: Trial) -> bool:

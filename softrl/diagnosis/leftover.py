@@ -87,8 +87,8 @@ def reasons_of(judge: Judge, final: Trial, offer: Offer, explained: Explained) -
     Noise with a memory is no reason: what is left has to follow the pressures, to be a line in the spectrum, or to be
     unlike noise of its own spectrum: a valve that sticks for moments leaves little in all, but nearly all of it then. Where
     effects explain most of it, what is left must follow the pressures plainly, or, where that is less than they should
-    explain, be no noise: a wall's law may differ in its form, a turned frame may not, and a map without physics excuses
-    nothing.
+    explain, be no noise: a wall's law may differ in its form, and leave some of that, a turned frame may not, and a map
+    without physics excuses nothing.
     """
     left = explained.left
     if left <= judge.material:
@@ -99,12 +99,12 @@ def reasons_of(judge: Judge, final: Trial, offer: Offer, explained: Explained) -
     follows = offer.pays and judge.stands_out(final.squares, offer.squares, UNKNOWN_TIMES)
     drives, heldout, reasons = _drives(judge), heldout_residual(judge, final), []
     if explained.share >= judge.thresholds.explained_share:
+        laws = [effect_class(name) for name in final.hypothesis.names]
+        if follows and (left > REST_FACTOR * judge.material or all(law.exact for law in laws)):
+            return ["what the effects named leave follows the pressures and their past"]
         if left <= REST_FACTOR * judge.material:
             return []
-        if follows:
-            return ["what the effects named leave follows the pressures and their past"]
-        exact = all(cls.exact or cls.together for cls in map(effect_class, final.hypothesis.names))
-        enough = NEARLY_ALL if exact else judge.thresholds.explained_share
+        enough = NEARLY_ALL if all(law.exact or law.together for law in laws) else judge.thresholds.explained_share
         uneven = explained.of_all < enough and _uneven(judge, final, heldout, drives, 1.0)
         return ["what the effects named leave is no noise: it jumps, or grows where the pressures move"] if uneven else []
     if follows:

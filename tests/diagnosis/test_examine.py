@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softrl.diagnosis.examine import Rival, _better, in_full, overtakes, stand_in
+from softrl.diagnosis.examine import Rival, _better, in_full, overtakes, simpler, stand_in
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, starts
 from softrl.diagnosis.judge import Gap, Judge
 from softrl.diagnosis.problem import Problem
@@ -76,6 +76,27 @@ def test_what_pays_stands_in_for_what_does_not(judges: tuple[Judge, Judge]) -> N
     found = stand_in(judge, without, [rival("leak", 8.0), rival("play", 0.5), rival("drift", 0.4)])
     assert found is not None and found.choice.name == "drift"
     assert stand_in(judge, without, [rival("leak", 8.0)]) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "heldout", "equivalent", "taken"),
+    [
+        ("leak", 2, 5.0, True, True),
+        ("leak", 3, 5.0, True, False),  # no simpler
+        ("leak", 2, 5.0, False, False),  # told apart
+        ("supply_limit", 3, 5.5, False, True),  # the law that a knee extends, by less than counts
+        ("supply_limit", 3, 6.5, False, False),  # by more
+    ],
+)
+def test_a_simpler_rival_that_says_the_same_takes_the_place(
+    judges: tuple[Judge, Judge], name: str, parameters: int, heldout: float, equivalent: bool, taken: bool
+) -> None:
+    def free(name: str, parameters: int, squares: float) -> Any:
+        return SimpleNamespace(**vars(trial(judges, name, squares, squares)), fit=SimpleNamespace(point=np.zeros(parameters)))
+
+    final, other = free("knee", 3, 5.0), free(name, parameters, heldout)
+    rival = Rival(Choice("knee"), Choice(name), Gap(0.0, -0.1, 0.1), equivalent, other, False)
+    assert (simpler(judges[0], [rival], final) is rival) == taken
 
 
 def test_in_full_an_effect_does_what_it_did_before() -> None:
