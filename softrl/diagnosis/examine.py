@@ -115,7 +115,7 @@ def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Fi
     """Return what is missing in one part, searched on training runs and judged on held-out runs.
 
     A rival that predicts the held-out runs better for sure, and all runs that its fits did not see, takes the place of the
-    effect that the training runs alone preferred; so does a simpler one, once, that all runs together cannot tell from it.
+    effect that the training runs alone preferred; so does a law that it extends by less than counts.
     """
     inside = part.judge(part.problem.runs, thresholds, seed)
     path = forward(part.problem, inside, part.problem.tuned, part.choices, search, lambda line: log.info("%s", line))
@@ -128,9 +128,9 @@ def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Fi
             break
         why = "it predicts the held-out runs better, whose error is then the best of several"
         finding = _switched(finding, judge, better, why, search)
-    plain = simpler(judge, finding.rivals, finding.final)
+    plain = plainer(judge, finding.rivals, finding.final)
     if plain is not None:
-        finding = _switched(finding, judge, plain, "it is simpler, and says the same as far as these runs tell", search)
+        finding = _switched(finding, judge, plain, "what that adds to its law is less than anybody would notice", search)
     return finding
 
 
@@ -186,19 +186,12 @@ def _better(finding: Finding) -> Rival | None:
     return min((r for r in finding.rivals if r.better), key=lambda rival: rival.gap.value, default=None)
 
 
-def simpler(judge: Judge, rivals: Sequence[Rival], final: Trial) -> Rival | None:
-    """Return the best of the ``rivals`` that are simpler than what ``final`` has and say the same, if any does.
+def plainer(judge: Judge, rivals: Sequence[Rival], final: Trial) -> Rival | None:
+    """Return the one of ``rivals`` whose law what is named extends by less than counts, if there is one.
 
-    It has fewer parameters, and all runs cannot tell them apart; or it is the law that what is named extends, by less than
-    counts: a ceiling that yields by a hundredth is a ceiling.
+    A ceiling that yields by a hundredth is a ceiling.
     """
-    found = [
-        rival
-        for rival in rivals
-        if (rival.equivalent and len(rival.trial.fit.point) < len(final.fit.point))
-        or (_extended(rival) and judge.removed(rival.trial.squares, final.squares) < judge.material)
-    ]
-    return min(found, key=lambda rival: rival.gap.value, default=None)
+    return next((r for r in rivals if _extended(r) and judge.removed(r.trial.squares, final.squares) < judge.material), None)
 
 
 def _extended(rival: Rival) -> bool:
