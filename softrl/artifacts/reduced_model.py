@@ -31,8 +31,11 @@ class ReducedModel(Artifact):
     give : (9, monomials) kg^0.5 s, rows of R with R' R the change of mass times centre of mass by gravity, volumes and tip
         held
     give_rotation : (9, monomials) rad s^2/m, turn of the tip by gravity, volumes and tip held
-    give_root : (3 (r + 3), monomials) kg^0.5 s^2, A (r, 3) and B (3, 3) of the joint mass [R A; 0 B]'[R A; 0 B] of y and
-        the shapes by which the body gives to gravity or acceleration, R'R the mass, R upper triangular
+    inner_give : (9, monomials) kg^0.5 s, rows of R with R' R twice the energy of the shapes by which the body gives to the
+        inertia of a motion that tip forces bring about, by 1 m/s^2 of the tip;  inner_rotation : (9, monomials) rad s^2/m, turn
+        of the tip by them
+    inner_root : (3 (r + 3), monomials) kg^0.5 s^2, A (r, 3) and B (3, 3) of the joint mass [R A; 0 B]'[R A; 0 B] of y and
+        these shapes, R'R the mass, R upper triangular
     drag_root : (3 (r + 3), monomials) (N/m)^0.5 s^2, likewise of the viscosity, R = S L'
     layer_energy : (layers, monomials) J, what each layer of the wall stores, from below; zero at rest
     layer_give : (layers (layers + 1) / 2, monomials) J, upper triangle;  layer_drop : (3 layers, monomials) kg m, for each axis
@@ -54,7 +57,7 @@ class ReducedModel(Artifact):
     ``D = rayleigh_mass M + rayleigh_stiffness B``, B of ``stiffness_root``; beside them moves what the inside gives.
     """
 
-    schema: ClassVar[int] = 10
+    schema: ClassVar[int] = 11
     stage: ClassVar[str] = "pod"
 
     frame: np.ndarray
@@ -67,7 +70,9 @@ class ReducedModel(Artifact):
     rotation: np.ndarray
     give: np.ndarray
     give_rotation: np.ndarray
-    give_root: np.ndarray
+    inner_give: np.ndarray
+    inner_rotation: np.ndarray
+    inner_root: np.ndarray
     drag_root: np.ndarray
     layer_energy: np.ndarray
     layer_give: np.ndarray
@@ -118,7 +123,9 @@ class ReducedModel(Artifact):
             ("rotation", 3),
             ("give", 9),
             ("give_rotation", 9),
-            ("give_root", 3 * (order + 3)),
+            ("inner_give", 9),
+            ("inner_rotation", 9),
+            ("inner_root", 3 * (order + 3)),
             ("drag_root", 3 * (order + 3)),
             ("layer_give", self.layers * (self.layers + 1) // 2),
             ("layer_drop", 3 * self.layers),

@@ -30,10 +30,9 @@ class Snapshots(Artifact):
     moment_gram : (a, a) kg, products of the moments' own polynomials
     give : (samples, 3, 3) kg s^2, change of mass times centre of mass by gravity, volumes and tip held
     give_spin : (samples, 3, 3) rad s^2/m, rotation of the plate by gravity, volumes and tip held
-    give_mass : (samples, 3, 3) kg s^4, of the shapes by which the body gives to unit gravity
-    give_coupling : (samples, 3, n + 3) of these shapes with the motion by the loads, in the mass, kg s^2 m per Pa and N
-    give_viscosity, give_drag : (samples, 3, 3) kg s^2 and (samples, 3, n + 3), likewise in what stiffness-proportional
-        damping multiplies
+    inner_give, inner_spin, inner_mass, inner_viscosity : (samples, 3, 3), of the shapes by which the body gives to the inertia
+        of its motion, see ``fem.weight``: twice their energy, rotation of the plate, mass, and what stiffness-proportional
+        damping multiplies;  inner_coupling, inner_drag : (samples, 3, n + 3), both latter with the motion by the loads
     viscosity_by_gravity : (samples, 3, n + 3, n + 3) change of ``tangent_stiffness`` by unit gravity along each axis, volumes
         and tip held
     layer_energy : (samples, layers) J, elastic energy of each layer of the wall, from below; layer_slope : (samples, layers,
@@ -60,7 +59,7 @@ class Snapshots(Artifact):
     robot_name : the robot
     """
 
-    schema: ClassVar[int] = 10
+    schema: ClassVar[int] = 11
     stage: ClassVar[str] = "fem"
 
     loads: np.ndarray
@@ -74,10 +73,12 @@ class Snapshots(Artifact):
     moment_gram: np.ndarray
     give: np.ndarray
     give_spin: np.ndarray
-    give_mass: np.ndarray
-    give_coupling: np.ndarray
-    give_viscosity: np.ndarray
-    give_drag: np.ndarray
+    inner_give: np.ndarray
+    inner_spin: np.ndarray
+    inner_mass: np.ndarray
+    inner_coupling: np.ndarray
+    inner_viscosity: np.ndarray
+    inner_drag: np.ndarray
     viscosity_by_gravity: np.ndarray
     layer_energy: np.ndarray
     layer_slope: np.ndarray

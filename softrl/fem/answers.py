@@ -10,7 +10,7 @@ import numpy as np
 from softrl.fem.coupling import Pose
 from softrl.fem.model import FemModel
 from softrl.fem.tangent import Tangent
-from softrl.fem.weight import held_of, pull_of, viscosity_by_gravity, weight_of
+from softrl.fem.weight import WEIGHT, held_of, pull_of, swing_of, viscosity_by_gravity, weight_of
 
 Row = dict[str, np.ndarray]  # of one equilibrium, by the names that ``Snapshots`` has for it
 
@@ -20,13 +20,13 @@ class Answers(NamedTuple):
 
     Attributes
     ----------
-    pull : (unknowns, 3) force of unit gravity along each axis
-    free : (unknowns, 3) to that force
+    forces : (unknowns, 6) of unit gravity along each axis, and of the inertia of motions, see ``fem.weight``
+    free : (unknowns, 6) to these forces
     gives : (3, nodes, 3) by which shapes the body gives to unit gravity along each axis, volumes and tip held
     row : what ``Snapshots`` keeps of them
     """
 
-    pull: np.ndarray
+    forces: np.ndarray
     free: np.ndarray
     gives: np.ndarray
     row: Row
@@ -36,16 +36,17 @@ def answers_at(
     model: FemModel, pose: Pose, tangent: Tangent, solve: Callable[[np.ndarray], np.ndarray]
 ) -> Answers:
     """Return the answers at an equilibrium, where ``solve`` says how the unknowns answer forces (unknowns, k)."""
-    pull = pull_of(model, pose)
-    free = solve(pull)
+    forces = np.hstack([pull_of(model, pose), swing_of(model, pose, tangent)])
+    free = solve(forces)
     held = held_of(model, pose, tangent, free)
-    weight = weight_of(model, pose, tangent, pull, held)
+    weight = weight_of(model, pose, tangent, forces, held)
     row = {
         "compliance": 0.5 * (tangent.compliance + tangent.compliance.T),
         "tangent_stiffness": tangent.stiffness,
         "tangent_mass": tangent.mass,
     }
-    return Answers(pull, free, np.stack([model.coupling.expand(x, pose) for x in held.T]), row | weight._asdict())
+    gives = np.stack([model.coupling.expand(x, pose) for x in held[:, WEIGHT].T])
+    return Answers(forces, free, gives, row | weight._asdict())
 
 
 def slopes_at(

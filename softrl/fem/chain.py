@@ -9,6 +9,7 @@ from softrl.fem.answers import Row, answers_at, slopes_at
 from softrl.fem.continuation import Cost, Equilibrium, Missed, follow
 from softrl.fem.layers import layers_at
 from softrl.fem.model import FemModel
+from softrl.fem.weight import WEIGHT
 
 SLOPE = "slope/"  # before the name of what changes with the load so
 Found = tuple[int, Row, Cost]
@@ -69,5 +70,5 @@ def row_of(model: FemModel, equilibrium: Equilibrium) -> Row:
         "viscosity_by_gravity": by_gravity,
         "displacement": (pose.position - model.quadratic.points)[: model.quadratic.corners].astype(np.float32),
     }
-    row |= layers_at(model, pose, tangent, answers.pull, model.solve)._asdict()
+    row |= layers_at(model, pose, tangent, answers.forces[:, WEIGHT], model.solve)._asdict()
     return row | answers.row | {SLOPE + name: slope for name, slope in slopes.items()}

@@ -1,8 +1,9 @@
 """How a body at an equilibrium bears its own weight and inertia, which act on all of it and not at the tip alone.
 
-A reduced body sees its weight through the centre of mass. To gravity, and to an acceleration alike, the body also gives
-by shapes in which volumes and tip stay: that softens a sagging body a little, and makes a swinging one heavier the
-faster it swings. All are first derivatives of the nodes: no sample needs another equilibrium.
+A reduced body sees its weight through the centre of mass. To gravity the body also gives by shapes in which volumes and tip
+stay: that softens a sagging body a little. To the inertia of its own motion it gives by others, which makes a swinging body
+heavier the faster it swings: those of a motion that forces at the tip bring about, since its slow modes are nearly such. All
+are first derivatives of the nodes: no sample needs another equilibrium.
 """
 
 from typing import NamedTuple
@@ -15,6 +16,7 @@ from softrl.fem.model import FemModel
 from softrl.fem.tangent import Tangent
 
 NUDGE_M = 1e-6  # for a difference of what is a square of positions
+WEIGHT, INERTIA = slice(0, 3), slice(3, 6)  # columns of forces that all of the body bears
 
 
 class Weight(NamedTuple):
@@ -25,19 +27,23 @@ class Weight(NamedTuple):
     tip_spin : (3, w) rotation of the plate by the loads, rad per Pa and N
     give : (3, 3) change of mass times centre of mass by gravity, volumes and tip held, kg s^2
     give_spin : (3, 3) rotation of the plate by gravity, volumes and tip held, rad s^2/m
-    give_mass : (3, 3) of the shapes by which the body gives to unit gravity, kg s^4
-    give_coupling : (3, w) of these shapes with the motion by the loads, in the mass, kg s^2 m per Pa and N
-    give_viscosity, give_drag : (3, 3) and (3, w), likewise in what stiffness-proportional damping multiplies, kg s^2, and
-        m s^2 per Pa and N times N/m
+    inner_give : (3, 3) twice the energy, m s^4/N, of the shapes by which the body gives to its inertia where the second
+        derivative of a tip force is 1 N/s^2, volumes and tip held
+    inner_spin : (3, 3) rotation of the plate by these shapes, rad s^2/N
+    inner_mass : (3, 3) of these shapes, kg m^2 s^4/N^2
+    inner_coupling : (3, w) of these shapes with the motion by the loads, in the mass, kg m^2 s^2/N per Pa and N
+    inner_viscosity, inner_drag : (3, 3) and (3, w), likewise in what stiffness-proportional damping multiplies
     """
 
     tip_spin: np.ndarray
     give: np.ndarray
     give_spin: np.ndarray
-    give_mass: np.ndarray
-    give_coupling: np.ndarray
-    give_viscosity: np.ndarray
-    give_drag: np.ndarray
+    inner_give: np.ndarray
+    inner_spin: np.ndarray
+    inner_mass: np.ndarray
+    inner_coupling: np.ndarray
+    inner_viscosity: np.ndarray
+    inner_drag: np.ndarray
 
 
 def pull_of(model: FemModel, pose: Pose) -> np.ndarray:
@@ -45,21 +51,30 @@ def pull_of(model: FemModel, pose: Pose) -> np.ndarray:
     return np.stack([model.coupling.reduce(model.nodal_mass[:, None] * unit, pose) for unit in np.eye(3)], axis=1)
 
 
+def swing_of(model: FemModel, pose: Pose, tangent: Tangent) -> np.ndarray:
+    """Return the force (unknowns, 3) of the inertia of a motion that unit tip forces along each axis bring about."""
+    moved = tangent.shapes[-3:]
+    return np.stack([model.coupling.reduce(model.nodal_mass[:, None] * shape, pose) for shape in moved], axis=1)
+
+
 def held_of(model: FemModel, pose: Pose, tangent: Tangent, free: np.ndarray) -> np.ndarray:
     """Return the shapes (unknowns, k) of ``free`` with volumes and tip held."""
     return free - tangent.change @ np.linalg.solve(tangent.compliance, model.load_directions(pose).T @ free)
 
 
-def weight_of(model: FemModel, pose: Pose, tangent: Tangent, pull: np.ndarray, held: np.ndarray) -> Weight:
-    """Return how an equilibrium bears weight that gives to ``pull``, see ``pull_of``, by ``held`` (unknowns, 3)."""
+def weight_of(model: FemModel, pose: Pose, tangent: Tangent, forces: np.ndarray, held: np.ndarray) -> Weight:
+    """Return how an equilibrium bears weight and inertia: to ``forces`` of both it gives by ``held`` (unknowns, 6) each.
+
+    Those of ``pull_of`` come first, then those of ``swing_of``.
+    """
     mass, plate = model.nodal_mass[:, None], model.coupling.body_slice(0)
     spin = slice(plate.start + 3, plate.stop)
-    give = pull.T @ held
-    shapes, moved = np.stack([model.coupling.expand(x, pose) for x in held.T]), tangent.shapes
+    give, inner = (forces[:, side].T @ held[:, side] for side in (WEIGHT, INERTIA))
+    shapes, moved = np.stack([model.coupling.expand(x, pose) for x in held[:, INERTIA].T]), tangent.shapes
     heavy = mass * shapes
     tough = np.stack([multiply_blocks(tangent.viscous, model.pairs.first, model.pairs.second, shape) for shape in shapes])
     return Weight(
-        tangent.change[spin], 0.5 * (give + give.T), held[spin],
+        tangent.change[spin], 0.5 * (give + give.T), held[spin, WEIGHT], 0.5 * (inner + inner.T), held[spin, INERTIA],
         np.einsum("ani,bni->ab", shapes, heavy), np.einsum("ani,bni->ab", heavy, moved),
         np.einsum("ani,bni->ab", shapes, tough), np.einsum("ani,bni->ab", tough, moved),
     )

@@ -15,7 +15,7 @@ from softrl.pod.viscosity import TINY
 @standing
 def go_half_way(middle: np.ndarray, tables: Any, columns: Columns, held: Lanes) -> None:
     """Fill the points of ``middle`` (r, lanes) and all monomials there that ``fill_viscosities`` and ``fill_gives`` want."""
-    most = max(len(columns.stiffness_root), len(columns.drag_root), len(columns.give))
+    most = max(len(columns.stiffness_root), len(columns.drag_root), len(columns.inner_give))
     to_balls(middle, held.points, held.radius)
     fill_monomials(held.points, tables, middle.shape[1], held.values[:most])
 

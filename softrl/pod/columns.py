@@ -21,8 +21,8 @@ class Columns(NamedTuple):
     amplitudes: np.ndarray
     amplitude_slope: np.ndarray
     stiffness_root: np.ndarray
-    give: np.ndarray
-    give_root: np.ndarray
+    inner_give: np.ndarray
+    inner_root: np.ndarray
     drag_root: np.ndarray
 
 

@@ -18,10 +18,12 @@ AXES = {
     "moments": "mv",
     "give": "vv",
     "give_spin": "sv",
-    "give_mass": "vv",
-    "give_coupling": "vw",
-    "give_viscosity": "vv",
-    "give_drag": "vw",
+    "inner_give": "vv",
+    "inner_spin": "sv",
+    "inner_mass": "vv",
+    "inner_coupling": "vw",
+    "inner_viscosity": "vv",
+    "inner_drag": "vw",
     "rotation": "s",
     "viscosity_by_gravity": "vww",
     "layer_energy": "l",
@@ -111,8 +113,14 @@ def per_spin(rotation: np.ndarray) -> np.ndarray:
 
 
 def _per_coordinate(answers: Answers) -> Answers:
-    """Return the answers with rates of coordinates in place of rates of loads."""
+    """Return the answers with rates of coordinates in place of rates of loads, and of the tip in place of those of its force.
+
+    By the tip's acceleration the inside gives alike in stiff poses and in soft ones.
+    """
     inverse = np.linalg.inv(answers["compliance"])
+    per_tip = np.linalg.inv(answers["compliance"][:, -3:, -3:])
     turned = {"stiffness": inverse @ answers["tangent_stiffness"] @ inverse, "mass": inverse @ answers["tangent_mass"] @ inverse}
-    turned |= {name: answers[name] @ inverse for name in ("give_coupling", "give_drag")}
+    turned |= {name: per_tip @ answers[name] @ inverse for name in ("inner_coupling", "inner_drag")}
+    turned |= {name: per_tip @ answers[name] @ per_tip for name in ("inner_give", "inner_mass", "inner_viscosity")}
+    turned["inner_spin"] = answers["inner_spin"] @ per_tip
     return {name: answers[name] for name in AXES if name in answers} | turned

@@ -68,7 +68,7 @@ def fill_inertia(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, held
     mass, _, _, inside, course = held
     for i in range(len(by)):
         course.aim[i] = start[i] + by[i]
-    fill_amplitudes(course.aim, tables.give_root.shape[1], True, tables, work, course.ahead, course.lead)
+    fill_amplitudes(course.aim, tables.inner_root.shape[1], True, tables, work, course.ahead, course.lead)
     fill_square(course.lead, mass)
     fill_root(mass, work.root)
     fill_mass(work.root, tables, work.values, inside)

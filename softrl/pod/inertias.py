@@ -62,7 +62,7 @@ def fill_inertias(aim: np.ndarray, tables: Any, columns: Columns, insides: Insid
     """
     for i in range(len(aim)):
         put(course.aim[i], aim[i])
-    most = max(len(columns.hessian), len(columns.amplitude_slope), len(columns.give_root))
+    most = max(len(columns.hessian), len(columns.amplitude_slope), len(columns.inner_root))
     to_balls(aim, held.points, held.radius)
     fill_monomials(held.points, tables, aim.shape[1], held.values[:most])
     fill_leads(columns, held, course.lead, course.ahead)

@@ -1,8 +1,8 @@
-"""How the body's inside gives to acceleration, compiled: shapes in which volumes and tip stay, with mass of their own.
+"""How the body's inside gives to its inertia, compiled: shapes in which volumes and tip stay, with mass of their own.
 
-``inner`` (2, 3) is how far the inside gives beyond what weight makes it give, in units of the acceleration to which it
-would, and its rate. Its equations are linear in a step, so that it is eliminated from them: Newton's iteration sees
-another inertia, and no further unknowns.
+``inner`` (2, 3) is how far the inside gives beyond what weight makes it give, in units of the acceleration of the tip, by
+forces there, to which it would, and its rate. Its equations are linear in a step, so that it is eliminated from them:
+Newton's iteration sees another inertia, and no further unknowns.
 """
 
 from typing import Any, NamedTuple
@@ -24,7 +24,7 @@ class Inside(NamedTuple):
     ----------
     couple : (r, 3) with the coordinates in the mass;  own : (3, 3) mass
     drag, tough : (r, 3) and (3, 3), likewise in the viscosity
-    give : (3, 3) kg s^2, stiffness of the inside, which is also its answer to acceleration
+    give : (3, 3) kg s^2, stiffness of the inside
     inverse : (3, 3) of the matrix of a step;  push : (3,) and pull : (r, 3) its right side, and what ties it to the rest
     flown : (3,) where free flight and drag would have it, times the weights of a step, 1/s^2 times the unit of ``inner``
     rows : (3 (r + 3),), gives : (9,) scratch
@@ -57,14 +57,14 @@ def make_inside(r: int, lanes: tuple[int, ...]) -> Inside:
 @borrowing
 def fill_mass(root: np.ndarray, tables: Any, values: np.ndarray, inside: Any) -> None:
     """Fill masses at monomials ``values``; ``root`` (r r,) is that of the coordinates' mass."""
-    fill_rows(tables.give_root, values, inside.rows)
+    fill_rows(tables.inner_root, values, inside.rows)
     join(root, inside.rows, inside.couple, inside.own)
 
 
 @borrowing
 def fill_give(tables: Any, values: np.ndarray, inside: Any) -> None:
     """Fill the stiffness at monomials ``values``."""
-    fill_rows(tables.give, values, inside.gives)
+    fill_rows(tables.inner_give, values, inside.gives)
     fill_own(inside.gives, inside.give)
 
 

@@ -13,14 +13,14 @@ from softrl.pod.lanes import add, add_scaled, put, squares_of, take
 @standing
 def fill_masses(root: np.ndarray, columns: Any, values: np.ndarray, insides: Any) -> None:
     """Fill masses at monomials ``values`` (k, lanes); ``root`` (r r, lanes) are those of the coordinates' masses."""
-    fill_rows(columns.give_root, values, insides.rows)
+    fill_rows(columns.inner_root, values, insides.rows)
     _join(root, insides.rows, insides.couple, insides.own)
 
 
 @standing
 def fill_gives(columns: Any, values: np.ndarray, insides: Any) -> None:
     """Fill the stiffnesses at monomials ``values``."""
-    fill_rows(columns.give, values, insides.gives)
+    fill_rows(columns.inner_give, values, insides.gives)
     _fill_own(insides.gives, insides.give)
 
 

@@ -137,7 +137,7 @@ def _set_out(
     for i in range(len(y)):
         middle[i] = y[i] + 0.5 * dt * velocity[i]
     to_ball(middle, point)
-    fill_monomials(point, tables.parent, tables.variable, values[: tables.give.shape[1]])
+    fill_monomials(point, tables.parent, tables.variable, values[: tables.inner_give.shape[1]])
     fill_give(tables, values, inside)
     now = stored_in(inner[0], inside.give)
     if now > bent:

@@ -19,7 +19,7 @@ RIDGES = (1e-10, 1e-8, 1e-7, 1e-6, 1e-5)  # tried for every map
 
 ALIKE = (  # maps that are fitted together: in turn those that vanish at rest and the others, with slopes and without
     ("amplitudes", "centre_of_mass", "rotation", "layer_energy"),
-    ("stiffness_root", "give_root", "drag_root", "give", "give_rotation"),
+    ("stiffness_root", "inner_root", "drag_root", "give", "give_rotation", "inner_give", "inner_rotation"),
     ("layer_give", "layer_drop", "layer_spin"),
     ("stiffness_root_by_gravity",),
 )
@@ -181,16 +181,18 @@ def _values(answers: Answers, terms: Terms) -> Answers:
     frame, viscous = terms.frame, _root(answers, terms)
     mass = np.linalg.cholesky(frame.T @ answers["mass"] @ frame).transpose(0, 2, 1)
     moments = answers["moments"]
-    drag_across, give_across = answers["give_drag"] @ frame, answers["give_coupling"] @ frame
+    drag_across, give_across = answers["inner_drag"] @ frame, answers["inner_coupling"] @ frame
     values = {
         "amplitudes": np.einsum("sai,kai->sk", moments, terms.modes),
         "stiffness_root": _pairs(viscous),
-        "give_root": _rows_beside(mass, give_across, answers["give_mass"]),
-        "drag_root": _rows_beside(viscous @ terms.stiffness_factor.T, drag_across, answers["give_viscosity"]),
+        "inner_root": _rows_beside(mass, give_across, answers["inner_mass"]),
+        "drag_root": _rows_beside(viscous @ terms.stiffness_factor.T, drag_across, answers["inner_viscosity"]),
         "give": symmetric_roots(answers["give"]),
         "centre_of_mass": moments[:, 0] / terms.mass,
         "rotation": answers["rotation"],
         "give_rotation": answers["give_spin"],
+        "inner_give": symmetric_roots(answers["inner_give"]),
+        "inner_rotation": answers["inner_spin"],
         "layer_energy": answers["layer_energy"],
     }
     return {name: value.reshape(len(value), -1) for name, value in values.items()}

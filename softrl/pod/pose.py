@@ -35,7 +35,7 @@ def tip_pose(
     """
     n, r = len(y) - 3, len(y)
     beyond = max(to_ball(y, point) - 1.0, 0.0)
-    few = values[: max(tables.rotation.shape[1], tables.turn.shape[1], tables.give_rotation.shape[1])]
+    few = values[: max(tables.rotation.shape[1], tables.turn.shape[1], tables.inner_rotation.shape[1])]
     fill_monomials(point, tables.parent, tables.variable, few)
     square = given = 0.0
     for k in range(3):
@@ -55,7 +55,7 @@ def tip_pose(
     for k in range(3):
         angle = 0.5 * polynomial(tables.turn[k], few)
         for j in range(AXES):
-            angle += 0.5 * polynomial(tables.give_rotation[k * AXES + j], few) * gives[j]
+            angle += 0.5 * polynomial(tables.inner_rotation[k * AXES + j], few) * gives[j]
         given += angle * angle
         turn = (turn[1], turn[2], angle)
     v, (x, y_, z) = 1.0 / math.sqrt(1.0 + given), turn

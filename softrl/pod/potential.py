@@ -29,7 +29,7 @@ class Tables(NamedTuple):
     stiffness_root : (pairs, k) entries of S, and stiffness_factor : (r, r) L, of viscosity ``L S'S L'``, see ``pod.chord``
     weight : (3, r, k) N/(m/s^2) m, mass times the gradient of the centre of mass by y
     rotation : (3, k) rad, rotation vector of the tip;  turn : (3, k) rad, what weight and layers turn it further, as a spin
-    give : (9, k) kg^0.5 s;  give_rotation : (9, k) rad s^2/m;  give_root, drag_root : (3 (r + 3), k), see ``pod.inside``
+    inner_give, inner_rotation : (9, k);  inner_root, drag_root : (3 (r + 3), k), see ``ReducedModel``
     rest_volume : (n,) m^3;  rest_tip : (3,) m
     rest_slope : (n,) Pa, pressure per relative volume of one chamber at rest, other volumes held and tip free
     gravity : (3,) m/s^2, contained in gradient and hessian
@@ -52,10 +52,10 @@ class Tables(NamedTuple):
     weight: np.ndarray
     rotation: np.ndarray
     turn: np.ndarray
-    give: np.ndarray
-    give_root: np.ndarray
+    inner_give: np.ndarray
+    inner_root: np.ndarray
     drag_root: np.ndarray
-    give_rotation: np.ndarray
+    inner_rotation: np.ndarray
     rest_volume: np.ndarray
     rest_tip: np.ndarray
     rest_slope: np.ndarray

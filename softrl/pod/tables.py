@@ -10,7 +10,7 @@ from softrl.pod.layers import layered, sum_of
 from softrl.pod.potential import Tables
 
 WALL = 3.0  # of the largest curvature at rest: what rises outside the samples
-MAPS = ("amplitudes", "give_root", "drag_root")
+MAPS = ("amplitudes", "inner_give", "inner_rotation", "inner_root", "drag_root")
 
 
 def tables_of(
@@ -47,7 +47,7 @@ def tables_of(
     by_gravity = model.stiffness_root_by_gravity
     weighed = np.einsum("j,jik->ik", more * gravity, by_gravity.reshape(3, -1, by_gravity.shape[1]))
     stiffness_root = sum_of(model.stiffness_root, weighed)
-    maps = (gradient, weight, model.rotation, turn, stiffness_root, give, give_rotation, *(getattr(model, name) for name in MAPS))
+    maps = (gradient, weight, model.rotation, turn, stiffness_root, *(getattr(model, name) for name in MAPS))
     full = basis(r, max(degree_of(r, table.shape[-1]) for table in maps if table.shape[-1]))
     inverse = np.linalg.inv(model.frame)
     quadratic = youngs_modulus_scale * hessian_at_rest(energy, r)
@@ -72,10 +72,10 @@ def tables_of(
                 mass * weight.transpose(1, 0, 2),
                 model.rotation,
                 turn,
-                give,
-                more * model.give_root,
-                more * model.drag_root,
-                give_rotation,
+                youngs_modulus_scale**0.5 * model.inner_give,
+                model.inner_root,
+                model.drag_root,
+                model.inner_rotation,
                 model.rest_volume,
                 model.rest_tip,
                 np.diag(np.linalg.inv(compliance[:n, :n])) * model.rest_volume,

@@ -39,8 +39,8 @@ class TorchRom(torch.nn.Module):
     amplitude_bend: Tensor
     stiffness_root: Tensor
     stiffness_factor: Tensor
-    give: Tensor
-    give_root: Tensor
+    inner_give: Tensor
+    inner_root: Tensor
     drag_root: Tensor
     degrees: Tensor
     quadratic: Tensor
@@ -58,8 +58,8 @@ class TorchRom(torch.nn.Module):
         tables = tables_of(model, gravity_m_s2, youngs_modulus_scale, damping_scale, mass_scale)
         self.order = r = model.order
         for name in (
-            "frame", "inverse", "gradient", "amplitudes", "amplitude_slope", "stiffness_factor", "degrees", "quadratic", "give",
-            "give_root", "drag_root",
+            "frame", "inverse", "gradient", "amplitudes", "amplitude_slope", "stiffness_factor", "degrees", "quadratic",
+            "inner_give", "inner_root", "drag_root",
         ):  # fmt: skip
             self.register_buffer(name, torch.tensor(getattr(tables, name), dtype=dtype))
         pairs = np.zeros((r, r), dtype=int)
@@ -71,7 +71,7 @@ class TorchRom(torch.nn.Module):
         self.register_buffer("amplitude_bend", torch.tensor(bend.reshape(-1, bend.shape[-1]), dtype=dtype))
         scales = [float(scale) for scale in tables.scales]
         self.mass_scale, self.mass_damping, self.stiffness_damping, self.wall = scales
-        roots = tables.amplitudes, tables.stiffness_root, tables.give, tables.give_root, tables.drag_root
+        roots = tables.amplitudes, tables.stiffness_root, tables.inner_give, tables.inner_root, tables.drag_root
         self._few = max(root.shape[1] for root in roots)
         most = max(tables.gradient.shape[1], self._few)
         self._levels: list[tuple[Tensor, Tensor]] = []
@@ -174,7 +174,7 @@ class TorchRom(torch.nn.Module):
         values = self._monomials(u, self._few)
         lead = self._lead(values)
         root = torch.linalg.cholesky(_square(lead), upper=True)
-        rows = values[:, : self.give_root.shape[1]] @ self.give_root.T
+        rows = values[:, : self.inner_root.shape[1]] @ self.inner_root.T
         return self._straight(aim, u, values, lead), lead, *_beside(root, rows)
 
     def _amplitudes(self, y: Tensor) -> Tensor:
@@ -225,8 +225,8 @@ class TorchRom(torch.nn.Module):
 
     def _give(self, y: Tensor) -> Tensor:
         """Return the inside's stiffness (B, 3, 3)."""
-        values = self._monomials(self._ball(y)[0], self.give.shape[1])
-        return _square((values @ self.give.T).reshape(-1, 3, 3))
+        values = self._monomials(self._ball(y)[0], self.inner_give.shape[1])
+        return _square((values @ self.inner_give.T).reshape(-1, 3, 3))
 
     def _solve(self, y: Tensor, inertia: Tensor, right: Tensor) -> Tensor:
         """Return the solution of the implicit step, by Newton with halved steps where the slope along them turns."""

@@ -1,13 +1,15 @@
 """How an equilibrium bears weight: against differences, and what it predicts against the weighted body."""
 
 import numpy as np
+from scipy.linalg import eigh
+from scipy.sparse.linalg import LinearOperator, eigs
 
 from softrl.artifacts.mesh import Mesh
 from softrl.fem.answers import answers_at, slopes_at
 from softrl.fem.coupling import Pose
 from softrl.fem.model import FemModel
 from softrl.fem.tangent import Tangent
-from softrl.fem.weight import Weight, held_of, pull_at_rest, pull_of, weight_of
+from softrl.fem.weight import Weight, held_of, pull_at_rest, pull_of, swing_of, weight_of
 from softrl.pod.equilibria import per_spin, rotation_vector
 from tests.fem.bodies import hollow_box, model_of
 
@@ -29,8 +31,8 @@ def centre_and_turn(model: FemModel, load: np.ndarray) -> np.ndarray:
 
 
 def bears(model: FemModel, pose: Pose, tangent: Tangent) -> Weight:
-    pull = pull_of(model, pose)
-    return weight_of(model, pose, tangent, pull, held_of(model, pose, tangent, model.solve(pull)))
+    forces = np.hstack([pull_of(model, pose), swing_of(model, pose, tangent)])
+    return weight_of(model, pose, tangent, forces, held_of(model, pose, tangent, model.solve(forces)))
 
 
 def test_slopes_are_those_of_neighbouring_equilibria(box: Mesh) -> None:
@@ -84,6 +86,33 @@ def test_viscosity_changes_as_the_body_gives(box: Mesh) -> None:
     ahead, behind = (viscosity_under(sign * pull, wanted) for sign in (1.0, -1.0))
     expected, scale = 0.5 * (ahead - behind), np.sqrt(np.outer(np.diag(ahead), np.diag(ahead)))
     assert np.abs((found - expected) / scale).max() < 0.02 * np.abs(expected / scale).max()
+
+
+def test_with_what_the_inside_gives_slow_swings_take_their_time(box: Mesh) -> None:
+    """The two slowest natural vibrations around an equilibrium: of few coordinates and the inside, against all nodes."""
+    model = model_of(box)
+    pose = model.static(LOAD).pose
+    tangent = model.tangent(pose, LOAD)
+    weight, inverse = bears(model, pose, tangent), np.linalg.inv(tangent.compliance)
+    couple, mass = inverse @ weight.inner_coupling.T, inverse @ tangent.mass @ inverse
+    stiffness = np.block([[inverse, np.zeros((5, 3))], [np.zeros((3, 5)), weight.inner_give]])
+    heavy = np.block([[mass, couple], [couple.T, weight.inner_mass]])
+    expected = 1.0 / periods_squared(model, pose, 2)
+    alone, found = eigh(inverse, mass)[0][:2], eigh(stiffness, heavy)[0][:2]
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
+    assert (np.abs(alone - expected) > 10.0 * np.abs(found - expected)).all()
+
+
+def periods_squared(model: FemModel, pose: Pose, count: int) -> np.ndarray:
+    """Return the largest eigenvalues (count,) s^2 of compliance times mass, largest first."""
+
+    def swung(x: np.ndarray) -> np.ndarray:
+        moved = model.coupling.expand(x.ravel(), pose)
+        return model.solve(model.coupling.reduce(model.nodal_mass[:, None] * moved, pose)[:, None])[:, 0]
+
+    size = len(pull_of(model, pose))
+    values = eigs(LinearOperator((size, size), matvec=swung), count, v0=np.ones(size), return_eigenvectors=False)
+    return np.sort(values.real)[::-1]
 
 
 def viscosity_under(gravity: np.ndarray, wanted: np.ndarray) -> np.ndarray:

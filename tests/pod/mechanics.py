@@ -33,15 +33,15 @@ def mechanical_energy(
     energy += 0.5 * (moving**2).sum(axis=1)
     if inner is not None:
         root = np.linalg.cholesky(lead.transpose(0, 2, 1) @ lead).transpose(0, 2, 1)
-        pushed = np.einsum("sij,sj->si", _roots(model.give_root, values), inner[:, 1])
+        pushed = np.einsum("sij,sj->si", _roots(model.inner_root, values), inner[:, 1])
         energy += 0.5 * (pushed**2).sum(axis=1) + (np.einsum("sij,sj->si", root, rate) * pushed[:, :r]).sum(axis=1)
         ahead = _values(model, y + 0.5 * dt_s * rate)
-        energy += 0.5 * (np.einsum("sij,sj->si", _roots(model.give, ahead), inner[:, 0]) ** 2).sum(axis=1)
+        energy += 0.5 * (np.einsum("sij,sj->si", _roots(model.inner_give, ahead), inner[:, 0]) ** 2).sum(axis=1)
     return np.asarray(energy)
 
 
 def _values(model: ReducedModel, y: np.ndarray) -> np.ndarray:
-    maps = (model.energy, model.centre_of_mass, model.give, model.amplitudes, model.give_root)
+    maps = (model.energy, model.centre_of_mass, model.give, model.inner_give, model.amplitudes, model.inner_root)
     return basis(model.order, degree_of(model.order, max(part.shape[-1] for part in maps))).values(_in_ball(y))
 
 

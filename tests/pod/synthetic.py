@@ -110,10 +110,12 @@ class Law:
             "tangent_mass": compliance @ self.mass(z) @ compliance,
             "give": GIVE,
             "give_spin": np.zeros((3, 3)),
-            "give_mass": GIVE_MASS,
-            "give_coupling": np.hstack([np.zeros((3, n)), GIVE_COUPLING]) @ compliance,
-            "give_viscosity": GIVE,
-            "give_drag": np.hstack([np.zeros((3, n)), GIVE_DRAG]) @ compliance,
+            "inner_give": GIVE,
+            "inner_spin": np.zeros((3, 3)),
+            "inner_mass": GIVE_MASS,
+            "inner_coupling": np.hstack([np.zeros((3, n)), GIVE_COUPLING]) @ compliance,
+            "inner_viscosity": GIVE,
+            "inner_drag": np.hstack([np.zeros((3, n)), GIVE_DRAG]) @ compliance,
         }
 
     def slopes(self, z: np.ndarray) -> dict[str, np.ndarray]:

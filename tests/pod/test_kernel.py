@@ -115,7 +115,8 @@ def test_an_inside_of_any_map_gains_no_energy(tripod: Body) -> None:
     _, _, model = tripod
     rng = np.random.default_rng(2)
     rough = {name: rng.standard_normal((rows, 28)) * size for name, rows, size in (
-        ("give", 9, 9e-3), ("give_root", 27, 1e-4), ("drag_root", 27, 1e-2), ("stiffness_root_by_gravity", 63, 0.05),
+        ("give", 9, 9e-3), ("inner_give", 9, 9e-3), ("inner_root", 27, 1e-4), ("drag_root", 27, 1e-2),
+        ("stiffness_root_by_gravity", 63, 0.05),
     )}  # fmt: skip
     wild = replace(model, **rough)
     tables, y = tables_of(wild), 0.25 * rng.standard_normal(6)
