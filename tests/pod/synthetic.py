@@ -104,18 +104,19 @@ class Law:
         """Return by the names of ``Snapshots`` how the equilibrium z answers its loads and its weight."""
         n, stiffness = self.chambers, self.hessian(z)
         compliance = np.linalg.inv(stiffness)
+        tip = compliance[n:, n:]  # what the inside gives is alike by the tip's acceleration, and told by that of its force
         return {
             "compliance": 0.5 * (compliance + compliance.T),
             "tangent_stiffness": compliance @ self.viscosity(z) @ compliance,
             "tangent_mass": compliance @ self.mass(z) @ compliance,
             "give": GIVE,
             "give_spin": np.zeros((3, 3)),
-            "inner_give": GIVE,
+            "inner_give": tip @ GIVE @ tip,
             "inner_spin": np.zeros((3, 3)),
-            "inner_mass": GIVE_MASS,
-            "inner_coupling": np.hstack([np.zeros((3, n)), GIVE_COUPLING]) @ compliance,
-            "inner_viscosity": GIVE,
-            "inner_drag": np.hstack([np.zeros((3, n)), GIVE_DRAG]) @ compliance,
+            "inner_mass": tip @ GIVE_MASS @ tip,
+            "inner_coupling": tip @ np.hstack([np.zeros((3, n)), GIVE_COUPLING]) @ compliance,
+            "inner_viscosity": tip @ GIVE @ tip,
+            "inner_drag": tip @ np.hstack([np.zeros((3, n)), GIVE_DRAG]) @ compliance,
         }
 
     def slopes(self, z: np.ndarray) -> dict[str, np.ndarray]:
