@@ -11,7 +11,7 @@ from softrl.bench.figures import draw_motions
 from softrl.bench.layers import layer_metrics
 from softrl.bench.operator_inference import others_foretell
 from softrl.bench.watch import Watch, timing
-from softrl.core.errors import ConfigError
+from softrl.core.errors import ConfigError, SolverError
 from softrl.core.progress import progress
 from softrl.core.tracking import Tracker
 from softrl.effects.chain import chain_of
@@ -96,7 +96,8 @@ class RomBench:
         for part, rows in (("", slice(0, self.motions)), ("violent_", slice(self.motions, None))):
             if full[rows]:
                 for name, paths in bodies.items():
-                    metrics |= errors(f"{part}{name}", paths[rows], full[rows])
+                    pairs = [pair for pair in zip(paths[rows], full[rows], strict=True) if np.isfinite(pair[0].tip).all()]
+                    metrics |= errors(f"{part}{name}", pairs) if pairs else {}
                 if len(full[rows]) > 1:
                     metrics[f"{part}baseline_inferred_tip_rms_mm"] = _rms_mm(self._inferred(loads[rows], full[rows]))
                 metrics[f"{part}baseline_rest_tip_rms_mm"] = _rms_mm([path.tip - path.tip[0] for path in full[rows]])
@@ -107,7 +108,10 @@ class RomBench:
         return metrics | self._rates(watch, rng)
 
     def _galerkin(self, watch: Watch, loads: list[np.ndarray]) -> tuple[list[Path], dict[str, float]]:
-        """Return the Galerkin body's motions, and its rate and size; building it does not count."""
+        """Return the Galerkin body's motions, and its rate and size; building it does not count.
+
+        It may not get through a motion: that one is not compared, and ``galerkin_lost`` counts it.
+        """
         assert self.galerkin is not None
         began = watch.now()
         body = self.galerkin.body
@@ -116,9 +120,15 @@ class RomBench:
         self._follow(self.galerkin, loads[0][:2])  # rest
         for load in loads:
             began = watch.now()
-            paths.append(self._follow(self.galerkin, load))
-            taken.append(watch.now() - began)
-        return paths, timing(taken).rate("galerkin_steps", len(loads[0])) | {
+            try:
+                paths.append(self._follow(self.galerkin, load))
+                taken.append(watch.now() - began)
+            except SolverError as error:
+                log.warning("POD Galerkin is lost in one of the motions: %s", error)
+                paths.append(Path(*(np.full((len(load), size), np.nan) for size in (3, 4, self.rom.robot.chambers))))
+        rate = timing(taken).rate("galerkin_steps", len(loads[0])) if taken else {}
+        return paths, rate | {
+            "galerkin_lost": float(len(loads) - len(taken)),
             "galerkin_modes": body.slope.shape[3], "galerkin_elements": body.elements,
             "galerkin_sampling_error_pct": 100.0 * body.sampling_error, "galerkin_build_s": built,
         }  # fmt: skip
@@ -192,12 +202,11 @@ def volumes_of(body: Any, state: Any) -> np.ndarray:
     return np.asarray(state.coordinates[: body.robot.chambers])
 
 
-def errors(name: str, found: list[Path], full: list[Path]) -> dict[str, float]:
-    """Return the metrics of ``found`` against the full model's motions: of all together, and the tip's rms in single ones."""
-    pairs = list(zip(found, full, strict=True))
+def errors(name: str, pairs: list[tuple[Path, Path]]) -> dict[str, float]:
+    """Return the metrics of ``pairs`` of a motion and the full model's: of all together, and the tip's rms in single ones."""
     tip = [np.linalg.norm(a.tip - b.tip, axis=1) for a, b in pairs]
     turn = [2.0 * np.arccos(np.minimum(1.0, np.abs((a.quaternion * b.quaternion).sum(axis=1)))) for a, b in pairs]
-    missed, moved = (np.concatenate(rows) for rows in ([a.volume - b.volume for a, b in pairs], [b.volume for b in full]))
+    missed, moved = (np.concatenate(rows) for rows in ([a.volume - b.volume for a, b in pairs], [b.volume for _, b in pairs]))
     single = [_rms_mm([a.tip - b.tip]) for a, b in pairs]
     return {
         f"{name}_tip_rms_mm": _rms_mm([a.tip - b.tip for a, b in pairs]),
