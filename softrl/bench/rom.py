@@ -88,7 +88,7 @@ class RomBench:
             began = watch.now()
             full.append(self._follow(self._full_model, load))
             taken.append(watch.now() - began)
-        bodies = {"rom": [self._follow(self.rom, load) for load in loads]}
+        bodies: dict[str, list[Path | None]] = {"rom": [self._follow(self.rom, load) for load in loads]}
         metrics = timing(taken).rate("fem_steps", len(clock))
         if self.galerkin is not None:
             bodies["galerkin"], more = self._galerkin(watch, loads)
@@ -96,27 +96,26 @@ class RomBench:
         for part, rows in (("", slice(0, self.motions)), ("violent_", slice(self.motions, None))):
             if full[rows]:
                 for name, paths in bodies.items():
-                    pairs = [pair for pair in zip(paths[rows], full[rows], strict=True) if np.isfinite(pair[0].tip).all()]
+                    pairs = [(path, true) for path, true in zip(paths[rows], full[rows], strict=True) if path is not None]
                     metrics |= errors(f"{part}{name}", pairs) if pairs else {}
                 if len(full[rows]) > 1:
                     metrics[f"{part}baseline_inferred_tip_rms_mm"] = _rms_mm(self._inferred(loads[rows], full[rows]))
                 metrics[f"{part}baseline_rest_tip_rms_mm"] = _rms_mm([path.tip - path.tip[0] for path in full[rows]])
-        tips = {LABELS[name]: [path.tip for path in paths] for name, paths in bodies.items()}
+        nowhere = np.full((len(clock), 3), np.nan)
+        tips = {LABELS[name]: [path.tip if path else nowhere for path in paths] for name, paths in bodies.items()}
         tracker.figure("unseen_motions", draw_motions(clock, [path.tip for path in full], tips))
         if self.layered:
             metrics |= layer_metrics(self.rom, self._full_model, self.layered, np.random.default_rng([seed, STREAM, 1]))
         return metrics | self._rates(watch, rng)
 
-    def _galerkin(self, watch: Watch, loads: list[np.ndarray]) -> tuple[list[Path], dict[str, float]]:
-        """Return the Galerkin body's motions, and its rate and size; building it does not count.
-
-        It may not get through a motion: that one is not compared, and ``galerkin_lost`` counts it.
-        """
+    def _galerkin(self, watch: Watch, loads: list[np.ndarray]) -> tuple[list[Path | None], dict[str, float]]:
+        """Return the Galerkin body's motions, None where it is lost, and its rate and size; building it does not count."""
         assert self.galerkin is not None
         began = watch.now()
         body = self.galerkin.body
         built = watch.now() - began
-        paths, taken = [], []
+        paths: list[Path | None] = []
+        taken = []
         self._follow(self.galerkin, loads[0][:2])  # rest
         for load in loads:
             began = watch.now()
@@ -125,7 +124,7 @@ class RomBench:
                 taken.append(watch.now() - began)
             except SolverError as error:
                 log.warning("POD Galerkin is lost in one of the motions: %s", error)
-                paths.append(Path(*(np.full((len(load), size), np.nan) for size in (3, 4, self.rom.robot.chambers))))
+                paths.append(None)
         rate = timing(taken).rate("galerkin_steps", len(loads[0])) if taken else {}
         return paths, rate | {
             "galerkin_lost": float(len(loads) - len(taken)),
