@@ -1,6 +1,6 @@
 """Pictures of what was measured."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -26,7 +26,7 @@ def draw_scaling(unknowns: Sequence[int], metrics: Sequence[dict[str, float]], f
     return figure
 
 
-def draw_motions(time_s: np.ndarray, full: Sequence[np.ndarray], bodies: dict[str, Sequence[np.ndarray]]) -> Figure:
+def draw_motions(time_s: np.ndarray, full: Sequence[np.ndarray], bodies: Mapping[str, Sequence[np.ndarray]]) -> Figure:
     """Return the tips (steps, 3) m of the full model and of reduced bodies over time, and how far these are from it."""
     figure = Figure(figsize=(9.0, 2.4 * len(full)), layout="constrained")
     rows = figure.subplots(len(full), 2, squeeze=False, sharex=True)
