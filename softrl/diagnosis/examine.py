@@ -12,7 +12,7 @@ from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes, neutral
 from softrl.diagnosis.hypothesise import forward
 from softrl.diagnosis.intervals import Interval, by_effect, intervals
 from softrl.diagnosis.judge import SHOWN_BESIDE, Gap, Judge, Thresholds
-from softrl.diagnosis.leftover import Offer, explained_by, heldout_residual, offer_of, reasons_of
+from softrl.diagnosis.leftover import Offer, explained_by, heldout_residual, offer_of, reasons_of, varies
 from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem, Residual
 from softrl.diagnosis.trial import Search, Trial, columns_of, drop, fit_trials, join, raced
@@ -151,6 +151,8 @@ def _judged(part: Part, judge: Judge, path: Path, base: Trial, final: Trial, sea
     offer = offer_of(part.problem, judge, final)
     explained = explained_by(judge, base, final, offer)
     reasons = reasons_of(judge, final, offer, explained)
+    if not reasons and varies(part.problem, judge, final):
+        reasons = ["the numbers of the effects named would have to change with the pressures"]
     in_vain = explained.share < judge.thresholds.explained_share
     closest = final.hypothesis.label() if reasons and named and in_vain else ""
     if reasons and in_vain:

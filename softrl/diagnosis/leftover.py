@@ -11,15 +11,14 @@ from softrl.diagnosis.locate import corrected, locate
 from softrl.diagnosis.moments import at_moments
 from softrl.diagnosis.noise import unlike_noise
 from softrl.diagnosis.problem import Problem, Residual
-from softrl.diagnosis.search import jacobian_at
 from softrl.diagnosis.spectrum import spectral_line
 from softrl.diagnosis.trial import Trial
+from softrl.diagnosis.varied import slopes, varied
 from softrl.effects.library import effect_class
 
 NOISE_LEVEL = 0.01  # chance of what is left under noise of its own spectrum
 NOISE_DRAWS = 500
 CHANGING_LEVEL, CHANGING_DRAWS = 0.002, 1000  # likewise of what follows the pressures in ways that change
-DIFFERENCE = 0.02  # scaled step of derivatives
 MOMENT_LEVEL = 1e-3  # likewise of what comes at moments
 LINE_LEVEL = 1e-8  # chance of a line in the spectrum of noise
 UNDRIVEN_SHARE = 0.5  # of the squared error: effects that remove less explain nothing
@@ -54,6 +53,18 @@ def offer_of(problem: Problem, judge: Judge, trial: Trial) -> Offer:
     runs = [values - extra for values, extra in zip(heldout.runs, offered, strict=True)]
     squares = Residual(runs, {}).squares
     return Offer(judge.gap(trial.squares, squares), judge.pays(trial.squares, squares), squares)
+
+
+def varies(problem: Problem, judge: Judge, trial: Trial) -> bool:
+    """Return whether effects whose laws have no other form would need numbers that follow the pressures, held out.
+
+    Fitted on the runs of ``problem``. Where other effects are named besides, what varies may be a detail of these.
+    """
+    if not trial.hypothesis.effects or not all(effect_class(name).exact for name in trial.hypothesis.names):
+        return False
+    heldout, changes = heldout_residual(judge, trial), varied(problem, trial, judge.problem)
+    squares = Residual([values - change for values, change in zip(heldout.runs, changes, strict=True)], {}).squares
+    return judge.shows(trial.squares, squares)
 
 
 class Explained(NamedTuple):
@@ -154,7 +165,7 @@ def _uneven(judge: Judge, trial: Trial, residual: Residual, drives: list[np.ndar
     what is uneven has to be large itself, ``times`` what counts.
     """
     rng = np.random.default_rng(judge.seed)
-    found = unlike_noise(residual.runs, drives, NOISE_DRAWS, rng, _slopes(judge, trial, residual))
+    found = unlike_noise(residual.runs, drives, NOISE_DRAWS, rng, slopes(judge.problem, trial, residual))
     large = np.sqrt(found.share) * judge.rms(residual.squares) > times * judge.material
     return bool(large and found.p_value < NOISE_LEVEL)
 
@@ -163,16 +174,3 @@ def _momentary(judge: Judge, residual: Residual) -> bool:
     """Return whether what comes at a few moments is no noise, and plainly larger than what counts."""
     share = at_moments(residual.runs, MOMENT_LEVEL)
     return bool(np.sqrt(share) * judge.rms(residual.squares) > UNEVEN_FACTOR * judge.material)
-
-
-def _slopes(judge: Judge, trial: Trial, residual: Residual) -> list[np.ndarray]:
-    """Return the derivatives (bins, channels, p) of the held-out ``residual``, run by run, by the trial's parameters."""
-    low, high = judge.problem.space(trial.hypothesis).bounds
-
-    def moved(point: np.ndarray) -> np.ndarray:
-        return judge.problem.residual(trial.hypothesis, point, trial.placed).flat
-
-    columns = jacobian_at(moved, trial.fit.point, residual.flat, low, high, DIFFERENCE)
-    ends = np.cumsum([run.size for run in residual.runs])[:-1]
-    parts = zip(np.split(columns, ends), residual.runs, strict=True)
-    return [part.reshape(*run.shape, -1) for part, run in parts]

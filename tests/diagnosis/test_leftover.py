@@ -40,9 +40,9 @@ def test_rare_jumps_are_no_noise_however_white_they_are(monkeypatch: pytest.Monk
     rng = np.random.default_rng(5)
     quiet = rng.standard_normal((400, 3))
     jumps = 8.0 * rng.standard_normal((400, 3)) * (rng.random((400, 1)) < 0.03)
-    judge: Any = SimpleNamespace(material=0.3, seed=1, rms=lambda squares: float(np.sqrt(np.mean(squares))))
+    judge: Any = SimpleNamespace(problem=None, material=0.3, seed=1, rms=lambda squares: float(np.sqrt(np.mean(squares))))
     drives = [rng.standard_normal((400, 2)).cumsum(axis=0)]
-    monkeypatch.setattr(leftover, "_slopes", lambda *_: ())
+    monkeypatch.setattr(leftover, "slopes", lambda *_: ())
     for run, uneven in ((quiet, False), (quiet + jumps, True)):
         residual = Residual([run], {})
         assert leftover._uneven(judge, None, residual, drives, leftover.UNEVEN_FACTOR) is uneven  # type: ignore[arg-type]
@@ -67,10 +67,11 @@ def test_a_valve_that_sticks_for_moments_is_unknown_and_noise_of_as_much_error_i
     rms = float(np.sqrt(residual.squares.mean()))
     left = 2.6  # times what counts, of which little is below the noise
     judge: Any = SimpleNamespace(
-        material=rms / left, travel=200.0 * rms / left, seed=seed, floor=np.inf, thresholds=SimpleNamespace(explained_share=0.75),
+        problem=None, material=rms / left, travel=200.0 * rms / left, seed=seed, floor=np.inf,
+        thresholds=SimpleNamespace(explained_share=0.75),
         rms=lambda squares: float(np.sqrt(np.mean(squares))),
     )  # fmt: skip
-    for own, value in (("_drives", drives), ("heldout_residual", residual), ("_slopes", ()), ("_changing", 0.0)):
+    for own, value in (("_drives", drives), ("heldout_residual", residual), ("slopes", ()), ("_changing", 0.0)):
         monkeypatch.setattr(leftover, own, lambda *_, value=value: value)
     if hidden:
         monkeypatch.setattr(leftover, "_uneven", lambda *_: False)
