@@ -8,6 +8,9 @@ import numpy as np
 from softrl.artifacts.artifact import Artifact
 from softrl.core.errors import ArtifactError
 
+SHAPES = 6  # by which the inside gives: three to inertia, three to damping
+TRIANGLE = SHAPES * (SHAPES + 1) // 2
+
 
 @dataclass(frozen=True)
 class ReducedModel(Artifact):
@@ -31,12 +34,12 @@ class ReducedModel(Artifact):
     give : (9, monomials) kg^0.5 s, rows of R with R' R the change of mass times centre of mass by gravity, volumes and tip
         held
     give_rotation : (9, monomials) rad s^2/m, turn of the tip by gravity, volumes and tip held
-    inner_give : (9, monomials) kg^0.5 s, rows of R with R' R twice the energy of the shapes by which the body gives to the
-        inertia of a motion that tip forces bring about, by 1 m/s^2 of the tip;  inner_rotation : (9, monomials) rad s^2/m, turn
-        of the tip by them
-    inner_root : (3 (r + 3), monomials) kg^0.5 s^2, A (r, 3) and B (3, 3) of the joint mass [R A; 0 B]'[R A; 0 B] of y and
-        these shapes, R'R the mass, R upper triangular
-    drag_root : (3 (r + 3), monomials) (N/m)^0.5 s^2, likewise of the viscosity, R = S L'
+    inner_give : (21, monomials) kg^0.5 s, upper triangle R with R' R twice the energy of the six shapes by which the body gives
+        to inertia and damping of a motion that tip forces bring about, by 1 m/s^2 and ``fem.weight.PACE_S`` times that of the
+        tip;  inner_rotation : (18, monomials) rad s^2/m, turn of the tip by them
+    inner_root : (6 r + 21, monomials) kg^0.5 s^2, A (r, 6) and the upper triangle B (6, 6) of the joint mass
+        [R A; 0 B]'[R A; 0 B] of y and these shapes, R'R the mass, R upper triangular
+    drag_root : (6 r + 21, monomials) (N/m)^0.5 s^2, likewise of the viscosity, R = S L'
     layer_energy : (layers, monomials) J, what each layer of the wall stores, from below; zero at rest
     layer_give : (layers (layers + 1) / 2, monomials) J, upper triangle;  layer_drop : (3 layers, monomials) kg m, for each axis
         all layers;  layer_spin : (3 layers, monomials) rad, likewise: how the body gives where layers are stiffer, see
@@ -57,7 +60,7 @@ class ReducedModel(Artifact):
     ``D = rayleigh_mass M + rayleigh_stiffness B``, B of ``stiffness_root``; beside them moves what the inside gives.
     """
 
-    schema: ClassVar[int] = 11
+    schema: ClassVar[int] = 12
     stage: ClassVar[str] = "pod"
 
     frame: np.ndarray
@@ -123,10 +126,10 @@ class ReducedModel(Artifact):
             ("rotation", 3),
             ("give", 9),
             ("give_rotation", 9),
-            ("inner_give", 9),
-            ("inner_rotation", 9),
-            ("inner_root", 3 * (order + 3)),
-            ("drag_root", 3 * (order + 3)),
+            ("inner_give", TRIANGLE),
+            ("inner_rotation", 3 * SHAPES),
+            ("inner_root", SHAPES * order + TRIANGLE),
+            ("drag_root", SHAPES * order + TRIANGLE),
             ("layer_give", self.layers * (self.layers + 1) // 2),
             ("layer_drop", 3 * self.layers),
             ("layer_spin", 3 * self.layers),

@@ -30,9 +30,10 @@ class Snapshots(Artifact):
     moment_gram : (a, a) kg, products of the moments' own polynomials
     give : (samples, 3, 3) kg s^2, change of mass times centre of mass by gravity, volumes and tip held
     give_spin : (samples, 3, 3) rad s^2/m, rotation of the plate by gravity, volumes and tip held
-    inner_give, inner_spin, inner_mass, inner_viscosity : (samples, 3, 3), of the shapes by which the body gives to the inertia
-        of its motion, see ``fem.weight``: twice their energy, rotation of the plate, mass, and what stiffness-proportional
-        damping multiplies;  inner_coupling, inner_drag : (samples, 3, n + 3), both latter with the motion by the loads
+    inner_give, inner_mass, inner_viscosity : (samples, 6, 6), of the shapes by which the body gives to inertia and damping of
+        its motion, see ``fem.weight``: twice their energy, mass, and what stiffness-proportional damping multiplies;
+        inner_spin : (samples, 3, 6) rotation of the plate;  inner_coupling, inner_drag : (samples, 6, n + 3), mass and what
+        damps with the motion by the loads
     viscosity_by_gravity : (samples, 3, n + 3, n + 3) change of ``tangent_stiffness`` by unit gravity along each axis, volumes
         and tip held
     layer_energy : (samples, layers) J, elastic energy of each layer of the wall, from below; layer_slope : (samples, layers,
@@ -59,7 +60,7 @@ class Snapshots(Artifact):
     robot_name : the robot
     """
 
-    schema: ClassVar[int] = 11
+    schema: ClassVar[int] = 12
     stage: ClassVar[str] = "fem"
 
     loads: np.ndarray

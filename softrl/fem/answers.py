@@ -20,8 +20,8 @@ class Answers(NamedTuple):
 
     Attributes
     ----------
-    forces : (unknowns, 6) of unit gravity along each axis, and of the inertia of motions, see ``fem.weight``
-    free : (unknowns, 6) to these forces
+    forces : (unknowns, 9) of unit gravity along each axis, and of motions, see ``fem.weight``
+    free : (unknowns, 9) to these forces
     gives : (3, nodes, 3) by which shapes the body gives to unit gravity along each axis, volumes and tip held
     row : what ``Snapshots`` keeps of them
     """

@@ -2,8 +2,9 @@
 
 A reduced body sees its weight through the centre of mass. To gravity the body also gives by shapes in which volumes and tip
 stay: that softens a sagging body a little. To the inertia of its own motion it gives by others, which makes a swinging body
-heavier the faster it swings: those of a motion that forces at the tip bring about, since its slow modes are nearly such. All
-are first derivatives of the nodes: no sample needs another equilibrium.
+heavier the faster it swings: those of a motion that forces at the tip bring about, since its slow modes are nearly such. To
+what damps that motion it gives by as many more: damping resists other parts than those that the loads strain. All are
+first derivatives of the nodes: no sample needs another equilibrium.
 """
 
 from typing import NamedTuple
@@ -16,7 +17,8 @@ from softrl.fem.model import FemModel
 from softrl.fem.tangent import Tangent
 
 NUDGE_M = 1e-6  # for a difference of what is a square of positions
-WEIGHT, INERTIA = slice(0, 3), slice(3, 6)  # columns of forces that all of the body bears
+WEIGHT, MOTION = slice(0, 3), slice(3, 9)  # columns of forces that all of the body bears
+PACE_S = 0.01  # speed by acceleration of a motion: makes the shapes of both of a size
 
 
 class Weight(NamedTuple):
@@ -27,12 +29,13 @@ class Weight(NamedTuple):
     tip_spin : (3, w) rotation of the plate by the loads, rad per Pa and N
     give : (3, 3) change of mass times centre of mass by gravity, volumes and tip held, kg s^2
     give_spin : (3, 3) rotation of the plate by gravity, volumes and tip held, rad s^2/m
-    inner_give : (3, 3) twice the energy, m s^4/N, of the shapes by which the body gives to its inertia where the second
-        derivative of a tip force is 1 N/s^2, volumes and tip held
-    inner_spin : (3, 3) rotation of the plate by these shapes, rad s^2/N
-    inner_mass : (3, 3) of these shapes, kg m^2 s^4/N^2
-    inner_coupling : (3, w) of these shapes with the motion by the loads, in the mass, kg m^2 s^2/N per Pa and N
-    inner_viscosity, inner_drag : (3, 3) and (3, w), likewise in what stiffness-proportional damping multiplies
+    inner_give : (6, 6) twice the energy, m s^4/N, of the shapes by which the body gives to its inertia where the second
+        derivative of a tip force is 1 N/s^2, and to what stiffness-proportional damping multiplies where its first derivative is
+        ``PACE_S`` times that, volumes and tip held
+    inner_spin : (3, 6) rotation of the plate by these shapes, rad s^2/N
+    inner_mass : (6, 6) of these shapes, kg m^2 s^4/N^2
+    inner_coupling : (6, w) of these shapes with the motion by the loads, in the mass, kg m^2 s^2/N per Pa and N
+    inner_viscosity, inner_drag : (6, 6) and (6, w), likewise in what stiffness-proportional damping multiplies
     """
 
     tip_spin: np.ndarray
@@ -52,9 +55,11 @@ def pull_of(model: FemModel, pose: Pose) -> np.ndarray:
 
 
 def swing_of(model: FemModel, pose: Pose, tangent: Tangent) -> np.ndarray:
-    """Return the force (unknowns, 3) of the inertia of a motion that unit tip forces along each axis bring about."""
+    """Return the forces (unknowns, 6) of a motion that unit tip forces along each axis bring about: inertia, then damping."""
     moved = tangent.shapes[-3:]
-    return np.stack([model.coupling.reduce(model.nodal_mass[:, None] * shape, pose) for shape in moved], axis=1)
+    heavy = [model.nodal_mass[:, None] * shape for shape in moved]
+    tough = [PACE_S * multiply_blocks(tangent.viscous, model.pairs.first, model.pairs.second, shape) for shape in moved]
+    return np.stack([model.coupling.reduce(force, pose) for force in (*heavy, *tough)], axis=1)
 
 
 def held_of(model: FemModel, pose: Pose, tangent: Tangent, free: np.ndarray) -> np.ndarray:
@@ -63,18 +68,18 @@ def held_of(model: FemModel, pose: Pose, tangent: Tangent, free: np.ndarray) -> 
 
 
 def weight_of(model: FemModel, pose: Pose, tangent: Tangent, forces: np.ndarray, held: np.ndarray) -> Weight:
-    """Return how an equilibrium bears weight and inertia: to ``forces`` of both it gives by ``held`` (unknowns, 6) each.
+    """Return how an equilibrium bears weight and motion: to ``forces`` of both it gives by ``held`` (unknowns, 9) each.
 
     Those of ``pull_of`` come first, then those of ``swing_of``.
     """
     mass, plate = model.nodal_mass[:, None], model.coupling.body_slice(0)
     spin = slice(plate.start + 3, plate.stop)
-    give, inner = (forces[:, side].T @ held[:, side] for side in (WEIGHT, INERTIA))
-    shapes, moved = np.stack([model.coupling.expand(x, pose) for x in held[:, INERTIA].T]), tangent.shapes
+    give, inner = (forces[:, side].T @ held[:, side] for side in (WEIGHT, MOTION))
+    shapes, moved = np.stack([model.coupling.expand(x, pose) for x in held[:, MOTION].T]), tangent.shapes
     heavy = mass * shapes
     tough = np.stack([multiply_blocks(tangent.viscous, model.pairs.first, model.pairs.second, shape) for shape in shapes])
     return Weight(
-        tangent.change[spin], 0.5 * (give + give.T), held[spin, WEIGHT], 0.5 * (inner + inner.T), held[spin, INERTIA],
+        tangent.change[spin], 0.5 * (give + give.T), held[spin, WEIGHT], 0.5 * (inner + inner.T), held[spin, MOTION],
         np.einsum("ani,bni->ab", shapes, heavy), np.einsum("ani,bni->ab", heavy, moved),
         np.einsum("ani,bni->ab", shapes, tough), np.einsum("ani,bni->ab", tough, moved),
     )

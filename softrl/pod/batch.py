@@ -11,12 +11,13 @@ from typing import Any
 import numba as nb
 import numpy as np
 
+from softrl.artifacts.reduced_model import SHAPES
 from softrl.core.compiled import standing
 from softrl.pod.chords import fill_viscosities, go_half_way
 from softrl.pod.columns import Columns, columns_of
 from softrl.pod.inertia import Course, make_course
 from softrl.pod.inertias import add_inertias, fill_amplitudes, fill_inertias, fill_kinetic, fill_work, kinetic_of
-from softrl.pod.inside import AXES, Inside, make_inside
+from softrl.pod.inside import Inside, make_inside
 from softrl.pod.insides import begin_insides, end_insides, fill_gives
 from softrl.pod.kernel import MAX_ITERATIONS, SCALINGS
 from softrl.pod.lanes import (
@@ -97,7 +98,7 @@ def _end(
     for i in range(len(y)):
         put(held.former[i], velocity[i])
         put_rate(velocity[i], y[i], start[i], dt)
-    for k in range(AXES):
+    for k in range(SHAPES):
         put(held.formerly[k], inner[1, k])
     end_insides(inner, y, dt, insides, held.some[0], bent)
     fill_work(y, velocity, inner[1], dt, insides, course, held, most)
@@ -124,7 +125,7 @@ def _hold_back(
         for lane in range(len(kinetic)):
             if kinetic[lane] > most[lane]:
                 share = math.sqrt(most[lane] / kinetic[lane])
-                for k in range(AXES):
+                for k in range(SHAPES):
                     inner[1, k, lane] *= share
                 for i in range(len(y)):
                     velocity[i, lane] *= share
@@ -168,7 +169,7 @@ def run_block(
     r, lanes = y.shape
     held, start, ahead, by = make_lanes(r, lanes, tables), np.empty((r, lanes)), np.empty((r, lanes)), np.zeros((r, lanes))
     kinetic, bent = np.empty(lanes), np.full(lanes, np.inf)
-    insides, inner = make_inside(r, (lanes,)), np.zeros((2, AXES, lanes))
+    insides, inner = make_inside(r, (lanes,)), np.zeros((2, SHAPES, lanes))
     to_balls(y, held.points, held.radius)
     failed, farthest = 0, held.radius.max()
     course = make_course(r, len(tables.amplitudes), (lanes,))

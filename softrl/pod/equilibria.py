@@ -10,7 +10,8 @@ from softrl.artifacts.snapshots import Snapshots
 STEP = 1e-4  # of the largest load, for differences: they are of second order
 Answers = dict[str, np.ndarray]
 
-# the axes of each answer after that of the samples: w as a load or coordinate, v a vector, s a spin, m a moment, l a layer
+# the axes of each answer after that of the samples: w as a load or coordinate, v a vector, i two of them, s a spin, m a moment,
+# l a layer
 AXES = {
     "compliance": "ww",
     "stiffness": "ww",
@@ -18,12 +19,12 @@ AXES = {
     "moments": "mv",
     "give": "vv",
     "give_spin": "sv",
-    "inner_give": "vv",
-    "inner_spin": "sv",
-    "inner_mass": "vv",
-    "inner_coupling": "vw",
-    "inner_viscosity": "vv",
-    "inner_drag": "vw",
+    "inner_give": "ii",
+    "inner_spin": "si",
+    "inner_mass": "ii",
+    "inner_coupling": "iw",
+    "inner_viscosity": "ii",
+    "inner_drag": "iw",
     "rotation": "s",
     "viscosity_by_gravity": "vww",
     "layer_energy": "l",
@@ -115,12 +116,18 @@ def per_spin(rotation: np.ndarray) -> np.ndarray:
 def _per_coordinate(answers: Answers) -> Answers:
     """Return the answers with rates of coordinates in place of rates of loads, and of the tip in place of those of its force.
 
-    By the tip's acceleration the inside gives alike in stiff poses and in soft ones.
+    By the tip's motion the inside gives alike in stiff poses and in soft ones.
     """
     inverse = np.linalg.inv(answers["compliance"])
-    per_tip = np.linalg.inv(answers["compliance"][:, -3:, -3:])
+    per_tip = twice(np.linalg.inv(answers["compliance"][:, -3:, -3:]))
     turned = {"stiffness": inverse @ answers["tangent_stiffness"] @ inverse, "mass": inverse @ answers["tangent_mass"] @ inverse}
     turned |= {name: per_tip @ answers[name] @ inverse for name in ("inner_coupling", "inner_drag")}
     turned |= {name: per_tip @ answers[name] @ per_tip for name in ("inner_give", "inner_mass", "inner_viscosity")}
     turned["inner_spin"] = answers["inner_spin"] @ per_tip
     return {name: answers[name] for name in AXES if name in answers} | turned
+
+
+def twice(matrices: np.ndarray) -> np.ndarray:
+    """Return (..., 2 k, 2 k) with ``matrices`` (..., k, k) on the diagonal twice: what acts on two vectors alike."""
+    nothing = np.zeros_like(matrices)
+    return np.block([[matrices, nothing], [nothing, matrices]])

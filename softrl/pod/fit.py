@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from softrl.artifacts.reduced_model import ReducedModel
+from softrl.artifacts.reduced_model import SHAPES, TRIANGLE, ReducedModel
 from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ConfigError
 from softrl.pod.basis import PodBasis
@@ -136,10 +136,10 @@ def _draft(robot: Robot, snapshots: Snapshots, samples: Equilibria, pod: PodBasi
         rotation=np.zeros((3, 1)),
         give=np.zeros((9, 1)),
         give_rotation=np.zeros((9, 1)),
-        inner_give=np.zeros((9, 1)),
-        inner_rotation=np.zeros((9, 1)),
-        inner_root=np.zeros((3 * (r + 3), 1)),
-        drag_root=np.zeros((3 * (r + 3), 1)),
+        inner_give=np.zeros((TRIANGLE, 1)),
+        inner_rotation=np.zeros((3 * SHAPES, 1)),
+        inner_root=np.zeros((SHAPES * r + TRIANGLE, 1)),
+        drag_root=np.zeros((SHAPES * r + TRIANGLE, 1)),
         layer_energy=np.zeros((layers, 1)),
         layer_give=np.zeros((layers * (layers + 1) // 2, 1)),
         layer_drop=np.zeros((3 * layers, 1)),

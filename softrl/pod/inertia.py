@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 
+from softrl.artifacts.reduced_model import SHAPES
 from softrl.core.compiled import borrowing
-from softrl.pod.inside import AXES, fill_mass, shared_energy
+from softrl.pod.inside import fill_mass, shared_energy
 from softrl.pod.potential import fill_monomials, fill_rows, fill_square, to_ball
 
 
@@ -128,7 +129,7 @@ def work_of_inertia(
     Parameters
     ----------
     velocity, former : (r,) of this step and of the last
-    giving, formerly : (3,) rate of the inside, likewise
+    giving, formerly : (6,) rate of the inside, likewise
     """
     inside, course = held[3], held[4]
     r, total = len(velocity), 0.0
@@ -140,10 +141,10 @@ def work_of_inertia(
             moved += course.lead[a * r + i] * velocity[i]
         total += rate * moved
     for i in range(r):
-        for k in range(AXES):
+        for k in range(SHAPES):
             change = velocity[i] * (giving[k] - formerly[k]) + (velocity[i] - former[i]) * giving[k]
             total += inside.couple[i, k] * change
-    for j in range(AXES):
-        for k in range(AXES):
+    for j in range(SHAPES):
+        for k in range(SHAPES):
             total += giving[j] * inside.own[j, k] * (giving[k] - formerly[k])
     return 2.0 * total

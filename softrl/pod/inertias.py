@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from softrl.artifacts.reduced_model import SHAPES
 from softrl.core.compiled import borrowing, standing
 from softrl.pod.columns import Columns, fill_leads, fill_monomials
 from softrl.pod.inertia import Course
-from softrl.pod.inside import AXES, Inside
+from softrl.pod.inside import Inside
 from softrl.pod.insides import fill_masses, shared_energies
 from softrl.pod.lanes import (
     Lanes,
@@ -123,10 +124,10 @@ def kinetic_of(lane: int, velocity: np.ndarray, inner: np.ndarray, dt: float, in
     total = 0.0
     for a in range(len(course.now)):
         total += ((course.now[a, lane] - course.before[a, lane]) / dt) ** 2
-    for k in range(AXES):
+    for k in range(SHAPES):
         for i in range(len(velocity)):
             total += 2.0 * velocity[i, lane] * insides.couple[i, k, lane] * inner[1, k, lane]
-        for j in range(AXES):
+        for j in range(SHAPES):
             total += inner[1, j, lane] * insides.own[j, k, lane] * inner[1, k, lane]
     return total
 
@@ -142,7 +143,7 @@ def fill_work(
     for i in range(r):
         put_rate(by[i], y[i], course.aim[i], dt)
         put_rate(gained[i], velocity[i], gained[i], 1.0)
-    for k in range(AXES):
+    for k in range(SHAPES):
         put_rate(changed[k], giving[k], changed[k], 1.0)
     work[:] = 0.0
     for a in range(len(course.now)):
@@ -153,14 +154,14 @@ def fill_work(
             add(moved, course.lead[a * r + i], velocity[i])
         add(work, rate, moved)
     for i in range(r):
-        for k in range(AXES):
+        for k in range(SHAPES):
             moved[:] = 0.0
             add(moved, velocity[i], changed[k])
             add(moved, gained[i], giving[k])
             add(work, insides.couple[i, k], moved)
-    for j in range(AXES):
+    for j in range(SHAPES):
         rate[:] = 0.0
-        for k in range(AXES):
+        for k in range(SHAPES):
             add(rate, insides.own[j, k], changed[k])
         add(work, rate, giving[j])
     put_times(work, 2.0, work)

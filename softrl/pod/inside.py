@@ -1,8 +1,9 @@
-"""How the body's inside gives to its inertia, compiled: shapes in which volumes and tip stay, with mass of their own.
+"""How the body's inside gives to its motion, compiled: shapes in which volumes and tip stay, with mass of their own.
 
-``inner`` (2, 3) is how far the inside gives beyond what weight makes it give, in units of the acceleration of the tip, by
-forces there, to which it would, and its rate. Its equations are linear in a step, so that it is eliminated from them:
-Newton's iteration sees another inertia, and no further unknowns.
+``inner`` (2, 6) is how far the inside gives beyond what weight makes it give, and its rate: in units of the acceleration of the
+tip, by forces there, whose inertia would make it give, and of the speed, over ``fem.weight.PACE_S``, whose damping would. Its
+equations are linear in a step, so that it is eliminated from them: Newton's iteration sees another inertia, and no further
+unknowns.
 """
 
 from typing import Any, NamedTuple
@@ -10,11 +11,11 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 
+from softrl.artifacts.reduced_model import SHAPES, TRIANGLE
 from softrl.core.compiled import borrowing
 from softrl.pod.potential import fill_rows
 
-AXES = 3
-LEAST = 1e-12  # of the cube of a matrix's trace: a smaller determinant is none
+LEAST = 1e-12  # of a matrix's trace: a smaller pivot is none
 
 
 class Inside(NamedTuple):
@@ -22,12 +23,12 @@ class Inside(NamedTuple):
 
     Attributes
     ----------
-    couple : (r, 3) with the coordinates in the mass;  own : (3, 3) mass
-    drag, tough : (r, 3) and (3, 3), likewise in the viscosity
-    give : (3, 3) kg s^2, stiffness of the inside
-    inverse : (3, 3) of the matrix of a step;  push : (3,) and pull : (r, 3) its right side, and what ties it to the rest
-    flown : (3,) where free flight and drag would have it, times the weights of a step, 1/s^2 times the unit of ``inner``
-    rows : (3 (r + 3),), gives : (9,) scratch
+    couple : (r, 6) with the coordinates in the mass;  own : (6, 6) mass
+    drag, tough : (r, 6) and (6, 6), likewise in the viscosity
+    give : (6, 6) kg s^2, stiffness of the inside
+    inverse : (6, 6) of the matrix of a step;  push : (6,) and pull : (r, 6) its right side, and what ties it to the rest
+    flown : (6,) where free flight and drag would have it, times the weights of a step, 1/s^2 times the unit of ``inner``
+    rows : (6 r + 21,), gives : (21,) scratch
     """
 
     couple: np.ndarray
@@ -46,11 +47,11 @@ class Inside(NamedTuple):
 @nb.njit(cache=True)
 def make_inside(r: int, lanes: tuple[int, ...]) -> Inside:
     """Return the room that ``r`` coordinates need: ``lanes`` is empty, or how many trajectories go in step, the last axis."""
-    wide, square, one = (r, AXES, *lanes), (AXES, AXES, *lanes), (AXES, *lanes)
+    wide, square, one = (r, SHAPES, *lanes), (SHAPES, SHAPES, *lanes), (SHAPES, *lanes)
     return Inside(
         np.zeros(wide), np.zeros(square), np.zeros(wide), np.zeros(square), np.zeros(square), np.zeros(square),
-        np.zeros(one), np.zeros(wide), np.zeros(one), np.zeros((AXES * (r + AXES), *lanes)),
-        np.zeros((AXES * AXES, *lanes)),
+        np.zeros(one), np.zeros(wide), np.zeros(one), np.zeros((SHAPES * r + TRIANGLE, *lanes)),
+        np.zeros((TRIANGLE, *lanes)),
     )  # fmt: skip
 
 
@@ -77,29 +78,34 @@ def fill_drag(root: np.ndarray, tables: Any, values: np.ndarray, inside: Any) ->
 
 @borrowing
 def join(root: np.ndarray, rows: np.ndarray, across: np.ndarray, own: np.ndarray) -> None:
-    """Fill ``across`` (r, 3) with R'A and ``own`` (3, 3) with A'A + B'B of ``root`` R and ``rows``, A above B.
+    """Fill ``across`` (r, 6) with R'A and ``own`` (6, 6) with A'A + B'B of ``root`` R and ``rows``, A and the triangle B.
 
     They and R'R make [R A; 0 B]'[R A; 0 B]: positive wherever the polynomials lead.
     """
     r = len(across)
-    for k in range(AXES):
+    for k in range(SHAPES):
         for i in range(r):
             total = 0.0
             for a in range(r):
-                total += root[a * r + i] * rows[a * AXES + k]
+                total += root[a * r + i] * rows[a * SHAPES + k]
             across[i, k] = total
     fill_own(rows, own)
 
 
 @borrowing
 def fill_own(rows: np.ndarray, matrix: np.ndarray) -> None:
-    """Fill ``matrix`` (3, 3) with R'R of ``rows`` R (3 k,), three columns."""
-    for j in range(AXES):
-        for k in range(AXES):
+    """Fill ``matrix`` (6, 6) with R'R of ``rows`` (6 k + 21,): k full rows of R, then those of an upper triangle."""
+    whole = (len(rows) - TRIANGLE) // SHAPES
+    for j in range(SHAPES):
+        for k in range(j, SHAPES):
             total = 0.0
-            for a in range(len(rows) // AXES):
-                total += rows[AXES * a + j] * rows[AXES * a + k]
-            matrix[j, k] = total
+            for a in range(whole):
+                total += rows[SHAPES * a + j] * rows[SHAPES * a + k]
+            first = SHAPES * whole
+            for a in range(j + 1):
+                total += rows[first + j - a] * rows[first + k - a]
+                first += SHAPES - a
+            matrix[j, k] = matrix[k, j] = total
 
 
 @borrowing
@@ -115,11 +121,11 @@ def begin_inside(
         inside.couple, inside.own, inside.drag, inside.tough, inside.inverse, inside.pull, inside.flown
     )  # fmt: skip
     r, free, rub, late = len(start), tables.scales[0] / dt**2, tables.scales[1] / dt, tables.scales[2] / dt
-    for k in range(AXES):
+    for k in range(SHAPES):
         flown[k] = free * (inner[0, k] + dt * inner[1, k]) + rub * inner[0, k]
-    for j in range(AXES):
+    for j in range(SHAPES):
         total = 0.0
-        for k in range(AXES):
+        for k in range(SHAPES):
             inverse[j, k] = (free + rub) * own[j, k] + late * tough[j, k] + inside.give[j, k]
             total += own[j, k] * flown[k] + late * tough[j, k] * inner[0, k]
         for i in range(r):
@@ -128,9 +134,9 @@ def begin_inside(
         inside.push[j] = total
     _invert(inverse)
     for i in range(r):
-        for k in range(AXES):
+        for k in range(SHAPES):
             share = 0.0
-            for j in range(AXES):
+            for j in range(SHAPES):
                 share += pull[i, j] * inverse[j, k]
             right[i] += couple[i, k] * flown[k] + late * drag[i, k] * inner[0, k] - share * inside.push[k]
             for j in range(r):
@@ -141,12 +147,12 @@ def begin_inside(
 def end_inside(inner: np.ndarray, y: np.ndarray, dt: float, inside: Any) -> float:
     """Bring ``inner`` up to date with the arrival at ``y``; return twice the energy that it stores."""
     left = inside.push
-    for k in range(AXES):
+    for k in range(SHAPES):
         for i in range(len(y)):
             left[k] -= inside.pull[i, k] * y[i]
-    for j in range(AXES):
+    for j in range(SHAPES):
         total = 0.0
-        for k in range(AXES):
+        for k in range(SHAPES):
             total += inside.inverse[j, k] * left[k]
         inner[1, j] = (total - inner[0, j]) / dt
         inner[0, j] = total
@@ -155,10 +161,10 @@ def end_inside(inner: np.ndarray, y: np.ndarray, dt: float, inside: Any) -> floa
 
 @borrowing
 def stored_in(vector: np.ndarray, matrix: np.ndarray) -> float:
-    """Return vector' matrix vector of three."""
+    """Return vector' matrix vector of the shapes."""
     total = 0.0
-    for j in range(AXES):
-        for k in range(AXES):
+    for j in range(SHAPES):
+        for k in range(SHAPES):
             total += vector[j] * matrix[j, k] * vector[k]
     return total
 
@@ -168,18 +174,30 @@ def shared_energy(velocity: np.ndarray, inner: np.ndarray, inside: Any) -> float
     """Return twice the kinetic energy of the inside and of what it shares with the coordinates."""
     total = stored_in(inner[1], inside.own)
     for i in range(len(velocity)):
-        for k in range(AXES):
+        for k in range(SHAPES):
             total += 2.0 * velocity[i] * inside.couple[i, k] * inner[1, k]
     return total
 
 
 @borrowing
 def _invert(m: np.ndarray) -> None:
-    """Invert a symmetric matrix (3, 3) in place; the inverse of a stiffness that is none is to be none either."""
-    a, b, c, d, e, f = m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
-    x, y, z = d * f - e * e, c * e - b * f, b * e - c * d
-    volume = a * x + b * y + c * z
-    size = 1.0 / volume if volume > LEAST * (a + d + f) ** 3 else 0.0
-    m[0, 0], m[0, 1], m[0, 2] = size * x, size * y, size * z
-    m[1, 1], m[1, 2], m[2, 2] = size * (a * f - c * c), size * (b * c - a * e), size * (a * d - b * b)
-    m[1, 0], m[2, 0], m[2, 1] = m[0, 1], m[0, 2], m[1, 2]
+    """Invert a symmetric matrix (k, k) in place, pivot by pivot; what stands beside no pivot has no inverse, and zero for it."""
+    size = len(m)
+    least = 0.0
+    for k in range(size):
+        least += LEAST * abs(m[k, k])
+    for k in range(size):
+        pivot = 1.0 / m[k, k] if m[k, k] > least else 0.0
+        for i in range(size):
+            if i != k:
+                share = pivot * m[i, k]
+                for j in range(size):
+                    if j != k:
+                        m[i, j] -= share * m[k, j]
+        for i in range(size):
+            m[i, k] *= pivot
+            m[k, i] = m[i, k]
+        m[k, k] = -pivot
+    for i in range(size):
+        for j in range(size):
+            m[i, j] = -m[i, j]

@@ -4,9 +4,10 @@ from typing import Any
 
 import numpy as np
 
+from softrl.artifacts.reduced_model import SHAPES, TRIANGLE
 from softrl.core.compiled import standing, summing
 from softrl.pod.columns import fill_rows
-from softrl.pod.inside import AXES, LEAST
+from softrl.pod.inside import LEAST
 from softrl.pod.lanes import add, add_scaled, put, squares_of, take
 
 
@@ -35,20 +36,25 @@ def fill_drags(root: np.ndarray, columns: Any, values: np.ndarray, insides: Any)
 def _join(root: np.ndarray, rows: np.ndarray, across: np.ndarray, own: np.ndarray) -> None:
     r = len(across)
     for i in range(r):
-        for k in range(AXES):
+        for k in range(SHAPES):
             across[i, k] = 0.0
             for a in range(r):
-                add(across[i, k], root[a * r + i], rows[a * AXES + k])
+                add(across[i, k], root[a * r + i], rows[a * SHAPES + k])
     _fill_own(rows, own)
 
 
 @standing
 def _fill_own(rows: np.ndarray, matrix: np.ndarray) -> None:
-    for j in range(AXES):
-        for k in range(j, AXES):
+    whole = (len(rows) - TRIANGLE) // SHAPES
+    for j in range(SHAPES):
+        for k in range(j, SHAPES):
             matrix[j, k] = 0.0
-            for a in range(len(rows) // AXES):
-                add(matrix[j, k], rows[AXES * a + j], rows[AXES * a + k])
+            for a in range(whole):
+                add(matrix[j, k], rows[SHAPES * a + j], rows[SHAPES * a + k])
+            first = SHAPES * whole
+            for a in range(j + 1):
+                add(matrix[j, k], rows[first + j - a], rows[first + k - a])
+                first += SHAPES - a
             put(matrix[k, j], matrix[j, k])
 
 
@@ -70,13 +76,13 @@ def begin_insides(
     )  # fmt: skip
     r, free, rub, late = len(start), tables.scales[0] / dt**2, tables.scales[1] / dt, tables.scales[2] / dt
     share = insides.rows[0]
-    for k in range(AXES):
+    for k in range(SHAPES):
         _blend(inner[0, k], free + rub, inner[1, k], free * dt, flown[k])
     for i in range(r):
         _blend(ahead[i], free, start[i], rub, scratch[i])
-    for j in range(AXES):
+    for j in range(SHAPES):
         push[j] = 0.0
-        for k in range(AXES):
+        for k in range(SHAPES):
             _blend(insides.own[j, k], free + rub, insides.tough[j, k], late, inverse[j, k])
             _blend(inverse[j, k], 1.0, insides.give[j, k], 1.0, inverse[j, k])
             add(push[j], insides.own[j, k], flown[k])
@@ -85,11 +91,11 @@ def begin_insides(
             _blend(couple[i, j], free + rub, drag[i, j], late, pull[i, j])
             add(push[j], couple[i, j], scratch[i])
             add_scaled(push[j], late, drag[i, j], start[i])
-    _invert(inverse)
+    _invert(inverse, insides.rows[0], insides.rows[1], insides.rows[2])
     for i in range(r):
-        for k in range(AXES):
+        for k in range(SHAPES):
             share[:] = 0.0
-            for j in range(AXES):
+            for j in range(SHAPES):
                 add(share, pull[i, j], inverse[j, k])
             add(right[i], couple[i, k], flown[k])
             add_scaled(right[i], late, drag[i, k], inner[0, k])
@@ -102,12 +108,12 @@ def begin_insides(
 def end_insides(inner: np.ndarray, y: np.ndarray, dt: float, insides: Any, part: np.ndarray, bent: np.ndarray) -> None:
     """Bring ``inner`` (2, 3, lanes) up to date with the arrivals at ``y``; fill twice the energies it stores, ``bent``."""
     left, given = insides.push, insides.rows
-    for k in range(AXES):
+    for k in range(SHAPES):
         for i in range(len(y)):
             take(left[k], insides.pull[i, k], y[i])
-    for j in range(AXES):
+    for j in range(SHAPES):
         given[j] = 0.0
-        for k in range(AXES):
+        for k in range(SHAPES):
             add(given[j], insides.inverse[j, k], left[k])
         _blend(given[j], 1.0 / dt, inner[0, j], -1.0 / dt, inner[1, j])
         put(inner[0, j], given[j])
@@ -120,21 +126,36 @@ def shared_energies(velocity: np.ndarray, inner: np.ndarray, insides: Any, part:
     squares_of(insides.own, inner[1], part, total)
     for i in range(len(velocity)):
         part[:] = 0.0
-        for k in range(AXES):
+        for k in range(SHAPES):
             add_scaled(part, 2.0, insides.couple[i, k], inner[1, k])
         add(total, part, velocity[i])
 
 
 @standing
-def _invert(m: np.ndarray) -> None:
-    """Invert symmetric matrices (3, 3, lanes) in place, as ``pod.inside`` does."""
-    for lane in range(m.shape[2]):
-        a, b, c = m[0, 0, lane], m[0, 1, lane], m[0, 2, lane]
-        d, e, f = m[1, 1, lane], m[1, 2, lane], m[2, 2, lane]
-        x, y, z = d * f - e * e, c * e - b * f, b * e - c * d
-        volume = a * x + b * y + c * z
-        size = 1.0 / volume if volume > LEAST * (a + d + f) ** 3 else 0.0
-        m[0, 0, lane], m[0, 1, lane], m[0, 2, lane] = size * x, size * y, size * z
-        m[1, 1, lane], m[1, 2, lane] = size * (a * f - c * c), size * (b * c - a * e)
-        m[2, 2, lane] = size * (a * d - b * b)
-        m[1, 0, lane], m[2, 0, lane], m[2, 1, lane] = m[0, 1, lane], m[0, 2, lane], m[1, 2, lane]
+def _invert(m: np.ndarray, least: np.ndarray, pivot: np.ndarray, share: np.ndarray) -> None:
+    """Invert symmetric matrices (k, k, lanes) in place, as ``pod.inside`` does; the other three are scratch (lanes,)."""
+    size, lanes = len(m), m.shape[2]
+    least[:] = 0.0
+    for k in range(size):
+        for lane in range(lanes):
+            least[lane] += LEAST * abs(m[k, k, lane])
+    for k in range(size):
+        for lane in range(lanes):
+            pivot[lane] = 1.0 / m[k, k, lane] if m[k, k, lane] > least[lane] else 0.0
+        for i in range(size):
+            if i != k:
+                for lane in range(lanes):
+                    share[lane] = pivot[lane] * m[i, k, lane]
+                for j in range(size):
+                    if j != k:
+                        take(m[i, j], share, m[k, j])
+        for i in range(size):
+            for lane in range(lanes):
+                m[i, k, lane] *= pivot[lane]
+            put(m[k, i], m[i, k])
+        for lane in range(lanes):
+            m[k, k, lane] = -pivot[lane]
+    for i in range(size):
+        for j in range(size):
+            for lane in range(lanes):
+                m[i, j, lane] = -m[i, j, lane]

@@ -5,7 +5,7 @@ from typing import Any
 import numba as nb
 import numpy as np
 
-from softrl.pod.inside import AXES
+from softrl.artifacts.reduced_model import SHAPES
 from softrl.pod.kernel import run_kernel
 from softrl.pod.linear import solve_positive
 from softrl.pod.potential import fill_potential, make_room
@@ -18,7 +18,7 @@ CLOSE_M = 1e-9
 def _equilibrium(y: np.ndarray, load: np.ndarray, dt: float, tables: Any, hooks: Any, empty: Any) -> None:
     """Bring ``y`` (r,) to the equilibrium under ``load`` (1, r)."""
     still = np.zeros(len(y))
-    run_kernel(y, still, np.zeros((2, AXES)), still.copy(), dt, load, tables, hooks, empty[0], empty[1], empty[2])
+    run_kernel(y, still, np.zeros((2, SHAPES)), still.copy(), dt, load, tables, hooks, empty[0], empty[1], empty[2])
 
 
 @nb.njit(cache=True)

@@ -159,7 +159,7 @@ def run_kernel(
     position: np.ndarray,
     quaternion: np.ndarray,
 ) -> tuple[int, float]:
-    """Advance ``y``, ``velocity`` (r,) and ``inner`` (2, 3) by implicit Euler over ``load`` (steps, r) Pa and N.
+    """Advance ``y``, ``velocity`` (r,) and ``inner`` (2, 6) by implicit Euler over ``load`` (steps, r) Pa and N.
 
     The amplitudes are taken where the step's first iteration leads, viscosity half way there, see ``pod.inertia`` and
     ``pod.viscosity``. ``velocity`` is the last step's way by ``dt``; after a step it is scaled down where the kinetic energy

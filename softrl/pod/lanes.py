@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 
+from softrl.artifacts.reduced_model import SHAPES
 from softrl.core.compiled import borrowing, standing, summing
-from softrl.pod.inside import AXES
 from softrl.pod.potential import Room, make_room
 
 
@@ -17,7 +17,7 @@ class Lanes(NamedTuple):
     Attributes
     ----------
     mass, stiff, inertia, matrix : (r, r, lanes), the last one scratch
-    steep, right, gradient, direction, wanted, trial, moving, middle, former : (r, lanes);  formerly : (3, lanes)
+    steep, right, gradient, direction, wanted, trial, moving, middle, former : (r, lanes);  formerly : (6, lanes)
     points : (r, lanes) in the unit ball;  radius : (lanes,) of the states they belong to
     root : (r r, lanes);  pairs, pulls : (r (r + 1) / 2, lanes)
     values : (k, lanes) monomials;  mixed : (k, lanes) polynomials, one a lane
@@ -60,7 +60,7 @@ def make_lanes(r: int, lanes: int, tables: Any) -> Lanes:
     return Lanes(
         np.zeros(full), np.zeros(full), np.zeros(full), np.zeros(full),
         np.zeros(one), np.zeros(one), np.zeros(one), np.zeros(one), np.zeros(one), np.zeros(one), np.zeros(one),
-        np.zeros(one), np.zeros(one), np.zeros((AXES, lanes)), np.zeros(one), np.zeros(lanes),
+        np.zeros(one), np.zeros(one), np.zeros((SHAPES, lanes)), np.zeros(one), np.zeros(lanes),
         np.zeros((r * r, lanes)), np.zeros(pairs), np.zeros(pairs), np.zeros(many), np.zeros(many),
         np.zeros(lanes, dtype=np.int64), np.zeros((lanes, 2)), np.zeros((5, lanes)),
         make_room(tables), np.zeros((2 * r + 2, r)),

@@ -191,7 +191,7 @@ def _values(answers: Answers, terms: Terms) -> Answers:
         "centre_of_mass": moments[:, 0] / terms.mass,
         "rotation": answers["rotation"],
         "give_rotation": answers["give_spin"],
-        "inner_give": symmetric_roots(answers["inner_give"]),
+        "inner_give": _triangles(answers["inner_give"]),
         "inner_rotation": answers["inner_spin"],
         "layer_energy": answers["layer_energy"],
     }
@@ -199,9 +199,19 @@ def _values(answers: Answers, terms: Terms) -> Answers:
 
 
 def _rows_beside(root: np.ndarray, across: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Return A above B (S, r + 3, 3) with R'A = ``across``' (S, r, 3) and A'A + B'B = ``own`` (S, 3, 3), R the ``root``."""
+    """Return A and B (S, 6 r + 21) with R'A = ``across``' (S, r, 6) and A'A + B'B = ``own`` (S, 6, 6), R the ``root``.
+
+    Of B its upper triangle.
+    """
     above = np.linalg.solve(root.transpose(0, 2, 1), across.transpose(0, 2, 1))
-    return np.concatenate([above, symmetric_roots(own - above.transpose(0, 2, 1) @ above)], axis=1)
+    return np.hstack([above.reshape(len(above), -1), _triangles(own - above.transpose(0, 2, 1) @ above)])
+
+
+def _triangles(squares: np.ndarray) -> np.ndarray:
+    """Return the upper triangles R (S, pairs) with R'R = ``squares`` (S, k, k), which may be singular."""
+    upper = np.linalg.qr(symmetric_roots(squares))[1]
+    sign = np.where(np.einsum("sii->si", upper) < 0.0, -1.0, 1.0)
+    return _pairs(upper * sign[:, :, None])
 
 
 def _mean_factor(samples: Equilibria, frame: np.ndarray, name: str) -> np.ndarray:

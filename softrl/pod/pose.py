@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from softrl.artifacts.reduced_model import SHAPES
 from softrl.core.compiled import borrowing, summing
-from softrl.pod.inside import AXES
 from softrl.pod.potential import fill_monomials, polynomial, to_ball
 
 
@@ -31,7 +31,7 @@ def tip_pose(
 ) -> None:
     """Fill the tip's position (3,) m and quaternion (4,) w x y z at ``y``.
 
-    ``gives`` (3,) is how far the inside gives beyond what weight makes it give.
+    ``gives`` (6,) is how far the inside gives beyond what weight makes it give.
     """
     n, r = len(y) - 3, len(y)
     beyond = max(to_ball(y, point) - 1.0, 0.0)
@@ -54,8 +54,8 @@ def tip_pose(
     turn = (0.0, 0.0, 0.0)
     for k in range(3):
         angle = 0.5 * polynomial(tables.turn[k], few)
-        for j in range(AXES):
-            angle += 0.5 * polynomial(tables.inner_rotation[k * AXES + j], few) * gives[j]
+        for j in range(SHAPES):
+            angle += 0.5 * polynomial(tables.inner_rotation[k * SHAPES + j], few) * gives[j]
         given += angle * angle
         turn = (turn[1], turn[2], angle)
     v, (x, y_, z) = 1.0 / math.sqrt(1.0 + given), turn

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 
+from softrl.artifacts.reduced_model import SHAPES
 from softrl.core.compiled import borrowing, summing
 
 
@@ -29,7 +30,7 @@ class Tables(NamedTuple):
     stiffness_root : (pairs, k) entries of S, and stiffness_factor : (r, r) L, of viscosity ``L S'S L'``, see ``pod.chord``
     weight : (3, r, k) N/(m/s^2) m, mass times the gradient of the centre of mass by y
     rotation : (3, k) rad, rotation vector of the tip;  turn : (3, k) rad, what weight and layers turn it further, as a spin
-    inner_give, inner_rotation : (9, k);  inner_root, drag_root : (3 (r + 3), k), see ``ReducedModel``
+    inner_give : (21, k);  inner_rotation : (18, k);  inner_root, drag_root : (6 r + 21, k), see ``ReducedModel``
     rest_volume : (n,) m^3;  rest_tip : (3,) m
     rest_slope : (n,) Pa, pressure per relative volume of one chamber at rest, other volumes held and tip free
     gravity : (3,) m/s^2, contained in gradient and hessian
@@ -69,7 +70,7 @@ class Room(NamedTuple):
     Attributes
     ----------
     values, mixed : (k,) monomials, and polynomials one a monomial;  weighed : (4, k)
-    point, middle, former : (r,);  formerly : (3,)
+    point, middle, former : (r,);  formerly : (6,)
     scratch : (r, r);  root : (r r,);  half, weights : (pairs,)
     """
 
@@ -92,7 +93,7 @@ def make_room(tables: Any) -> Room:
     r, k = len(tables.frame), len(tables.parent)
     pairs = r * (r + 1) // 2
     return Room(
-        np.empty(k), np.empty(k), np.empty((4, k)), np.empty(r), np.empty(r), np.empty(r), np.empty(3),
+        np.empty(k), np.empty(k), np.empty((4, k)), np.empty(r), np.empty(r), np.empty(r), np.empty(SHAPES),
         np.empty((r, r)), np.empty(r * r), np.empty(pairs), np.empty(pairs),
     )  # fmt: skip
 

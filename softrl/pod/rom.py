@@ -5,11 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrl.artifacts.reduced_model import ReducedModel
+from softrl.artifacts.reduced_model import SHAPES, ReducedModel
 from softrl.core.errors import SolverError
 from softrl.effects.call import pack
 from softrl.pod.batch import run_batch
-from softrl.pod.inside import AXES
 from softrl.pod.inverse import solve_pressures
 from softrl.pod.kernel import run_kernel
 from softrl.pod.pose import tip_pose
@@ -23,7 +22,7 @@ FEW = 5  # trajectories that are faster one by one than in step
 QUASI_STATIC_S = 1e6  # one implicit step of this length is an equilibrium
 LOAD_STEPS = 4  # an equilibrium is approached in this many equal steps of the load
 NO_HOOKS = (pack(()), pack(()))  # on the body, on the load
-STILL = np.zeros((2, AXES))  # an inside that gives to nothing
+STILL = np.zeros((2, SHAPES))  # an inside that gives to nothing
 EMPTY = (np.empty((0, 3)), np.empty((0, 4)))
 
 

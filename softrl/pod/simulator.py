@@ -30,8 +30,7 @@ _reported: dict[str, float] = {}
 class RomState(NamedTuple):
     """Coordinates z (n + 3,), chambers' volumes then tip relative to stress-free rest, m^3 and m; their velocity.
 
-    ``inner`` (2, 3) is how far the body's inside gives beyond what weight makes it give, in units of acceleration, m/s^2,
-    and its rate.
+    ``inner`` (2, 6) is how far the body's inside gives beyond what weight makes it give, and its rate, see ``pod.inside``.
     """
 
     coordinates: np.ndarray

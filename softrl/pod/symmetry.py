@@ -3,7 +3,7 @@
 import numpy as np
 
 from softrl.fem.moments import turned
-from softrl.pod.equilibria import AXES, Equilibria
+from softrl.pod.equilibria import AXES, Equilibria, twice
 from softrl.robots.symmetry import Symmetry
 
 ALIKE = 1.5  # times the least error: weights of images that do about as well
@@ -31,7 +31,7 @@ def weight_to_trust(errors: dict[float, float]) -> float:
 def _image(samples: Equilibria, operation: Symmetry) -> Equilibria:
     g, vector = operation
     moments = turned(vector, len(samples.moment_gram))
-    turns = {"w": g, "v": vector, "s": np.linalg.det(vector) * vector, "m": moments}
+    turns = {"w": g, "v": vector, "i": twice(vector), "s": np.linalg.det(vector) * vector, "m": moments}
 
     def image(values: np.ndarray, axes: str) -> np.ndarray:
         for place, axis in enumerate(axes, start=1):

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from softrl.artifacts.reduced_model import ReducedModel
+from softrl.artifacts.reduced_model import SHAPES, TRIANGLE, ReducedModel
 from softrl.pod.kernel import LONGEST_STEP, SCALINGS
 from softrl.pod.tables import gradient_of, tables_of
 from softrl.pod.viscosity import TINY
@@ -97,7 +97,7 @@ class TorchRom(torch.nn.Module):
     def step(
         self, z: Tensor, velocity: Tensor, inner: Tensor, load: Tensor, dt_s: float
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Return z, its rate (B, n + 3) and ``inner`` (B, 2, 3) ``dt_s`` later, by implicit Euler.
+        """Return z, its rate (B, n + 3) and ``inner`` (B, 2, 6) ``dt_s`` later, by implicit Euler.
 
         The load is held. The iteration runs outside the graph; a last Newton step from its end carries the exact first
         derivatives. ``inner`` is that of ``pod.inside``.
@@ -224,9 +224,9 @@ class TorchRom(torch.nn.Module):
         return entries.reshape(-1, self.order, self.order) @ self.stiffness_factor.T
 
     def _give(self, y: Tensor) -> Tensor:
-        """Return the inside's stiffness (B, 3, 3)."""
+        """Return the inside's stiffness (B, 6, 6)."""
         values = self._monomials(self._ball(y)[0], self.inner_give.shape[1])
-        return _square((values @ self.inner_give.T).reshape(-1, 3, 3))
+        return _square(_triangle(values @ self.inner_give.T))
 
     def _solve(self, y: Tensor, inertia: Tensor, right: Tensor) -> Tensor:
         """Return the solution of the implicit step, by Newton with halved steps where the slope along them turns."""
@@ -332,9 +332,17 @@ def _work(
 
 
 def _beside(root: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
-    """Return R'A (B, r, 3) and A'A + B'B (B, 3, 3) of ``root`` R (B, r, r) and ``rows``, A above B."""
-    rows = rows.reshape(len(rows), -1, 3)
-    return root.transpose(1, 2) @ rows[:, : root.shape[1]], rows.transpose(1, 2) @ rows
+    """Return R'A (B, r, 6) and A'A + B'B (B, 6, 6) of ``root`` R (B, r, r) and ``rows``, A and the triangle B."""
+    above, below = rows[:, :-TRIANGLE].reshape(len(rows), -1, SHAPES), _triangle(rows[:, -TRIANGLE:])
+    return root.transpose(1, 2) @ above, _square(above) + _square(below)
+
+
+def _triangle(rows: Tensor) -> Tensor:
+    """Return upper triangles (B, 6, 6) of their ``rows`` (B, 21)."""
+    i, j = torch.triu_indices(SHAPES, SHAPES, device=rows.device)
+    whole = rows.new_zeros(len(rows), SHAPES, SHAPES)
+    whole[:, i, j] = rows
+    return whole
 
 
 def _square(root: Tensor) -> Tensor:

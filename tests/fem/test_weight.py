@@ -95,7 +95,7 @@ def test_with_what_the_inside_gives_slow_swings_take_their_time(box: Mesh) -> No
     tangent = model.tangent(pose, LOAD)
     weight, inverse = bears(model, pose, tangent), np.linalg.inv(tangent.compliance)
     couple, mass = inverse @ weight.inner_coupling.T, inverse @ tangent.mass @ inverse
-    stiffness = np.block([[inverse, np.zeros((5, 3))], [np.zeros((3, 5)), weight.inner_give]])
+    stiffness = np.block([[inverse, np.zeros((5, 6))], [np.zeros((6, 5)), weight.inner_give]])
     heavy = np.block([[mass, couple], [couple.T, weight.inner_mass]])
     expected = 1.0 / periods_squared(model, pose, 2)
     alone, found = eigh(inverse, mass)[0][:2], eigh(stiffness, heavy)[0][:2]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from softrl.artifacts.reduced_model import ReducedModel
+from softrl.artifacts.reduced_model import SHAPES, TRIANGLE, ReducedModel
 from softrl.core.polynomial import basis, degree_of
 
 
@@ -16,7 +16,7 @@ def mechanical_energy(
 ) -> np.ndarray:
     """Return kinetic, elastic and weight's energy (S,) J at z and its rate (S, n + 3), within the samples' ball.
 
-    ``inner`` (S, 2, 3) is how far the inside gives, and its rate. None: nothing. Rates of steps of ``dt_s`` are those of the
+    ``inner`` (S, 2, 6) is how far the inside gives, and its rate. None: nothing. Rates of steps of ``dt_s`` are those of the
     amplitudes in the step that led to z; the inside is as stiff as half way of the next.
     """
     r = model.order
@@ -33,10 +33,10 @@ def mechanical_energy(
     energy += 0.5 * (moving**2).sum(axis=1)
     if inner is not None:
         root = np.linalg.cholesky(lead.transpose(0, 2, 1) @ lead).transpose(0, 2, 1)
-        pushed = np.einsum("sij,sj->si", _roots(model.inner_root, values), inner[:, 1])
+        pushed = np.einsum("sij,sj->si", _inside(model.inner_root, values), inner[:, 1])
         energy += 0.5 * (pushed**2).sum(axis=1) + (np.einsum("sij,sj->si", root, rate) * pushed[:, :r]).sum(axis=1)
         ahead = _values(model, y + 0.5 * dt_s * rate)
-        energy += 0.5 * (np.einsum("sij,sj->si", _roots(model.inner_give, ahead), inner[:, 0]) ** 2).sum(axis=1)
+        energy += 0.5 * (np.einsum("sij,sj->si", _inside(model.inner_give, ahead), inner[:, 0]) ** 2).sum(axis=1)
     return np.asarray(energy)
 
 
@@ -64,3 +64,11 @@ def _amplitudes(model: ReducedModel, y: np.ndarray) -> np.ndarray:
 def _roots(coefficients: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return rows (S, m, 3) of three columns."""
     return (values[:, : coefficients.shape[1]] @ coefficients.T).reshape(len(values), -1, 3)
+
+
+def _inside(coefficients: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return rows (S, k + 6, 6), the last six an upper triangle."""
+    rows = values[:, : coefficients.shape[1]] @ coefficients.T
+    triangle = np.zeros((len(rows), SHAPES, SHAPES))
+    triangle[:, *np.triu_indices(SHAPES)] = rows[:, -TRIANGLE:]
+    return np.concatenate([rows[:, :-TRIANGLE].reshape(len(rows), -1, SHAPES), triangle], axis=1)

@@ -6,14 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from softrl.artifacts.snapshots import Snapshots
-from softrl.pod.equilibria import per_spin
+from softrl.pod.equilibria import per_spin, twice
 from softrl.robots.robot import Robot
 
 YOUNG_PA, MASS_KG = 1e6, 0.5
 STROKE_N_PER_PA = 1e-3  # effective area of a chamber
-GIVE = np.diag([8e-5, 7e-5, 4e-5])  # kg s^2, the inside; with mass and viscosity of its own, and shared with the tip
+GIVE = np.diag([8e-5, 7e-5, 4e-5, 5e-5, 6e-5, 3e-5])  # kg s^2, the inside; with mass and viscosity, and shared with the tip
 LAYERS = np.array([0.5, 0.3, 0.2])  # share of each in the energy: they bear one load in series
-GIVE_MASS, GIVE_COUPLING, GIVE_DRAG = 2e-8 * np.eye(3), 0.3 * GIVE, 0.02 * np.eye(3)
+GIVE_MASS, GIVE_COUPLING = 2e-8 * np.eye(6), 0.3 * GIVE.reshape(6, 2, 3).sum(axis=1)
+GIVE_DRAG = np.tile(0.02 * np.eye(3), (2, 1))
 
 
 def robot_with(chambers: int) -> Robot:
@@ -104,19 +105,19 @@ class Law:
         """Return by the names of ``Snapshots`` how the equilibrium z answers its loads and its weight."""
         n, stiffness = self.chambers, self.hessian(z)
         compliance = np.linalg.inv(stiffness)
-        tip = compliance[n:, n:]  # what the inside gives is alike by the tip's acceleration, and told by that of its force
+        tip = twice(compliance[n:, n:])  # what the inside gives is alike by the tip's acceleration, and told by that of its force
         return {
             "compliance": 0.5 * (compliance + compliance.T),
             "tangent_stiffness": compliance @ self.viscosity(z) @ compliance,
             "tangent_mass": compliance @ self.mass(z) @ compliance,
-            "give": GIVE,
+            "give": GIVE[:3, :3],
             "give_spin": np.zeros((3, 3)),
             "inner_give": tip @ GIVE @ tip,
-            "inner_spin": np.zeros((3, 3)),
+            "inner_spin": np.zeros((3, 6)),
             "inner_mass": tip @ GIVE_MASS @ tip,
-            "inner_coupling": tip @ np.hstack([np.zeros((3, n)), GIVE_COUPLING]) @ compliance,
+            "inner_coupling": tip @ np.hstack([np.zeros((6, n)), GIVE_COUPLING]) @ compliance,
             "inner_viscosity": tip @ GIVE @ tip,
-            "inner_drag": tip @ np.hstack([np.zeros((3, n)), GIVE_DRAG]) @ compliance,
+            "inner_drag": tip @ np.hstack([np.zeros((6, n)), GIVE_DRAG]) @ compliance,
         }
 
     def slopes(self, z: np.ndarray) -> dict[str, np.ndarray]:
@@ -208,12 +209,12 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
 
 
 def march(law: Law, loads: np.ndarray, dt: float, mass_damping: float, stiffness_damping: float) -> np.ndarray:
-    """Return z (steps, n + 3) by implicit Euler in SI, from rest, the inside's three coordinates solved for with the rest.
+    """Return z (steps, n + 3) by implicit Euler in SI, from rest, the inside's six coordinates solved for with the rest.
 
     Forces of inertia are those of the amplitudes' differences; that of viscosity is the derivative of a squared distance.
     """
     r = loads.shape[1]
-    path = [np.zeros(r + 3)] * 2
+    path = [np.zeros(r + 6)] * 2
     for load in loads:
         (before, now), trial = path[-2:], 2.0 * path[-1] - path[-2]
         mass, viscosity = (joint(m, c, g) for m, c, g in (
@@ -229,7 +230,7 @@ def march(law: Law, loads: np.ndarray, dt: float, mass_damping: float, stiffness
             beside += stiffness_damping / dt * joint(np.zeros((r, r)), GIVE_DRAG, GIVE) @ (trial - now)
             force = law.lead(trial[:r]).T @ pushed + stiffness_damping / dt * strain
             residual = beside + np.r_[force + law.gradient(trial[:r]) - load, GIVE @ trial[r:]]
-            step = np.linalg.solve(joint(law.hessian(trial[:r]), 0.0 * GIVE, GIVE) + mass / dt**2 + damping, residual)
+            step = np.linalg.solve(joint(law.hessian(trial[:r]), 0.0 * GIVE_DRAG, GIVE) + mass / dt**2 + damping, residual)
             trial = trial - step
             if np.abs(step[law.chambers : r]).max() < 1e-10:
                 break
@@ -238,8 +239,8 @@ def march(law: Law, loads: np.ndarray, dt: float, mass_damping: float, stiffness
 
 
 def joint(matrix: np.ndarray, with_tip: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Return a matrix (n + 6, n + 6) of the coordinates and the inside, which shares with the tip alone."""
-    across = np.vstack([np.zeros((len(matrix) - 3, 3)), with_tip])
+    """Return a matrix (n + 9, n + 9) of the coordinates and the inside, which shares (6, 3) with the tip alone."""
+    across = np.vstack([np.zeros((len(matrix) - 3, 6)), with_tip.T])
     return np.block([[matrix, across], [across.T, own]])
 
 

@@ -18,7 +18,7 @@ def scaled_loads(model: ReducedModel, snapshots: Snapshots, factor: float) -> to
 
 
 def at_rest(load: torch.Tensor) -> tuple[torch.Tensor, ...]:
-    return *(torch.zeros_like(load),) * 2, torch.zeros(len(load), 2, 3, dtype=load.dtype)
+    return *(torch.zeros_like(load),) * 2, torch.zeros(len(load), 2, 6, dtype=load.dtype)
 
 
 def rolled(twin: TorchRom, loads: torch.Tensor) -> torch.Tensor:
