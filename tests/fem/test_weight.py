@@ -125,7 +125,7 @@ def test_with_what_the_inside_gives_a_shaken_tip_is_damped_as_by_all_nodes(box: 
 
 
 def shaken(model: FemModel, pose: Pose, pace: float, rate: float) -> np.ndarray:
-    """Return the answers (n + 3, 3) m^3/N and m/N of all nodes to tip forces that swing at ``rate``, 1/s, damped by ``pace`` s."""
+    """Return the answers (n + 3, 3) m^3/N and m/N of all nodes to tip forces at ``rate``, 1/s, damped by ``pace`` s."""
     stiffness, blocks = model.stiffness(pose, LOAD), model.viscous(pose)
     damping = model.coupling.stiffness(blocks, np.zeros_like(pose.position), pose)
     blocks = np.zeros_like(blocks)
