@@ -1,9 +1,12 @@
 """Which loads to compute: low-discrepancy equilibria in the order of a path, and step programs for trajectories."""
 
+from itertools import product
+
 import numpy as np
 from scipy.stats import qmc
 
 from softrl.robots.robot import Robot
+from softrl.robots.symmetry import images_of
 
 
 def sobol_loads(robot: Robot, samples: int, faces_share: float, centre: np.ndarray, seed: int) -> np.ndarray:
@@ -22,6 +25,21 @@ def sobol_loads(robot: Robot, samples: int, faces_share: float, centre: np.ndarr
     flat = np.sqrt(1.0 - height**2)
     force = radius[:, None] * np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
     return np.hstack([pressure, centre + robot.tip_force_max_n * force])
+
+
+def corner_loads(robot: Robot, most: int, centre: np.ndarray) -> np.ndarray:
+    """Return loads (at most ``most``, chambers + 3) with every pressure at a limit, the force ``centre`` (3,) N beside.
+
+    Of corners that the robot's symmetries make of each other one alone. Low-discrepancy samples leave corners out, and beyond
+    the samples viscosity is anybody's guess.
+    """
+    ends = (robot.pressure_min_pa, robot.pressure_max_pa)
+    turns = [image.coordinate[: robot.chambers, : robot.chambers] for image in images_of(robot)]
+    found: dict[tuple[float, ...], None] = {}
+    for corner in product(ends, repeat=robot.chambers):
+        if not any(tuple(turn @ corner) in found for turn in turns):
+            found[corner] = None
+    return np.array([[*corner, *centre] for corner in found][:most]).reshape(-1, robot.chambers + 3)
 
 
 def load_scale(robot: Robot) -> np.ndarray:

@@ -22,12 +22,13 @@ from softrl.fem.figures import draw_newton, draw_shapes, draw_stretch, draw_tips
 from softrl.fem.material import Material, material_of
 from softrl.fem.model import FemModel
 from softrl.fem.newton import NewtonSettings
-from softrl.fem.sampling import load_scale, paths, sobol_loads, step_program, with_waypoints
+from softrl.fem.sampling import corner_loads, load_scale, paths, sobol_loads, step_program, with_waypoints
 from softrl.fem.trajectory import Trajectory, roll_out
 from softrl.fem.weight import pull_at_rest
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
+CORNERS = 4
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class Config:
     poisson: float
     element_order: int  # 2: quadratic tetrahedra; 1: linear ones, which are far too stiff
     mean_dilatation: bool  # changes of volume are weighed by their mean over an element; see FemModel
-    equilibria: int  # Sobol samples of the loads
+    equilibria: int  # Sobol samples of the loads, beside corners of the pressures' range, one in CORNERS of these at most
     faces_share: float  # share of them with one pressure at its limit
     tip_force_scale: float  # largest sampled tip force over the robot's: inertia and weight pull at a body like more
     weight_share: float  # of the weight's pull at the tip at rest, about which tip forces are sampled
@@ -101,7 +102,8 @@ def run(
     body = Body(config, robot, mesh, material_of(config.law, config.moduli_pa, config.poisson))
     pulled = _pulled(body)
     centre = config.weight_share * pull_at_rest(build_model(body), np.array(robot.gravity_m_s2))[robot.chambers :]
-    loads = sobol_loads(pulled, config.equilibria, config.faces_share, centre, config.seed)
+    even = sobol_loads(pulled, config.equilibria, config.faces_share, centre, config.seed)
+    loads = np.vstack([even, corner_loads(pulled, config.equilibria // CORNERS, centre)])
     scale = load_scale(pulled)
     loads, chains = with_waypoints(loads, paths(loads, scale, config.paths), scale, config.load_step)
     clock = np.arange(1, round(config.duration_s / config.dt_s) + 1) * config.dt_s

@@ -5,8 +5,10 @@ import pytest
 
 from softrl.artifacts.mesh import Mesh
 from softrl.fem.continuation import Equilibrium, follow
-from softrl.fem.sampling import load_scale, paths, sobol_loads, step_program, with_waypoints
+from softrl.fem.sampling import corner_loads, load_scale, paths, sobol_loads, step_program, with_waypoints
+from softrl.robots.symmetry import symmetries
 from tests.fem.bodies import box_robot, model_of
+from tests.pod.synthetic import robot_with
 
 ROBOT = box_robot(3)
 CENTRE = np.array([0.0, 0.1, -0.3])
@@ -20,6 +22,16 @@ def test_loads_keep_the_robots_limits_and_reach_them() -> None:
     assert ((pressure == ROBOT.pressure_min_pa) | (pressure == ROBOT.pressure_max_pa)).any(axis=1).sum() >= 25
     assert 0.9 * ROBOT.tip_force_max_n < force.max() <= ROBOT.tip_force_max_n
     assert np.abs((loads[:, 3:] - CENTRE).mean(axis=0)).max() < 0.1 * ROBOT.tip_force_max_n
+
+
+@pytest.mark.parametrize(("chambers", "count"), [(1, 2), (2, 3), (3, 4), (4, 6)])
+def test_corners_and_their_images_are_all_corners(chambers: int, count: int) -> None:
+    robot = robot_with(chambers)
+    loads = corner_loads(robot, 20, np.array([0.0, 0.0, -0.3]))
+    assert len(loads) == count
+    images = {tuple(image.coordinate @ load) for image in symmetries(robot.chamber_direction) for load in loads}
+    assert len({image[:chambers] for image in images}) == 2**chambers
+    assert len(corner_loads(robot, 1, np.zeros(3))) == 1 and corner_loads(robot, 0, np.zeros(3)).shape == (0, chambers + 3)
 
 
 def test_the_same_seed_gives_the_same_loads() -> None:
