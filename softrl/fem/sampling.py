@@ -42,6 +42,12 @@ def corner_loads(robot: Robot, most: int, centre: np.ndarray) -> np.ndarray:
     return np.array([[*corner, *centre] for corner in found][:most]).reshape(-1, robot.chambers + 3)
 
 
+def at_corners(robot: Robot, loads: np.ndarray) -> np.ndarray:
+    """Return which ``loads`` (S, chambers + 3) have every pressure at a limit (S,): a fit without one of these guesses there."""
+    ends = np.array([robot.pressure_min_pa, robot.pressure_max_pa])
+    return np.asarray((loads[:, : robot.chambers, None] == ends).any(axis=2).all(axis=1))
+
+
 def load_scale(robot: Robot) -> np.ndarray:
     """Return the scale (chambers + 3,) of a load: half the pressure range, and the largest tip force."""
     half = 0.5 * (robot.pressure_max_pa - robot.pressure_min_pa)

@@ -8,6 +8,7 @@ import numpy as np
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.pod.energy import Normal, accumulate, scale_of, solve
 from softrl.pod.equilibria import Equilibria
+from softrl.pod.maps import ALWAYS
 from softrl.pod.rom import static_points
 from softrl.pod.settings import FitSettings
 from softrl.pod.settling import equilibria_of, settles, stands
@@ -42,6 +43,7 @@ class Candidates:
         self._scale, images = scale_of(samples), images_of(robot)
         self.image_weights = settings.image_weights_of(robot)
         parts = [samples.rows(fold == part) for part in range(settings.folds)]
+        parts.append(samples.rows(fold == ALWAYS))
         self._own = [self._equations(part) for part in parts]
         self._images = [self._equations(reflected(part, images)) for part in parts] if images else []
         self._anchors: np.ndarray | None = None
@@ -76,7 +78,7 @@ class Candidates:
                 for own, images in zip(self._own, self._images, strict=True)
             ] if image_weight and self._images else self._own  # fmt: skip
             whole = Normal(*(sum(part[k] for part in parts) for k in (0, 1)))
-            self._sums[image_weight] = [whole, *(Normal(whole.matrix - p.matrix, whole.right - p.right) for p in parts)]
+            self._sums[image_weight] = [whole, *(Normal(whole.matrix - p.matrix, whole.right - p.right) for p in parts[:-1])]
         return self._sums[image_weight]
 
     def judged(self, image_weight: float, anchor_weight: float, degree: int, ridge: float) -> Choice:
@@ -88,7 +90,7 @@ class Candidates:
             model = replace(self._draft, energy=self.energy(choice, part))
             errors = squared_tip_errors(model, self._samples.rows(self._fold == part))
             squares += np.minimum(errors, farthest).sum()
-        return choice._replace(tip_error_m=float(np.sqrt(squares / len(self._fold))))
+        return choice._replace(tip_error_m=float(np.sqrt(squares / np.count_nonzero(self._fold != ALWAYS))))
 
     def model(self, choice: Choice) -> ReducedModel:
         """Return the reduced model with the energy ``choice``."""

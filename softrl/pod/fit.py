@@ -5,7 +5,8 @@ weight where its mesh is lopsided, since where there are few samples their image
 
 A high degree follows the samples closely and may go astray between and beyond them, where weight and fast motion lead.
 There it is held to the best energy of lower degree that stands everywhere: equilibria of that energy, under all
-pressures and the tip forces that weight makes, are weak further samples, its *anchors*.
+pressures and the tip forces that weight makes, are weak further samples, its *anchors*. Samples at corners of the pressures'
+range are never left out: what a fit without one says of it tells nothing of the fit with it.
 """
 
 import logging
@@ -16,6 +17,7 @@ import numpy as np
 from softrl.artifacts.reduced_model import SHAPES, TRIANGLE, ReducedModel
 from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ConfigError
+from softrl.fem.sampling import at_corners
 from softrl.pod.basis import PodBasis
 from softrl.pod.candidates import (
     Candidates,
@@ -30,6 +32,7 @@ from softrl.pod.candidates import (
 from softrl.pod.energy import frame_of
 from softrl.pod.equilibria import Equilibria
 from softrl.pod.map_fit import fit_maps
+from softrl.pod.maps import ALWAYS
 from softrl.pod.settings import FitSettings
 from softrl.pod.settling import anchor_loads, settles, trial_loads
 from softrl.robots.robot import Robot
@@ -50,7 +53,7 @@ def fit_model(
         raise ConfigError(
             f"{len(samples.load)} equilibria are too few for stage.folds={settings.folds}; run stage=fem with more"
         )
-    fold = rng.permutation(np.arange(len(samples.load)) % settings.folds)
+    fold = folds_of(samples, robot, settings.folds, rng)
     frame = frame_of(samples)
     draft = _draft(robot, snapshots, samples, pod, frame)
     draft = replace(draft, **fit_maps(settings, robot, samples, frame, fold))
@@ -75,6 +78,15 @@ def fit_model(
     else:
         model = candidates.model(best)
     return model, [best, *(choice for choice in choices if choice != best)]
+
+
+def folds_of(samples: Equilibria, robot: Robot, folds: int, rng: np.random.Generator) -> np.ndarray:
+    """Return the fold (S,) of each of ``samples``, ``ALWAYS`` for corners of the pressures' range, if enough others are left."""
+    corner = at_corners(robot, samples.load)
+    corner &= np.count_nonzero(~corner) >= folds
+    fold = np.full(len(corner), ALWAYS)
+    fold[~corner] = rng.permutation(np.arange(np.count_nonzero(~corner)) % folds)
+    return fold
 
 
 def tell_choice(model: ReducedModel, robot: Robot, samples: Equilibria, best: Choice) -> None:

@@ -8,6 +8,8 @@ from scipy.linalg import cho_factor, cho_solve
 
 from softrl.core.polynomial import basis, count, multinomials
 
+ALWAYS = -1  # the fold of samples that no fit leaves out
+
 
 class Seen(NamedTuple):
     """Where a map is seen: at ``points`` (S, r), and how it changes along ``moves`` (S, r, k), of which there may be none."""
@@ -95,9 +97,10 @@ def _squares(
     seen: Seen, goal: np.ndarray, weight: np.ndarray, fold: np.ndarray, degree: int, through_origin: bool,
     ridges: Sequence[float],
 ) -> np.ndarray:
-    """Return the squared errors (ridges, S, 1 + k, columns) of ``goal`` where the fit did not see it."""
+    """Return the squared errors (ridges, S, 1 + k, columns) of ``goal`` where the fit did not see it, else zero."""
     left = np.empty((len(ridges), *goal.shape))
-    for part in np.unique(fold):
+    left[:] = goal
+    for part in np.unique(fold[fold != ALWAYS]):
         inside = fold != part
         normal = equations(seen.rows(inside), goal[inside], weight[inside], degree, through_origin)
         design = seen.rows(~inside).design(degree)

@@ -10,6 +10,7 @@ from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ArtifactError, ConfigError
 from softrl.core.threads import one_thread
 from softrl.core.tracking import Tracker
+from softrl.fem.sampling import at_corners
 from softrl.pod.basis import PodBasis, pod_basis, projection_errors
 from softrl.pod.convergence import by_equilibria, report_coordinates, report_equilibria
 from softrl.pod.equilibria import equilibria
@@ -61,7 +62,7 @@ def run(config: Config, robot: Robot, snapshots: Snapshots, *, tracker: Tracker)
 
 def _reduced(config: Config, robot: Robot, snapshots: Snapshots, tracker: Tracker) -> ReducedModel:
     rng = np.random.default_rng(config.seed)
-    seen, heldout = _split(config, len(snapshots.loads), rng)
+    seen, heldout = _split(config, at_corners(robot, snapshots.loads), rng)
     pod = pod_basis(snapshots.displacement[seen], snapshots.nodal_mass, config.pod_energy, config.modes_max)
     _report_pod(pod, snapshots, seen, heldout, tracker)
     samples = equilibria(snapshots)
@@ -99,10 +100,11 @@ def _refuse_other(robot: Robot, snapshots: Snapshots) -> None:
         )
 
 
-def _split(config: Config, samples: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Return the row numbers that are seen, and those held out."""
-    order = rng.permutation(samples)
-    held = max(1, round(config.heldout_share * samples))
+def _split(config: Config, corner: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Return the row numbers that are seen, and those held out, a ``corner`` (S,) of the pressures' range last of all."""
+    order = rng.permutation(len(corner))
+    order = order[np.argsort(corner[order], kind="stable")]
+    held = max(1, round(config.heldout_share * len(corner)))
     return np.sort(order[held:]), np.sort(order[:held])
 
 

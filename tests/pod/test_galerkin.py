@@ -36,7 +36,7 @@ def snapshots(folder: Path) -> Snapshots:
 @pytest.fixture(scope="module")
 def simulator(snapshots: Snapshots, folder: Path) -> GalerkinSimulator:
     made = GalerkinSimulator(
-        robot=box_robot(2), mesh=BOX, snapshots=snapshots, modes=12, training_snapshots=5, training_motion_s=0.02,
+        robot=box_robot(2), mesh=BOX, snapshots=snapshots, modes=12, training_snapshots=6, training_motion_s=0.02,
         hold_s=0.01, dt_s=0.002, ecsw_tolerance=1e-3,
         ecsw_elements=200, seed=0, youngs_modulus_scale=1.0, damping_scale=1.0, mass_scale=1.0,
     )  # fmt: skip
