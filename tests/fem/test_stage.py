@@ -89,11 +89,11 @@ def test_processes_do_not_change_the_result(box: Mesh, snapshots: Snapshots) -> 
 def test_metrics_are_reported(tracker: NullTracker, snapshots: Snapshots) -> None:
     names = {"equilibria", "failed", "newton_iterations_mean", "seconds_per_equilibrium_s", "tip_range_mm"}
     assert names <= set(tracker.metrics)
-    assert tracker.metrics["equilibria"] == len(snapshots.loads) == 5
+    assert tracker.metrics["equilibria"] == len(snapshots.loads) == 6  # five, and a corner
 
 
 def test_failures_are_counted_and_too_many_are_an_error(box: Mesh) -> None:
-    with pytest.raises(SolverError, match="of 5 loads found no equilibrium"):
+    with pytest.raises(SolverError, match="of 6 loads found no equilibrium"):
         hopeless = replace(CONFIG, max_iterations=1, tolerance_m=1e-14, trajectories=0)
         run(hopeless, box_robot(2), box, tracker=NullTracker())
 
