@@ -28,7 +28,7 @@ from softrl.fem.weight import pull_at_rest
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
-CORNERS = 4
+CORNERS = 4  # Sobol samples for each corner of the pressures' range at least
 
 
 @dataclass(frozen=True)
