@@ -20,11 +20,9 @@ class ReducedBody:
         """Return z (B, steps, n + 3) under ``load`` (B, steps, n + 3) from ``start`` and ``velocity`` (B, n + 3)."""
         return roll(self._model, dt_s, load, start, velocity, self._gravity)
 
-    def residual(
-        self, z: torch.Tensor, velocity: torch.Tensor, acceleration: torch.Tensor, load: torch.Tensor
-    ) -> torch.Tensor:
-        """Return what is missing to the balance of forces (B, n + 3), Pa and N."""
-        return self._twin.residual(z, velocity, acceleration, load)
+    def residual(self, path: torch.Tensor, load: torch.Tensor, dt_s: float) -> torch.Tensor:
+        """Return what the last step of ``path`` (B, K, n + 3) leaves in the balance of forces (B, n + 3), Pa and N."""
+        return self._twin.residual(path, load, dt_s)
 
     def quaternion(self, z: np.ndarray) -> np.ndarray:
         """Return orientations (B, 4) w x y z of the tip at ``z`` (B, n + 3)."""

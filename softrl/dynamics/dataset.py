@@ -37,10 +37,11 @@ class Body(Protocol):
         """Return z (B, steps, n + 3) under ``load`` (B, steps, n + 3), from ``start`` and ``velocity`` (B, n + 3)."""
         ...
 
-    def residual(
-        self, z: torch.Tensor, velocity: torch.Tensor, acceleration: torch.Tensor, load: torch.Tensor
-    ) -> torch.Tensor:
-        """Return what is missing to the balance of forces (B, n + 3), Pa and N, differentiable."""
+    def residual(self, path: torch.Tensor, load: torch.Tensor, dt_s: float) -> torch.Tensor:
+        """Return what the last step of ``path`` (B, K, n + 3), K >= 3, leaves in the balance of forces (B, n + 3), Pa and N.
+
+        ``load`` (B, n + 3) is held over that step; differentiable by its end.
+        """
         ...
 
     def quaternion(self, z: np.ndarray) -> np.ndarray:

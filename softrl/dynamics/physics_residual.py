@@ -41,37 +41,37 @@ class PhysicsResidual:
         index = torch.randint(len(windows), (samples,), generator=torch.Generator().manual_seed(seed))
         rows = windows.take(index)[0]
         with torch.no_grad():
-            scale = unit(rows[:, -1], net.closed_rate(rows[:, -net.linear_rows :])[:, -1]).pow(2).mean(dim=0).sqrt()
+            scale = unit(rows, net.closed_rate(rows[:, -net.linear_rows :])[:, -1]).pow(2).mean(dim=0).sqrt()
         return cls(body, unit.flexibility, torch.where(scale > 0.0, scale, 1.0), dt_s)
 
-    def __call__(self, row: torch.Tensor, rate: torch.Tensor) -> torch.Tensor:
-        """Return the dimensionless residual (B, n + 3) of predicted ``rate`` (B, 8 + n) after ``row`` (B, features)."""
-        return self.force(row, rate) @ self.flexibility.T / self.scale
+    def __call__(self, rows: torch.Tensor, rate: torch.Tensor) -> torch.Tensor:
+        """Return the dimensionless residual (B, n + 3) of predicted ``rate`` (B, 8 + n) after ``rows`` (B, window, features)."""
+        return self.force(rows, rate) @ self.flexibility.T / self.scale
 
-    def force(self, row: torch.Tensor, rate: torch.Tensor) -> torch.Tensor:
-        """Return M a + D v + dW/dz - load (B, n + 3), Pa and N, of predicted ``rate`` (B, 8 + n) after ``row``.
+    def force(self, rows: torch.Tensor, rate: torch.Tensor) -> torch.Tensor:
+        """Return M a + D v + dW/dz - load (B, n + 3), Pa and N, of predicted ``rate`` (B, 8 + n) after ``rows``.
 
         Notes
         -----
-        Paper eq. 9; mass, damping and elastic force, weight, pressure and tip force are the reduced model's,
-        evaluated at the predicted state and rate, with the backward difference of the rates as acceleration:
-        the balance of implicit Euler.
+        Paper eq. 9; mass, damping and elastic force, weight, pressure and tip force are the reduced model's, in the balance of
+        its own step to the predicted state: zero for its motions, but for what its inside still remembers of the time before
+        the window.
         """
         states = rate.shape[-1]
-        row, rate = row.double(), rate.double()
-        now, before, load = row[:, :states], row[:, states : 2 * states], row[:, 2 * states :]
-        z = coordinates_of(now + self.dt_s * rate, torch.tensor(self.body.rest_tip))
-        nowhere = torch.zeros(3, dtype=torch.float64)  # rates have no rest position to take off
-        velocity, last = coordinates_of(rate, nowhere), coordinates_of(before, nowhere)
-        return self.body.residual(z, velocity, (velocity - last) / self.dt_s, load)
+        rows, rate = rows.double(), rate.double()
+        # positions before now by rates, which single precision resolves better than differences of positions
+        travelled = self.dt_s * torch.cat([rows[:, :, states : 2 * states], rate[:, None]], dim=1).cumsum(dim=1)
+        start = rows[:, -1:, :states] - travelled[:, -2:-1]
+        path = torch.cat([start, start + travelled], dim=1)
+        return self.body.residual(coordinates_of(path, torch.tensor(self.body.rest_tip)), rows[:, -1, 2 * states :], self.dt_s)
 
 
 def _flexibility(body: Body, dt_s: float) -> torch.Tensor:
     rest = torch.tensor(body.rest)
 
     def residual(velocity: torch.Tensor) -> torch.Tensor:
-        z = (rest + dt_s * velocity)[None]
-        return body.residual(z, velocity[None], velocity[None] / dt_s, torch.zeros_like(z))[0]
+        path = torch.stack([rest, rest, rest + dt_s * velocity])[None]
+        return body.residual(path, torch.zeros_like(path[:, 0]), dt_s)[0]
 
     tangent = torch.autograd.functional.jacobian(residual, torch.zeros_like(rest))
     return torch.linalg.inv(tangent)

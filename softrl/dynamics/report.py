@@ -29,7 +29,7 @@ def residual_share(net: ForwardNet, physics: PhysicsResidual, heldout: Windows) 
     rows, _ = heldout.take(torch.arange(len(heldout)))
     with torch.no_grad():
         linear = net.linear_rate(rows[:, -net.linear_rows :])[:, -1]
-        own, plain = (physics(rows[:, -1], rate).pow(2).mean(dim=0) for rate in (net.last(rows), linear))
+        own, plain = (physics(rows, rate).pow(2).mean(dim=0) for rate in (net.last(rows), linear))
     return float((own / plain.clamp(min=1e-30)).mean().sqrt())
 
 

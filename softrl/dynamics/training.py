@@ -235,7 +235,7 @@ def _onestep_loss(
     # the rate after row k is the rate in row k + 1; the linear map lacks its past in the first rows of a window
     targets = torch.cat([rows[:, 1:, net.states : 2 * net.states], target[:, None]], dim=1)
     data = ((rate - targets) / net.fine)[:, net.linear_rows - 1 :].pow(2).mean()
-    residual = physics(rows[:, -1], rate[:, -1]).pow(2).mean().float() if with_physics else torch.tensor(torch.nan)
+    residual = physics(rows, rate[:, -1]).pow(2).mean().float() if with_physics else torch.tensor(torch.nan)
     return data, residual
 
 
@@ -245,15 +245,18 @@ def _rollout_loss(
     """Return the loss of rates and states over a rollout, and the mean physics along it."""
     steps = settings.rollout_steps
     rows, load, target = train.take_segments(index, steps)
-    data, residual, drift = torch.tensor(0.0), torch.tensor(0.0), torch.zeros(())
+    data, drift = torch.tensor(0.0), torch.zeros(())
+    seen, rates = [], []
     for k in range(steps):
         rate = net.last(rows)
         error = (rate - target[:, k]) / net.fine
         drift = drift + error
         # drift is the error of the state in units of fine times dt
         data = data + (error.pow(2).mean() + drift.pow(2).mean() / (k + 1)) / (2 * steps)
-        if settings.physics_weight > 0.0:
-            residual = residual + physics(rows[:, -1], rate).pow(2).mean().float() / steps
+        seen.append(rows)
+        rates.append(rate)
         if k + 1 < steps:
             rows = advance(rows, rate, load[:, k + 1], physics.dt_s)
-    return data, residual if settings.physics_weight > 0.0 else torch.tensor(torch.nan)
+    if not settings.physics_weight:
+        return data, torch.tensor(torch.nan)
+    return data, physics(torch.cat(seen), torch.cat(rates)).pow(2).mean().float()

@@ -6,9 +6,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from softrl.artifacts.reduced_model import SHAPES, TRIANGLE, ReducedModel
+from softrl.artifacts.reduced_model import SHAPES, ReducedModel
 from softrl.pod.kernel import LONGEST_STEP, SCALINGS
-from softrl.pod.tables import gradient_of, tables_of
+from softrl.pod.tables import tables_of
+from softrl.pod.torch_algebra import beside, dot, inverse, ray, share_of, square, times, triangle
 from softrl.pod.viscosity import TINY
 
 NEWTON = 30
@@ -36,7 +37,6 @@ class TorchRom(torch.nn.Module):
     hessian: Tensor
     amplitudes: Tensor
     amplitude_slope: Tensor
-    amplitude_bend: Tensor
     stiffness_root: Tensor
     stiffness_factor: Tensor
     inner_give: Tensor
@@ -67,8 +67,6 @@ class TorchRom(torch.nn.Module):
         pairs = pairs + np.triu(pairs, 1).T
         for name in ("hessian", "stiffness_root"):
             self.register_buffer(name, torch.tensor(getattr(tables, name)[pairs.ravel()], dtype=dtype))
-        bend = gradient_of(tables.amplitude_slope, r)
-        self.register_buffer("amplitude_bend", torch.tensor(bend.reshape(-1, bend.shape[-1]), dtype=dtype))
         scales = [float(scale) for scale in tables.scales]
         self.mass_scale, self.mass_damping, self.stiffness_damping, self.wall = scales
         roots = tables.amplitudes, tables.stiffness_root, tables.inner_give, tables.inner_root, tables.drag_root
@@ -80,19 +78,38 @@ class TorchRom(torch.nn.Module):
             first = int(np.flatnonzero(tables.degrees == degree - 1)[0])
             self._levels.append((torch.tensor(tables.parent[level] - first), torch.tensor(tables.variable[level])))
 
-    def residual(self, z: Tensor, velocity: Tensor, acceleration: Tensor, load: Tensor) -> Tensor:
-        """Return M a + M' v - grad(v'M v) / 2 + D v + dW/dz - weight - load, (B, n + 3) Pa and N; zero along a motion.
+    def residual(self, path: Tensor, load: Tensor, dt_s: float) -> Tensor:
+        """Return what the last step of ``path`` leaves in the balance of forces (B, n + 3), Pa and N: zero along a motion.
 
-        That the body's inside gives to acceleration, a few per cent of inertia in a fast motion, is left out.
+        ``path`` (B, K, n + 3) are K >= 3 positions on the time step, ``load`` (B, n + 3) is held over the last step. The body's
+        inside is not in them; it is followed along the path, from where it gave nothing, and forgets that within some steps.
         """
-        y, rate, change = z @ self.inverse.T, velocity @ self.inverse.T, acceleration @ self.inverse.T
-        u, radius = self._ball(y)
-        values = self._monomials(u, self._few)
-        lead, bent = self._lead(values), self._bent(values, u, radius, rate)
-        along = self.mass_scale * (_times(lead, change) + bent) + self.mass_damping * _times(lead, rate)
-        viscous = self.stiffness_damping * _times(_square(self._root(values)), rate)
-        inside = _times(lead.transpose(1, 2), along) + viscous + self._slope(y)
-        return inside @ self.inverse - load
+        path, outer = path @ self.inverse.T, load @ self.frame
+        before, now, after = path[:, -3:].unbind(1)
+        rate = (now - before) / dt_s
+        amplitudes = self._amplitudes(before), self._amplitudes(now)
+        held = self._inertia(after), self._resistance(now, after - now), self._give(now + 0.5 * dt_s * rate), amplitudes
+        inner = self._followed(path[:, :-1], dt_s)
+        inertia, right, *_ = self._sides(held, after, now, rate, inner, outer, dt_s)
+        return (self._slope(after) + times(inertia, after) - right) @ self.inverse
+
+    @torch.no_grad()
+    def _followed(self, path: Tensor, dt_s: float) -> Tensor:
+        """Return ``inner`` (B, 2, 6) at the end of a ``path`` (B, K, r) of the coordinates, along which it starts with zero."""
+        inner = path.new_zeros(len(path), 2, SHAPES)
+        if path.shape[1] < 3:
+            return inner
+        before, now, after = (path[:, i : path.shape[1] - 2 + i].flatten(0, 1) for i in range(3))
+        values = self._monomials(self._ball(0.5 * (now + after))[0], self._few)
+        drag = beside(self._root(values), values[:, : self.drag_root.shape[1]] @ self.drag_root.T)
+        mass, give = self._inertia(after)[2:], self._give(1.5 * now - 0.5 * before)
+        parts = [part.unflatten(0, (len(path), -1)) for part in (*mass, *drag, give)]
+        for k in range(path.shape[1] - 2):
+            rate = (path[:, k + 1] - path[:, k]) / dt_s
+            apart, push, pull = self._ties(tuple(part[:, k] for part in parts), path[:, k + 1], rate, inner, dt_s)
+            given = times(apart, push - times(pull.transpose(1, 2), path[:, k + 2]))
+            inner = torch.stack([given, (given - inner[:, 0]) / dt_s], dim=1)
+        return inner
 
     def step(
         self, z: Tensor, velocity: Tensor, inner: Tensor, load: Tensor, dt_s: float
@@ -110,15 +127,15 @@ class TorchRom(torch.nn.Module):
         kinetic = _kinetic(rate, giving, (now - before) / dt_s, *self._inertia(start)[2:])
         held = self._inertia(ahead), self._resistance(start, dt_s * rate), give, (before, now)
         inertia, right, *_ = self._sides(held, ahead, start, rate, inner, outer, dt_s)
-        first = ahead - self._direction(ahead, inertia, self._slope(ahead) + _times(inertia, ahead) - right)
+        first = ahead - self._direction(ahead, inertia, self._slope(ahead) + times(inertia, ahead) - right)
         held = self._inertia(first), self._resistance(start, first - start), give, (before, now)
         inertia, right, apart, push, pull = self._sides(held, first, start, rate, inner, outer, dt_s)
         with torch.no_grad():
             y = self._solve(ahead, inertia, right)
             jacobian = self._curvature(y) + inertia
-        left = self._slope(y) + _times(inertia, y) - right
+        left = self._slope(y) + times(inertia, y) - right
         y = y - torch.linalg.solve(jacobian, left.unsqueeze(-1)).squeeze(-1)
-        given = _times(apart, push - _times(pull.transpose(1, 2), y))
+        given = times(apart, push - times(pull.transpose(1, 2), y))
         moved, given_by = (y - start) / dt_s, (given - gives) / dt_s
         most = kinetic + _work(y - first, moved, rate, given_by, giving, held, dt_s)
         arrived, (_, _, couple, own) = self._amplitudes(y), held[0]
@@ -127,11 +144,11 @@ class TorchRom(torch.nn.Module):
             energy = _kinetic(moved, given_by, by, couple, own)
             if not (energy > most.clamp(min=0.0)).any():
                 break
-            share = _share_of(most, energy)
+            share = share_of(most, energy)
             moved, given_by = share * moved, share * given_by
             by = (arrived - self._amplitudes(y - dt_s * moved)) / dt_s
         after = self._give(y + 0.5 * dt_s * moved)
-        given = given * _share_of(_dot(given, _times(give, given)), _dot(given, _times(after, given)))
+        given = given * share_of(dot(given, times(give, given)), dot(given, times(after, given)))
         return y @ self.frame.T, moved @ self.frame.T, torch.stack([given, given_by], dim=1)
 
     def _sides(
@@ -143,22 +160,36 @@ class TorchRom(torch.nn.Module):
         Amplitudes are taken at ``aim`` (B, r).
         """
         (amplitudes, lead, couple, own), (stiff, steep, drag, tough), give, (before, now) = held
-        free, rub, viscous = self.mass_scale / dt_s**2, self.mass_damping / dt_s, self.stiffness_damping / dt_s
-        gives, giving = inner.unbind(1)
-        flown = free * (gives + dt_s * giving) + rub * gives
-        moved = free * (start + dt_s * rate) + rub * start
-        mass = (free + rub) * _square(lead)
+        free, rub, viscous = self._weights(dt_s)
+        flown = free * (inner[:, 0] + dt_s * inner[:, 1]) + rub * inner[:, 0]
+        mass = (free + rub) * square(lead)
         force = free * (amplitudes - 2.0 * now + before) + rub * (amplitudes - now)
         inertia = mass + viscous * stiff
-        right = outer - _times(lead.transpose(1, 2), force) - viscous * steep
-        right = right + _times(mass, aim) + viscous * _times(stiff, start)
-        right = right + _times(couple, flown) + viscous * _times(drag, gives)
-        pull = (free + rub) * couple + viscous * drag
-        push = _times(own, flown) + viscous * _times(tough, gives)
-        push = push + _times(couple.transpose(1, 2), moved) + viscous * _times(drag.transpose(1, 2), start)
-        apart = torch.linalg.pinv((free + rub) * own + viscous * tough + give, rtol=1e-12, hermitian=True)
+        right = outer - times(lead.transpose(1, 2), force) - viscous * steep
+        right = right + times(mass, aim) + viscous * times(stiff, start)
+        right = right + times(couple, flown) + viscous * times(drag, inner[:, 0])
+        apart, push, pull = self._ties((couple, own, drag, tough, give), start, rate, inner, dt_s)
         share = pull @ apart
-        return inertia - share @ pull.transpose(1, 2), right - _times(share, push), apart, push, pull
+        return inertia - share @ pull.transpose(1, 2), right - times(share, push), apart, push, pull
+
+    def _ties(
+        self, inside: tuple[Tensor, ...], start: Tensor, rate: Tensor, inner: Tensor, dt_s: float
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Return apart (B, 6, 6), push (B, 6) and pull (B, r, 6): the inside ends a step at apart (push - pull' y).
+
+        ``inside`` are its masses with y and its own, viscosities likewise, and stiffness.
+        """
+        (couple, own, drag, tough, give), (free, rub, viscous) = inside, self._weights(dt_s)
+        flown = free * (inner[:, 0] + dt_s * inner[:, 1]) + rub * inner[:, 0]
+        moved = free * (start + dt_s * rate) + rub * start
+        pull = (free + rub) * couple + viscous * drag
+        push = times(own, flown) + viscous * times(tough, inner[:, 0])
+        push = push + times(couple.transpose(1, 2), moved) + viscous * times(drag.transpose(1, 2), start)
+        return inverse((free + rub) * own + viscous * tough + give), push, pull
+
+    def _weights(self, dt_s: float) -> tuple[float, float, float]:
+        """Return by what a step multiplies mass for inertia and damping, and viscosity."""
+        return self.mass_scale / dt_s**2, self.mass_damping / dt_s, self.stiffness_damping / dt_s
 
     def _direction(self, y: Tensor, inertia: Tensor, left: Tensor) -> Tensor:
         """Return by how much (B, r) an iteration of Newton's takes ``y`` back."""
@@ -173,9 +204,9 @@ class TorchRom(torch.nn.Module):
         u, _ = self._ball(aim)
         values = self._monomials(u, self._few)
         lead = self._lead(values)
-        root = torch.linalg.cholesky(_square(lead), upper=True)
+        root = torch.linalg.cholesky(square(lead), upper=True)
         rows = values[:, : self.inner_root.shape[1]] @ self.inner_root.T
-        return self._straight(aim, u, values, lead), lead, *_beside(root, rows)
+        return self._straight(aim, u, values, lead), lead, *beside(root, rows)
 
     def _amplitudes(self, y: Tensor) -> Tensor:
         """Return the amplitudes (B, k) at ``y``."""
@@ -185,24 +216,18 @@ class TorchRom(torch.nn.Module):
 
     def _straight(self, y: Tensor, u: Tensor, values: Tensor, lead: Tensor) -> Tensor:
         """Return the amplitudes, which go on straight outside the ball, by the monomials and the gradient at ``u`` in it."""
-        return values[:, : self.amplitudes.shape[1]] @ self.amplitudes.T + _times(lead, y - u)
+        return values[:, : self.amplitudes.shape[1]] @ self.amplitudes.T + times(lead, y - u)
 
     def _lead(self, values: Tensor) -> Tensor:
         """Return the amplitudes' gradient (B, k, r) at monomials ``values``."""
         lead = values[:, : self.amplitude_slope.shape[1]] @ self.amplitude_slope.T
         return lead.reshape(len(values), -1, self.order)
 
-    def _bent(self, values: Tensor, u: Tensor, radius: Tensor, rate: Tensor) -> Tensor:
-        """Return by how much the amplitudes' rates (B, k) change at constant ``rate``; ``values`` are the monomials at ``u``."""
-        inward = torch.where(radius > 1.0, rate - u * _dot(u, rate).unsqueeze(1), rate) / radius
-        bend = (values[:, : self.amplitude_bend.shape[1]] @ self.amplitude_bend.T).reshape(len(u), self.order, -1, self.order)
-        return torch.einsum("bjai,bi,bj->ba", bend, rate, inward)
-
     def _resistance(self, start: Tensor, by: Tensor) -> tuple[Tensor, ...]:
         """Return viscosity half way of a step ``by`` (B, r), the force (B, r) of its slope, and the inside's viscosities."""
         stiff, steep, root, values = self._chord(start + 0.5 * by, by)
-        driven = -_dot(steep, by) / _dot(by, _times(stiff, by)).clamp(min=TINY)
-        drag = _beside(root, values[:, : self.drag_root.shape[1]] @ self.drag_root.T)
+        driven = -dot(steep, by) / dot(by, times(stiff, by)).clamp(min=TINY)
+        drag = beside(root, values[:, : self.drag_root.shape[1]] @ self.drag_root.T)
         return stiff, steep / driven.clamp(min=1.0).unsqueeze(1), *drag
 
     def _chord(self, half: Tensor, by: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -212,11 +237,11 @@ class TorchRom(torch.nn.Module):
             middle = half if keep else half.detach().requires_grad_()
             values = self._monomials(self._ball(middle)[0], self._few)
             root = self._root(values)
-            moved = _times(root, by)
-            square = _dot(moved, moved) + 0.0 * middle.sum(1)  # constant maps have a gradient, too
-            (slope,) = torch.autograd.grad(square.sum(), middle, create_graph=keep)
+            moved = times(root, by)
+            spent = dot(moved, moved) + 0.0 * middle.sum(1)  # constant maps have a gradient, too
+            (slope,) = torch.autograd.grad(spent.sum(), middle, create_graph=keep)
         root, values = (part if keep else part.detach() for part in (root, values))
-        return _square(root), 0.25 * slope, root, values
+        return square(root), 0.25 * slope, root, values
 
     def _root(self, values: Tensor) -> Tensor:
         """Return S L' (B, r, r) of viscosity at monomials ``values``."""
@@ -226,18 +251,18 @@ class TorchRom(torch.nn.Module):
     def _give(self, y: Tensor) -> Tensor:
         """Return the inside's stiffness (B, 6, 6)."""
         values = self._monomials(self._ball(y)[0], self.inner_give.shape[1])
-        return _square(_triangle(values @ self.inner_give.T))
+        return square(triangle(values @ self.inner_give.T))
 
     def _solve(self, y: Tensor, inertia: Tensor, right: Tensor) -> Tensor:
         """Return the solution of the implicit step, by Newton with halved steps where the slope along them turns."""
-        left = self._slope(y) + _times(inertia, y) - right
+        left = self._slope(y) + times(inertia, y) - right
         for _ in range(NEWTON):
             step = self._direction(y, inertia, left)
             before = (left * step).sum(1)
             share = torch.ones_like(before).unsqueeze(1)
             for _ in range(6):
                 trial = y - share * step
-                left = self._slope(trial) + _times(inertia, trial) - right
+                left = self._slope(trial) + times(inertia, trial) - right
                 past = (left * step).sum(1) < -0.9 * before.abs()
                 if not past.any() or step.abs().max() < TOLERANCE:
                     break
@@ -267,7 +292,7 @@ class TorchRom(torch.nn.Module):
         u, radius = self._ball(y)
         count = self.gradient.shape[1]
         values, degree = self._monomials(u, count), self.degrees[:count] + 1.0
-        weight, slope, _ = _ray(degree, radius)
+        weight, slope, _ = ray(degree, radius)
         along = ((slope - degree * weight / radius) / degree * values) @ self.gradient.T
         wall = 3.0 * self.wall * (radius - 1.0) ** 2
         return (weight / radius * values) @ self.gradient.T + u * ((u * along).sum(1, keepdim=True) + wall)
@@ -277,13 +302,13 @@ class TorchRom(torch.nn.Module):
         u, radius = self._ball(y)
         count, few = self.gradient.shape[1], self.hessian.shape[1]
         values, degree = self._monomials(u, count), self.degrees[:count] + 1.0
-        weight, slope, bend = _ray(degree, radius)
+        weight, slope, bend = ray(degree, radius)
         first = slope - degree * weight / radius
         second = bend - 2.0 * degree * slope / radius + degree * (degree + 1.0) * weight / radius**2
         side = (first * values) @ self.gradient.T / radius
         along = (u * ((first / degree * values) @ self.gradient.T)).sum(1)[:, None, None] / radius.unsqueeze(-1)
         bending = (u * ((second / degree * values) @ self.gradient.T)).sum(1)[:, None, None]
-        flat, _, _ = _ray(self.degrees[:few] + 2.0, radius)
+        flat, _, _ = ray(self.degrees[:few] + 2.0, radius)
         inner = ((flat / radius**2 * values[:, :few]) @ self.hessian.T).reshape(-1, self.order, self.order)
         cross = side.unsqueeze(2) * u.unsqueeze(1)
         outer = u.unsqueeze(2) * u.unsqueeze(1)
@@ -294,30 +319,9 @@ class TorchRom(torch.nn.Module):
         return inner + cross + cross.transpose(1, 2) + (bending - along) * outer + along * identity
 
 
-def _ray(degree: Tensor, radius: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return w_d and its two derivatives (B, k) at ``radius`` (B, 1); see ``pod.kernel``."""
-    beyond, bend = radius - 1.0, degree * (degree - 1.0)
-    return 1.0 + beyond * (degree + 0.5 * bend * beyond), degree + bend * beyond, bend.expand(len(radius), -1)
-
-
-def _times(matrix: Tensor, vector: Tensor) -> Tensor:
-    return (matrix @ vector.unsqueeze(-1)).squeeze(-1)
-
-
-def _dot(left: Tensor, right: Tensor) -> Tensor:
-    return (left * right).sum(1)
-
-
-def _share_of(goal: Tensor, now: Tensor) -> Tensor:
-    """Return the factors (B, 1), at most 1, whose squares bring what has the energy ``now`` down to ``goal``."""
-    more = now > goal.clamp(min=0.0)
-    ratio = torch.where(more, goal.clamp(min=0.0), torch.ones_like(now)) / torch.where(more, now, torch.ones_like(now))
-    return ratio.clamp(min=1e-30).sqrt().unsqueeze(1)
-
-
 def _kinetic(rate: Tensor, giving: Tensor, moved: Tensor, couple: Tensor, own: Tensor) -> Tensor:
     """Return twice the kinetic energies (B,), those of the inside in them; ``moved`` (B, k) are the amplitudes' rates."""
-    return _dot(moved, moved) + 2.0 * _dot(rate, _times(couple, giving)) + _dot(giving, _times(own, giving))
+    return dot(moved, moved) + 2.0 * dot(rate, times(couple, giving)) + dot(giving, times(own, giving))
 
 
 def _work(
@@ -325,25 +329,7 @@ def _work(
 ) -> Tensor:
     """Return twice the works (B,) of ``pod.inertia.work_of_inertia``; ``off`` (B, r) is how far from its aim a step ends."""
     (amplitudes, lead, couple, own), _, _, (before, now) = held
-    change = (amplitudes - 2.0 * now + before + _times(lead, off)) / dt_s
-    force = _times(lead.transpose(1, 2), change) + _times(couple, giving - formerly)
-    inner = _times(own, giving - formerly) + _times(couple.transpose(1, 2), rate - former)
-    return 2.0 * (_dot(force, rate) + _dot(inner, giving))
-
-
-def _beside(root: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
-    """Return R'A (B, r, 6) and A'A + B'B (B, 6, 6) of ``root`` R (B, r, r) and ``rows``, A and the triangle B."""
-    above, below = rows[:, :-TRIANGLE].reshape(len(rows), -1, SHAPES), _triangle(rows[:, -TRIANGLE:])
-    return root.transpose(1, 2) @ above, _square(above) + _square(below)
-
-
-def _triangle(rows: Tensor) -> Tensor:
-    """Return upper triangles (B, 6, 6) of their ``rows`` (B, 21)."""
-    i, j = torch.triu_indices(SHAPES, SHAPES, device=rows.device)
-    whole = rows.new_zeros(len(rows), SHAPES, SHAPES)
-    whole[:, i, j] = rows
-    return whole
-
-
-def _square(root: Tensor) -> Tensor:
-    return root.transpose(1, 2) @ root
+    change = (amplitudes - 2.0 * now + before + times(lead, off)) / dt_s
+    force = times(lead.transpose(1, 2), change) + times(couple, giving - formerly)
+    inner = times(own, giving - formerly) + times(couple.transpose(1, 2), rate - former)
+    return 2.0 * (dot(force, rate) + dot(inner, giving))

@@ -32,7 +32,11 @@ class QuadraticBody:
         spring = u @ torch.tensor(self.stiffness) + self.stiffening * u * u.pow(2).sum(dim=1, keepdim=True)
         return torch.cat([pressure, spring - pressure @ area], dim=1)
 
-    def residual(
+    def residual(self, path: torch.Tensor, load: torch.Tensor, dt_s: float) -> torch.Tensor:
+        before, last = ((path[:, i] - path[:, i - 1]) / dt_s for i in (-2, -1))
+        return self.balance(path[:, -1], last, (last - before) / dt_s, load)
+
+    def balance(
         self, z: torch.Tensor, velocity: torch.Tensor, acceleration: torch.Tensor, load: torch.Tensor
     ) -> torch.Tensor:
         return acceleration @ torch.tensor(self.mass) + velocity @ torch.tensor(self.damping) + self.force(z) - load
@@ -43,7 +47,7 @@ class QuadraticBody:
         new = z + dt * velocity
         for _ in range(4):
             v = (new - z) / dt
-            r = self.residual(new, v, (v - velocity) / dt, load)
+            r = self.balance(new, v, (v - velocity) / dt, load)
             u = new[:, self.chambers :]
             hessian = torch.tensor(self.linear() + self.mass / dt**2 + self.damping / dt).expand(len(z), -1, -1).clone()
             square = u.pow(2).sum(dim=1)[:, None, None] * torch.eye(3, dtype=torch.float64)

@@ -35,12 +35,12 @@ def test_it_vanishes_on_the_bodys_motions_and_is_one_for_the_linear_prediction(
     windows: Windows, physics: PhysicsResidual
 ) -> None:
     rows, rate = windows.take(torch.arange(len(windows)))
-    assert rms(physics(rows[:, -1], rate)) < 0.02  # what single precision leaves
+    assert rms(physics(rows, rate)) < 0.02  # what single precision leaves
     rows_only = windows.take(torch.randint(len(windows), (500,), generator=torch.Generator().manual_seed(0)))[0]
     net = ForwardNet(STATES, 6, 4, 16, 4, 1, 16, 2)
     fit_linear(net, windows, 1e-5)
     with torch.no_grad():
-        assert rms(physics(rows_only[:, -1], net.linear_rate(rows_only)[:, -1])) == pytest.approx(1.0, abs=0.01)
+        assert rms(physics(rows_only, net.linear_rate(rows_only)[:, -1])) == pytest.approx(1.0, abs=0.01)
 
 
 def test_physics_alone_leads_to_the_true_rates(windows: Windows, physics: PhysicsResidual) -> None:
@@ -54,7 +54,7 @@ def test_physics_alone_leads_to_the_true_rates(windows: Windows, physics: Physic
     optimiser = torch.optim.Adam([correction], lr=0.05)
     for _ in range(300):
         optimiser.zero_grad()
-        physics(rows[:, -1], start + net.fine * correction).pow(2).sum().backward()
+        physics(rows, start + net.fine * correction).pow(2).sum().backward()
         optimiser.step()
     known = [0, 1, 2, 8, 9, 10]  # arc length, curvature and rotation have no force of their own
     before, after = (((rate - true) / net.fine)[:, known] for rate in (start, start + net.fine * correction))
@@ -64,15 +64,15 @@ def test_physics_alone_leads_to_the_true_rates(windows: Windows, physics: Physic
 @pytest.mark.parametrize("what", ["rate", "load", "state"])
 def test_it_does_not_vanish_on_perturbed_motions(windows: Windows, physics: PhysicsResidual, what: str) -> None:
     rows, rate = windows.take(torch.arange(0, len(windows), 7))
-    row = rows[:, -1].clone()
-    untouched = rms(physics(row, rate))
+    rows = rows.clone()
+    untouched = rms(physics(rows, rate))
     if what == "rate":
         rate = rate * 1.05
     elif what == "load":
-        row[:, 2 * STATES : 2 * STATES + 3] *= 1.05
+        rows[:, -1, 2 * STATES : 2 * STATES + 3] *= 1.05
     else:
-        row[:, 0] += 1e-3
-    assert rms(physics(row, rate)) > 20.0 * untouched
+        rows[:, -1, 0] += 1e-3
+    assert rms(physics(rows, rate)) > 20.0 * untouched
 
 
 def test_it_falls_with_the_time_step_of_finely_computed_motions(body: Body, robot: Robot) -> None:
@@ -91,18 +91,18 @@ def test_it_falls_with_the_time_step_of_finely_computed_motions(body: Body, robo
         unit = PhysicsResidual(
             body, torch.eye(6, dtype=torch.float64), torch.ones(6, dtype=torch.float64), 1e-3 * every
         )
-        left.append(rms(unit.force(rows[:, -1], rate)[:, 3:]))
+        left.append(rms(unit.force(rows, rate)[:, 3:]))
     orders = np.log2(np.array(left[:-1]) / left[1:])
     assert (orders > 0.7).all(), f"residuals {left} N, orders {orders}"
 
 
 def test_its_gradient_is_that_of_finite_differences(windows: Windows, physics: PhysicsResidual) -> None:
     rows, rate = windows.take(torch.tensor([200]))
-    row, rate = rows[:, -1].double(), rate.double().requires_grad_()
-    (gradient,) = torch.autograd.grad(physics(row, rate).pow(2).sum(), rate)
+    rows, rate = rows.double(), rate.double().requires_grad_()
+    (gradient,) = torch.autograd.grad(physics(rows, rate).pow(2).sum(), rate)
     for i in (0, 2, 8, 10):
         h = 1e-6 * max(float(rate[0, i].detach().abs()), 1e-6)
         up, down = (
-            physics(row, rate + s * h * torch.eye(STATES, dtype=torch.float64)[i]).pow(2).sum() for s in (1, -1)
+            physics(rows, rate + s * h * torch.eye(STATES, dtype=torch.float64)[i]).pow(2).sum() for s in (1, -1)
         )
         assert float(gradient[0, i]) == pytest.approx(float((up - down).detach() / (2 * h)), rel=1e-3)
