@@ -174,7 +174,7 @@ def run_block(
     failed, farthest = 0, held.radius.max()
     course = make_course(r, len(tables.amplitudes), (lanes,))
     fill_amplitudes(y - dt * velocity, lanes, tables, columns, held, course.before, course.lead)
-    fill_inertias(y, tables, columns, insides, course, held)
+    fill_inertias(y, tables, columns, insides, course, held, True)
     course.now[:] = course.ahead
     fill_kinetic(velocity, inner, dt, insides, course, held, kinetic)
     _set_out(y, velocity, inner, bent, dt, tables, columns, insides, held)
@@ -191,10 +191,11 @@ def run_block(
                     put_sum(held.middle[i], start[i], 0.5, by[i])
                 go_half_way(held.middle, tables, columns, held)
             if tables.scales[2] > 0.0:
-                fill_viscosities(by, tables, columns, insides, held)
-            fill_inertias(y, tables, columns, insides, course, held)
+                fill_viscosities(by, tables, columns, insides, held, again > 0)
+            fill_inertias(y, tables, columns, insides, course, held, again > 0)
             _begin(start, ahead, load[step], dt, tables, course, held)
-            begin_insides(inner, ahead, start, dt, tables, insides, held.trial, held.inertia, held.right)
+            if again:
+                begin_insides(inner, ahead, start, dt, tables, insides, held.trial, held.inertia, held.right)
             missed = converge(y, tables, columns, held, MAX_ITERATIONS if again else 1)
         for lane in range(len(path)):
             path[lane, step] = y[:, lane]

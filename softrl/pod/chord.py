@@ -14,11 +14,12 @@ from softrl.pod.potential import fill_monomials, fill_rows, fill_square, to_ball
 @borrowing
 def fill_chord(
     metric: Any, middle: np.ndarray, by: np.ndarray, least: int, tables: Any, work: Any, matrix: np.ndarray,
-    slope: np.ndarray,
+    slope: np.ndarray, sloping: bool,
 ) -> None:
     """Fill A (r, r) at ``middle`` and a quarter of the gradient there of ``by' A by``, ``slope`` (r,).
 
-    By the arrival at its end half the square of a step has the derivative ``A by + slope``.
+    By the arrival at its end half the square of a step has the derivative ``A by + slope``; ``slope`` is zero if it is not
+    ``sloping``.
 
     Parameters
     ----------
@@ -33,6 +34,9 @@ def fill_chord(
     fill_rows(entries, some, half)
     _fill_root(half, factor, root)
     fill_square(root, matrix)
+    if not sloping:
+        slope[:] = 0.0
+        return
     _fill_weights(root, factor, by, work.scratch, weights)
     mixed[: len(some)] = 0.0
     _add_mixture(entries, weights, mixed)

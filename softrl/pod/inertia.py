@@ -61,18 +61,19 @@ def fill_amplitudes(
 
 
 @borrowing
-def fill_inertia(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, held: Any) -> None:
-    """Fill amplitudes, mass and the inside's masses where the step ``by`` (r,) from ``start`` leads.
+def fill_inertia(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, held: Any, whole: bool) -> None:
+    """Fill amplitudes, mass and, of the ``whole`` body, the inside's masses where the step ``by`` (r,) from ``start`` leads.
 
     ``work`` and ``held`` are those of ``pod.kernel``.
     """
     mass, _, _, inside, course = held
     for i in range(len(by)):
         course.aim[i] = start[i] + by[i]
-    fill_amplitudes(course.aim, tables.inner_root.shape[1], True, tables, work, course.ahead, course.lead)
+    fill_amplitudes(course.aim, tables.inner_root.shape[1] if whole else 1, True, tables, work, course.ahead, course.lead)
     fill_square(course.lead, mass)
-    fill_root(mass, work.root)
-    fill_mass(work.root, tables, work.values, inside)
+    if whole:
+        fill_root(mass, work.root)
+        fill_mass(work.root, tables, work.values, inside)
 
 
 @borrowing

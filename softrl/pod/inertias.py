@@ -56,7 +56,9 @@ def _go_on(y: np.ndarray, lanes: int, lead: np.ndarray, amplitudes: np.ndarray, 
 
 
 @standing
-def fill_inertias(aim: np.ndarray, tables: Any, columns: Columns, insides: Inside, course: Course, held: Lanes) -> None:
+def fill_inertias(
+    aim: np.ndarray, tables: Any, columns: Columns, insides: Inside, course: Course, held: Lanes, whole: bool
+) -> None:
     """Fill amplitudes and masses where steps lead, ``aim`` (r, lanes), as ``pod.inertia.fill_inertia``.
 
     ``held`` then has the monomials there of which the potential's Hessian is made.
@@ -70,8 +72,9 @@ def fill_inertias(aim: np.ndarray, tables: Any, columns: Columns, insides: Insid
     if largest(held.radius) > 1.0:
         _go_on(aim, aim.shape[1], course.lead, course.ahead, held)
     fill_squares(course.lead, held.mass)
-    _fill_roots(held.mass, held.root)
-    fill_masses(held.root, columns, held.values, insides)
+    if whole:
+        _fill_roots(held.mass, held.root)
+        fill_masses(held.root, columns, held.values, insides)
 
 
 @standing

@@ -15,7 +15,8 @@ from softrl.pod.pose import tip_pose
 from softrl.pod.potential import fill_monomials, fill_potential, make_room, to_ball
 from softrl.pod.viscosity import fill_viscosity
 
-CLOSE = 1e-6  # change of y in an iteration after which what is left is below a nanometre at the tip
+CLOSE = 1e-6  # change of y in an iteration after which what is left is below a nanometre at the tip, with effects
+NEAR = 1e-4  # likewise without: Newton's iteration is exact then, and what is left falls with the square
 MAX_ITERATIONS = 60
 LONGEST_STEP = 0.5  # of y, in one iteration
 SCALINGS = 5  # of rates, until they hold no more energy than they may
@@ -24,9 +25,11 @@ SCALINGS = 5  # of rates, until they hold no more energy than they may
 @summing
 def begin_step(
     velocity: np.ndarray, inner: np.ndarray, load: np.ndarray, dt: float, tables: Any, held: Any, start: np.ndarray,
-    ahead: np.ndarray, inertia: np.ndarray, right: np.ndarray,
+    ahead: np.ndarray, inertia: np.ndarray, right: np.ndarray, whole: bool,
 ) -> None:
     """Fill what is constant in a step from ``start``: ``inertia`` (r, r) y - ``right`` (r,), and free flight ``ahead``.
+
+    Without its inside if it is not the ``whole`` body.
 
     ``held`` are the mass (r, r), viscosity (r, r) and the force of its slope (r,), the ``pod.inside``, and the amplitudes'
     ``pod.inertia.Course``.
@@ -44,7 +47,8 @@ def begin_step(
             total += inertia[i, j] * start[j]
         right[i] = total
     add_inertia(free, drag, held, inertia, right)
-    begin_inside(inner, ahead, start, dt, tables, inside, inertia, right)
+    if whole:
+        begin_inside(inner, ahead, start, dt, tables, inside, inertia, right)
 
 
 @borrowing
@@ -121,11 +125,11 @@ def end_step(
 
 
 @borrowing
-def _fill_resistance(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, held: Any) -> None:
-    """Fill inertia and viscosity of a step ``by`` (r,) from ``start``."""
-    fill_inertia(start, by, tables, work, held)
+def _fill_resistance(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, held: Any, whole: bool) -> None:
+    """Fill inertia and viscosity of a step ``by`` (r,) from ``start``; not of the ``whole`` body: what shows where it leads."""
+    fill_inertia(start, by, tables, work, held, whole)
     if tables.scales[2] > 0.0:
-        fill_viscosity(start, by, tables, work, held)
+        fill_viscosity(start, by, tables, work, held, whole)
 
 
 @borrowing
@@ -162,9 +166,9 @@ def run_kernel(
     """Advance ``y``, ``velocity`` (r,) and ``inner`` (2, 6) by implicit Euler over ``load`` (steps, r) Pa and N.
 
     The amplitudes are taken where the step's first iteration leads, viscosity half way there, see ``pod.inertia`` and
-    ``pod.viscosity``. ``velocity`` is the last step's way by ``dt``; after a step it is scaled down where the kinetic energy
-    would grow by more than the forces' work. ``inner``, by which the inside gives to acceleration (``pod.inside``), is scaled
-    down where it would gain energy.
+    ``pod.viscosity``; that iteration leaves out the inside and the slope of viscosity. ``velocity`` is the last step's way by
+    ``dt``; after a step it is scaled down where the kinetic energy would grow by more than the forces' work. ``inner``, by which
+    the inside gives to acceleration (``pod.inside``), is scaled down where it would gain energy.
 
     Parameters
     ----------
@@ -187,29 +191,29 @@ def run_kernel(
     held = (np.empty((r, r)), np.zeros((r, r)), np.zeros(r), make_inside(r, ()), course)
     ports, bare = make_ports(n), np.empty(r)
     with_effects = len(hooks[0].kernels) + len(hooks[1].kernels) > 0
-    failed = 0
+    close, failed = CLOSE if with_effects else NEAR, 0
     if with_effects:
         fill_potential(y, tables, work, gradient, hessian)
         fill_ports(y, rest, gradient, hessian, dt, load[0, :n], tables, ports, True)
         go_on(ports)
     farthest = to_ball(y, point)
     fill_amplitudes(y - dt * velocity, 0, False, tables, work, course.before, course.lead)
-    fill_inertia(y, np.zeros(r), tables, work, held)
+    fill_inertia(y, np.zeros(r), tables, work, held, True)
     course.now[:] = course.ahead
     kinetic = kinetic_energy(velocity, inner, dt, held)
     _set_out(y, velocity, inner, np.inf, dt, tables, work, held[3])
     for step in range(len(load)):
         pressure = load[step, :n]
         start[:] = y
-        _fill_resistance(start, dt * velocity, tables, work, held)
-        begin_step(velocity, inner, load[step], dt, tables, held, start, ahead, inertia, right)
+        _fill_resistance(start, dt * velocity, tables, work, held, False)
+        begin_step(velocity, inner, load[step], dt, tables, held, start, ahead, inertia, right, False)
         y[:] = ahead
         progress[0] = -1.0
         longest = np.inf
         for iteration in range(MAX_ITERATIONS):
             if iteration == 1:
-                _fill_resistance(start, y - start, tables, work, held)
-                begin_step(velocity, inner, load[step], dt, tables, held, start, ahead, inertia, right)
+                _fill_resistance(start, y - start, tables, work, held, True)
+                begin_step(velocity, inner, load[step], dt, tables, held, start, ahead, inertia, right, True)
                 progress[0] = -1.0
             fill_potential(y, tables, work, gradient, hessian)
             for i in range(r):
@@ -223,9 +227,9 @@ def run_kernel(
             longest = iterate(
                 y, gradient, jacobian, inertia, right, tables, not with_effects, scratch, direction, trial, progress
             )
-            if longest < CLOSE and iteration > 0:
+            if longest < close and iteration > 0:
                 break
-        if longest >= CLOSE:
+        if longest >= close:
             failed += 1
         if with_effects:  # the potential's derivatives are those a last, negligible step ago
             commit_effects(y, rest, bare, hessian, dt, pressure, tables, hooks, ports)

@@ -9,7 +9,7 @@ import numpy as np
 
 from softrl.core.compiled import borrowing, standing
 from softrl.pod.columns import Columns, fill_curves, fill_monomials
-from softrl.pod.kernel import CLOSE, LONGEST_STEP
+from softrl.pod.kernel import LONGEST_STEP, NEAR
 from softrl.pod.lanes import Lanes, add, put, take, to_balls
 from softrl.pod.linear import newton_direction
 from softrl.pod.potential import fill_potential
@@ -151,7 +151,7 @@ def converge(y: np.ndarray, tables: Any, columns: Columns, held: Lanes, most: in
         _fill_wanted(held.moving, lanes, iteration == 0, tables, columns, held)
         left = 0
         for lane in range(lanes):
-            waits = _move(held.moving, lane, held.progress[lane], held) >= CLOSE
+            waits = _move(held.moving, lane, held.progress[lane], held) >= NEAR
             for i in range(len(y)):
                 y[i, held.order[lane]] = held.moving[i, lane]
             if waits and left < lane:

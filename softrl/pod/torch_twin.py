@@ -87,7 +87,7 @@ class TorchRom(torch.nn.Module):
         path, outer = path @ self.inverse.T, load @ self.frame
         before, now, after = path[:, -3:].unbind(1)
         rate = (now - before) / dt_s
-        amplitudes = self._amplitudes(before), self._amplitudes(now)
+        amplitudes = self._amplitudes(before)[0], self._amplitudes(now)[0]
         held = self._inertia(after), self._resistance(now, after - now), self._give(now + 0.5 * dt_s * rate), amplitudes
         inner = self._followed(path[:, :-1], dt_s)
         inertia, right, *_ = self._sides(held, after, now, rate, inner, outer, dt_s)
@@ -122,11 +122,11 @@ class TorchRom(torch.nn.Module):
         start, rate = z @ self.inverse.T, velocity @ self.inverse.T
         gives, giving = inner.unbind(1)
         ahead, outer = start + dt_s * rate, load @ self.frame
-        before, now = self._amplitudes(start - dt_s * rate), self._amplitudes(start)
+        before, now = self._amplitudes(start - dt_s * rate)[0], self._amplitudes(start)[0]
         give = self._give(start + 0.5 * dt_s * rate)
         kinetic = _kinetic(rate, giving, (now - before) / dt_s, *self._inertia(start)[2:])
-        held = self._inertia(ahead), self._resistance(start, dt_s * rate), give, (before, now)
-        inertia, right, *_ = self._sides(held, ahead, start, rate, inner, outer, dt_s)
+        led, stiff = self._amplitudes(ahead), self._stiff(start + 0.5 * dt_s * rate)
+        inertia, right = self._alone(led, stiff, (before, now), ahead, start, outer, dt_s)
         first = ahead - self._direction(ahead, inertia, self._slope(ahead) + times(inertia, ahead) - right)
         held = self._inertia(first), self._resistance(start, first - start), give, (before, now)
         inertia, right, apart, push, pull = self._sides(held, first, start, rate, inner, outer, dt_s)
@@ -138,7 +138,7 @@ class TorchRom(torch.nn.Module):
         given = times(apart, push - times(pull.transpose(1, 2), y))
         moved, given_by = (y - start) / dt_s, (given - gives) / dt_s
         most = kinetic + _work(y - first, moved, rate, given_by, giving, held, dt_s)
-        arrived, (_, _, couple, own) = self._amplitudes(y), held[0]
+        arrived, (_, _, couple, own) = self._amplitudes(y)[0], held[0]
         by = (arrived - now) / dt_s
         for _ in range(SCALINGS):
             energy = _kinetic(moved, given_by, by, couple, own)
@@ -146,7 +146,7 @@ class TorchRom(torch.nn.Module):
                 break
             share = share_of(most, energy)
             moved, given_by = share * moved, share * given_by
-            by = (arrived - self._amplitudes(y - dt_s * moved)) / dt_s
+            by = (arrived - self._amplitudes(y - dt_s * moved)[0]) / dt_s
         after = self._give(y + 0.5 * dt_s * moved)
         given = given * share_of(dot(given, times(give, given)), dot(given, times(after, given)))
         return y @ self.frame.T, moved @ self.frame.T, torch.stack([given, given_by], dim=1)
@@ -159,18 +159,25 @@ class TorchRom(torch.nn.Module):
 
         Amplitudes are taken at ``aim`` (B, r).
         """
-        (amplitudes, lead, couple, own), (stiff, steep, drag, tough), give, (before, now) = held
+        (amplitudes, lead, couple, own), (stiff, steep, drag, tough), give, course = held
         free, rub, viscous = self._weights(dt_s)
         flown = free * (inner[:, 0] + dt_s * inner[:, 1]) + rub * inner[:, 0]
-        mass = (free + rub) * square(lead)
-        force = free * (amplitudes - 2.0 * now + before) + rub * (amplitudes - now)
-        inertia = mass + viscous * stiff
-        right = outer - times(lead.transpose(1, 2), force) - viscous * steep
-        right = right + times(mass, aim) + viscous * times(stiff, start)
-        right = right + times(couple, flown) + viscous * times(drag, inner[:, 0])
+        inertia, right = self._alone((amplitudes, lead), stiff, course, aim, start, outer, dt_s)
+        right = right - viscous * steep + times(couple, flown) + viscous * times(drag, inner[:, 0])
         apart, push, pull = self._ties((couple, own, drag, tough, give), start, rate, inner, dt_s)
         share = pull @ apart
         return inertia - share @ pull.transpose(1, 2), right - times(share, push), apart, push, pull
+
+    def _alone(
+        self, led: tuple[Tensor, Tensor], stiff: Tensor, course: tuple[Tensor, Tensor], aim: Tensor, start: Tensor, outer: Tensor,
+        dt_s: float,
+    ) -> tuple[Tensor, Tensor]:
+        """Return ``inertia`` and ``right`` but for inside and slope of viscosity; ``led``: amplitudes and gradient at ``aim``."""
+        (amplitudes, lead), (before, now), (free, rub, viscous) = led, course, self._weights(dt_s)
+        mass = (free + rub) * square(lead)
+        force = free * (amplitudes - 2.0 * now + before) + rub * (amplitudes - now)
+        right = outer - times(lead.transpose(1, 2), force) + times(mass, aim) + viscous * times(stiff, start)
+        return mass + viscous * stiff, right
 
     def _ties(
         self, inside: tuple[Tensor, ...], start: Tensor, rate: Tensor, inner: Tensor, dt_s: float
@@ -208,11 +215,12 @@ class TorchRom(torch.nn.Module):
         rows = values[:, : self.inner_root.shape[1]] @ self.inner_root.T
         return self._straight(aim, u, values, lead), lead, *beside(root, rows)
 
-    def _amplitudes(self, y: Tensor) -> Tensor:
-        """Return the amplitudes (B, k) at ``y``."""
+    def _amplitudes(self, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the amplitudes (B, k) at ``y`` and their gradient (B, k, r)."""
         u, _ = self._ball(y)
         values = self._monomials(u, self._few)
-        return self._straight(y, u, values, self._lead(values))
+        lead = self._lead(values)
+        return self._straight(y, u, values, lead), lead
 
     def _straight(self, y: Tensor, u: Tensor, values: Tensor, lead: Tensor) -> Tensor:
         """Return the amplitudes, which go on straight outside the ball, by the monomials and the gradient at ``u`` in it."""
@@ -242,6 +250,10 @@ class TorchRom(torch.nn.Module):
             (slope,) = torch.autograd.grad(spent.sum(), middle, create_graph=keep)
         root, values = (part if keep else part.detach() for part in (root, values))
         return square(root), 0.25 * slope, root, values
+
+    def _stiff(self, half: Tensor) -> Tensor:
+        """Return the viscosity (B, r, r) at ``half``."""
+        return square(self._root(self._monomials(self._ball(half)[0], self._few)))
 
     def _root(self, values: Tensor) -> Tensor:
         """Return S L' (B, r, r) of viscosity at monomials ``values``."""

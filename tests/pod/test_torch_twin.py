@@ -65,8 +65,8 @@ def test_the_residual_vanishes_along_motions_and_on_nothing_else(tripod: Body) -
         return torch.stack(residuals).pow(2).mean(dim=(0, 1)).sqrt().numpy()
 
     whole = left(path.shape[1], 0.0)
-    assert (whole < 0.01 * left(path.shape[1], 0.01)).all(), whole
-    assert (left(3, 0.0)[3:] > 100.0 * whole[3:]).all(), "forces at the tip without what the inside remembers"
+    assert (whole < 0.05 * left(path.shape[1], 0.01)).all(), whole
+    assert (left(3, 0.0)[3:] > 20.0 * whole[3:]).all(), "forces at the tip without what the inside remembers"
 
 
 def test_the_residuals_gradient_agrees_with_differences(tripod: Body) -> None:
