@@ -8,8 +8,9 @@ from softrl.robots.robot import Robot
 
 BEGINS = (0.3, 0.6)  # shares of the run and of its highest pressure at which searches for a gate begin
 BEGIN_ALONE = (0.45,)  # the same for one chamber alone, of which there are many
-# what may change from one day to the next: warmth, rest and age of the wall; what it carries; how it is mounted
-BY_SESSION = ("stiffness_scale", "strain_softening", "payload", "mount_tilt")
+# what may change from one day to the next: warmth, rest and age of the wall; what it carries; how it is mounted, and how seen
+BY_SESSION = ("stiffness_scale", "strain_softening", "payload", "mount_tilt", "frame", "marker_offset")
+RETUNED = ("stiffness_scale",)  # of these only the difference between sessions shows: all are tuned to one of them
 
 
 def candidates(
@@ -25,26 +26,28 @@ def candidates(
 
     ``layers`` says whether the body has layers, and ``varied`` which surroundings were recorded and changed, without which
     some effects cannot be shown. ``gauges_only`` says that measured pressures are what is compared: what happens to a
-    chamber before its gauge is considered, too.
+    chamber before its gauge is considered, too. Where the valve is not among the ``sites``, pressures were measured behind it:
+    then the line from gauge to chamber is.
     """
     found = []
     for name in names:
         effect = effect_class(name)
         ahead = effect.gauged and gauges_only
-        if effect.site not in sites and not ahead:
+        behind = effect.piped and "valve" not in sites
+        if effect.site not in sites and not ahead and not behind:
             continue
         if not effect.suits(robot) or (effect.together and len(excited) < robot.chambers):
             continue
         if (effect.layered and not layers) or (effect.needs and effect.needs not in varied):
             continue
-        found.append(Choice(name, before_gauge=ahead))
+        found.append(Choice(name, before_gauge=ahead, behind_gauge=behind))
         if has_chamber(name) and robot.chambers > 1 and len(excited) > 1:
-            found += [Choice(name, chamber, before_gauge=ahead) for chamber in excited]
+            found += [Choice(name, chamber, before_gauge=ahead, behind_gauge=behind) for chamber in excited]
     return found
 
 
 def in_one_session(names: Sequence[str], training: Sequence[str], heldout: Sequence[str]) -> list[Choice]:
-    """Return the effects out of ``names`` that may act in one session alone, for every session but the last.
+    """Return the effects out of ``names`` that may act in one session alone, for every session that can show them.
 
     Parameters
     ----------
@@ -52,7 +55,13 @@ def in_one_session(names: Sequence[str], training: Sequence[str], heldout: Seque
     """
     sessions = list(dict.fromkeys(training))
     shown = [s for s in sessions if training.count(s) > 1 and s in heldout]
-    return [Choice(name, session=s) for name in names if name in BY_SESSION for s in shown if s != sessions[-1]]
+    return [
+        Choice(name, session=s)
+        for name in names
+        if name in BY_SESSION
+        for s in shown
+        if s != sessions[-1] or name not in RETUNED
+    ]
 
 
 def may_be_gated(choice: Choice) -> list[str]:

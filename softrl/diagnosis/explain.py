@@ -8,7 +8,16 @@ from softrl.artifacts.diagnosis import Diagnosis
 from softrl.diagnosis.along import BENDS
 from softrl.diagnosis.correct import Model
 from softrl.diagnosis.examine import Finding, Named
-from softrl.diagnosis.hypothesis import AT_END, BEFORE_GAUGE, GATES, LATE, Choice, has_chamber, pinned_values
+from softrl.diagnosis.hypothesis import (
+    AT_END,
+    BEFORE_GAUGE,
+    BEHIND_GAUGE,
+    GATES,
+    LATE,
+    Choice,
+    has_chamber,
+    pinned_values,
+)
 from softrl.diagnosis.lateness import lateness
 from softrl.diagnosis.locate import significant
 from softrl.diagnosis.problem import Problem
@@ -61,7 +70,8 @@ def _entry(finding: Finding, named: Named) -> dict[str, Any]:
             p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit, "at_bound": p.at_bound}
             for p in named.intervals
         },
-        "pinned": pinned_values(choice) | ({"before_gauge": True} if choice.before_gauge else {}),
+        "pinned": pinned_values(choice)
+        | {name: True for name in ("before_gauge", "behind_gauge") if getattr(choice, name)},
         "evidence": (
             f"{finding.part.title}: without it the held-out error above the noise is {without:.3g} {unit}, with it "
             f"{without - factor * named.gap.value:.3g} {unit} (gain {factor * named.gap.low:.3g} to "
@@ -80,6 +90,8 @@ def where(choice: Choice) -> str:
         places = {"valve": "all valves", "load": "tip", "sensor": "pose sensor", "chamber": "all chambers"}
         place = "one layer" if effect_class(choice.name).layered else places.get(choice.site, "whole body")
     place += f", {GATES[choice.gate.field]}" if choice.gate else ""
+    if choice.behind_gauge:
+        return f"{place}, {BEHIND_GAUGE}"
     return f"{place}, {BEFORE_GAUGE}" if choice.before_gauge else place
 
 

@@ -13,7 +13,7 @@ from softrl.effects.effect import Effect
 from softrl.effects.library import effect_class
 
 GATES = {"above_share": "above a pressure", "since_s": "from a time on"}
-BEFORE_GAUGE = "before the gauge"
+BEFORE_GAUGE, BEHIND_GAUGE = "before the gauge", "behind the gauge"
 LATE = "late_s"  # how late a log has it that rows act, tuned with the simulator's parameters
 LATE_SCALE = 12.0  # sampling intervals that are one scaled unit: what a log may be late counts as no far retuning
 AT_END = 0.97  # a retuned parameter this close to the end of its range (in logarithms) is not plausible
@@ -31,7 +31,8 @@ class Choice(NamedTuple):
     """One effect of the library; ``chamber`` is -1 for all chambers, or where the effect knows none.
 
     ``pinned`` names the parameters that are held at their neutral values; ``gate`` says above which pressure or from when on
-    alone it acts, ``session`` in which session alone, if anywhere; ``before_gauge`` that gauges show it.
+    alone it acts, ``session`` in which session alone, if anywhere; ``before_gauge`` that gauges show it,
+    ``behind_gauge`` that they do not.
     """
 
     name: str
@@ -40,18 +41,19 @@ class Choice(NamedTuple):
     gate: Gate | None = None
     session: str = ""
     before_gauge: bool = False
+    behind_gauge: bool = False
 
     def label(self) -> str:
         """Return the name, with the chamber (counted from 1), the gate and the session where it acts there alone."""
         where = [f"chamber {self.chamber + 1}"] * (self.chamber >= 0) + [f"session {self.session}"] * bool(self.session)
         where += [GATES[self.gate.field]] if self.gate else []
-        where += [BEFORE_GAUGE] * self.before_gauge
+        where += [BEFORE_GAUGE] * self.before_gauge + [BEHIND_GAUGE] * self.behind_gauge
         return f"{self.name} ({', '.join(where)})" if where else self.name
 
     @property
     def site(self) -> str:
         """Where along the pipeline it acts."""
-        return "valve" if self.before_gauge else effect_class(self.name).site
+        return "valve" if self.before_gauge else "chamber" if self.behind_gauge else effect_class(self.name).site
 
     @property
     def shifts_time(self) -> bool:
@@ -223,7 +225,7 @@ def build_effect(choice: Choice, values: Sequence[float]) -> Effect:
     cls = effect_class(choice.name)
     named = pinned_values(choice) | dict(zip((f.name for f in free_fields(choice)), values, strict=True))
     fixed: dict[str, Any] = {"chamber": choice.chamber} if has_chamber(choice.name) else {}
-    return cls(**named, **fixed, before_gauge=choice.before_gauge)
+    return cls(**named, **fixed, before_gauge=choice.before_gauge, behind_gauge=choice.behind_gauge)
 
 
 def pinned_values(choice: Choice) -> dict[str, float]:

@@ -28,16 +28,21 @@ LOUD = 0.1  # of the motion: nobody records with noise as loud as this
 LOUD_BESIDE = 0.25  # the same beside effects that explain most of it, whose form may differ
 NEARLY_ALL = 0.9  # of the squared error: effects whose laws have no other form explain it, or leave a third of the error
 FOLLOWING_FACTOR = 3.0  # times what counts: structure below this may be a detail of the body
+CARRIES = 3.0  # times what is left on the runs of the fit: what leaves more on others was bent to fit
 UNEVEN_FACTOR = 2.0  # times what counts: what jumps or moves with the pressures, without the noise, and is no detail of the body
 FOLLOWING_LEVEL = 1e-3
 
 
 class Offer(NamedTuple):
-    """A map without physics from pressures and their past to what is left: its held-out gain, and whether it pays."""
+    """A map without physics from pressures and their past to what is left: its held-out gain, and whether it pays.
+
+    ``fitted`` is the mean square that is left on the runs of the fit, m^2 (Pa^2).
+    """
 
     gap: Gap
     pays: bool
     squares: np.ndarray
+    fitted: float
 
 
 def heldout_residual(judge: Judge, trial: Trial) -> Residual:
@@ -52,7 +57,8 @@ def offer_of(problem: Problem, judge: Judge, trial: Trial) -> Offer:
     offered = correction(problem, training.runs, judge.problem)
     runs = [values - extra for values, extra in zip(heldout.runs, offered, strict=True)]
     squares = Residual(runs, {}).squares
-    return Offer(judge.gap(trial.squares, squares), judge.pays(trial.squares, squares), squares)
+    fitted = float(training.squares.mean())
+    return Offer(judge.gap(trial.squares, squares), judge.pays(trial.squares, squares), squares, fitted)
 
 
 def varies(problem: Problem, judge: Judge, trial: Trial) -> bool:
@@ -99,7 +105,7 @@ def reasons_of(judge: Judge, final: Trial, offer: Offer, explained: Explained) -
     unlike noise of its own spectrum: a valve that sticks for moments leaves little in all, but nearly all of it then. Where
     effects explain most of it, what is left must follow the pressures plainly, or, where that is less than they should
     explain, be no noise: a wall's law may differ in its form, and leave some of that, a turned frame may not, and a map
-    without physics excuses nothing.
+    without physics excuses nothing. What holds for the runs of the fit alone is not understood.
     """
     left = explained.left
     if left <= judge.material:
@@ -107,6 +113,9 @@ def reasons_of(judge: Judge, final: Trial, offer: Offer, explained: Explained) -
     mostly = explained.of_all >= judge.thresholds.explained_share
     if left > (LOUD_BESIDE if mostly else LOUD) * judge.travel:
         return [f"what is left is {left / judge.travel:.0%} of the motion, more than any sensor's noise"]
+    fitted = max(float(judge.excess(offer.fitted)), judge.material)
+    if final.hypothesis.effects and left > REST_FACTOR * judge.material and left > CARRIES * fitted:
+        return [f"what the effects named leave is {left / fitted:.1f} times as large on runs that no fit saw"]
     follows = offer.pays and judge.stands_out(final.squares, offer.squares, UNKNOWN_TIMES)
     drives, heldout, reasons = _drives(judge), heldout_residual(judge, final), []
     if explained.share >= judge.thresholds.explained_share:

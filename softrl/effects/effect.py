@@ -103,11 +103,13 @@ class Effect:
     retunes : whether all that it does, everywhere and always, is what another value of a simulator's parameters does
     sticks : whether a small change and its taking back leave something behind, as dry friction does
     gauged : whether a chamber's effect may lie before the gauge of its pressure as well as behind it, see ``before_gauge``
+    piped : whether a valve's effect may be that of the line from the gauge to the chamber as well, see ``behind_gauge``
     needs : channel of a recording whose course it follows, "temperature", without which it does nothing; or empty
     layered : whether it changes the layers of the body itself, before anything moves: it has ``layers`` in place of a kernel,
         and no gate
     stores : whether its first parameter is a flow into a store of each chamber's, which stays when a gate stops the flow
     before_gauge : whether an effect on chambers acts before their pressures are measured, at the valve, so that gauges show it
+    behind_gauge : whether an effect of valves lies between where pressures are measured and the chambers: gauges do not show it
     above_share : share of the robot's largest pressure above which it acts; ``EVERYWHERE`` for all pressures
     since_s : time of each run from which it acts, s; 0 for always
     """
@@ -127,12 +129,14 @@ class Effect:
     sticks: ClassVar[bool] = False
     stores: ClassVar[bool] = False
     gauged: ClassVar[bool] = False
+    piped: ClassVar[bool] = False
     needs: ClassVar[str] = ""
     layered: ClassVar[bool] = False
 
     above_share: float = dataclasses.field(default=EVERYWHERE, kw_only=True, metadata=_gate("1", EVERYWHERE, 1.0, 0.3))
     since_s: float = dataclasses.field(default=0.0, kw_only=True, metadata=_gate("s", 0.0, 600.0, 10.0))
     before_gauge: bool = dataclasses.field(default=False, kw_only=True)
+    behind_gauge: bool = dataclasses.field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
         for field in (*self.parameter_fields(), *self.gate_fields()):
@@ -143,6 +147,8 @@ class Effect:
                 )
         if self.before_gauge and not self.gauged:
             raise ConfigError(f"effect {self.name()}.before_gauge=true: no gauge of a chamber's pressure can show it")
+        if self.behind_gauge and not self.piped:
+            raise ConfigError(f"effect {self.name()}.behind_gauge=true: it is not that of a line from a gauge to a chamber")
         if self.layered and self.gated:
             raise ConfigError(f"effect {self.name()} is how the body is made; expected neither above_share nor since_s")
 
@@ -164,7 +170,7 @@ class Effect:
     @property
     def acts_at(self) -> str:
         """Where along the pipeline it acts, one of ``SITES``."""
-        return "valve" if self.before_gauge else self.site
+        return "valve" if self.before_gauge else "chamber" if self.behind_gauge else self.site
 
     @property
     def gated(self) -> bool:

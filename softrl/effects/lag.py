@@ -35,8 +35,9 @@ class Lag(Effect):
     """
 
     site: ClassVar[str] = "valve"
-    title: ClassVar[str] = "first-order lag between commanded and supplied pressure"
+    title: ClassVar[str] = "first-order lag of the pressure"
     kernel: ClassVar = lag_kernel
+    piped: ClassVar[bool] = True
 
     fill_s: float = parameter("s", 0.0, 5.0, 0.0, typical=0.3)
     vent_s: float = parameter("s", 0.0, 5.0, 0.0, typical=0.3)

@@ -37,6 +37,7 @@ class TubeLine(Effect):
     site: ClassVar[str] = "valve"
     title: ClassVar[str] = "second-order dynamics of the tube"
     kernel: ClassVar = tube_line_kernel
+    piped: ClassVar[bool] = True
     extends: ClassVar[str] = "lag"
 
     period_s: float = parameter("s", 0.0, 1.0, 0.0, typical=0.1)

@@ -28,12 +28,30 @@ from softrl.diagnosis.problem import Residual
 def test_structure_that_is_plainly_left_is_told_unless_nearly_all_is_explained(
     name: str, of_all: float, left: float, uneven: bool, unknown: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    judge: Any = SimpleNamespace(material=1.0, travel=200.0, thresholds=SimpleNamespace(explained_share=0.75))
-    offer: Any = SimpleNamespace(pays=False)
+    judge: Any = SimpleNamespace(
+        material=1.0, travel=200.0, thresholds=SimpleNamespace(explained_share=0.75), excess=np.sqrt
+    )
+    offer: Any = SimpleNamespace(pays=False, fitted=left**2)
     final: Any = SimpleNamespace(hypothesis=Hypothesis((Choice(name),), ()), squares=None)
     for own, value in (("_drives", []), ("heldout_residual", None), ("_uneven", uneven)):
         monkeypatch.setattr(leftover, own, lambda *_, value=value: value)
     assert bool(reasons_of(judge, final, offer, Explained(0.9, of_all, left))) is unknown
+
+
+@pytest.mark.parametrize(("fitted", "left", "unknown"), [(1.0, 4.0, True), (2.0, 4.0, False), (0.1, 2.0, False)])
+def test_what_holds_for_the_runs_of_the_fit_alone_is_not_understood(
+    fitted: float, left: float, unknown: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judge: Any = SimpleNamespace(
+        material=1.0, travel=200.0, thresholds=SimpleNamespace(explained_share=0.75), excess=np.sqrt
+    )
+    monkeypatch.setattr(leftover, "_drives", lambda *_: [])
+    monkeypatch.setattr(leftover, "heldout_residual", lambda *_: None)
+    final: Any = SimpleNamespace(hypothesis=Hypothesis((Choice("rate_limit"),), ()), squares=None)
+    offer: Any = SimpleNamespace(pays=False, fitted=fitted**2)
+    reasons = reasons_of(judge, final, offer, Explained(0.9, 0.9, left))
+    assert bool(reasons) is unknown
+    assert not unknown or "4.0 times as large on runs that no fit saw" in reasons[0]
 
 
 def test_rare_jumps_are_no_noise_however_white_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -69,14 +87,14 @@ def test_a_valve_that_sticks_for_moments_is_unknown_and_noise_of_as_much_error_i
     judge: Any = SimpleNamespace(
         problem=None, material=rms / left, travel=200.0 * rms / left, seed=seed, floor=np.inf,
         thresholds=SimpleNamespace(explained_share=0.75),
-        rms=lambda squares: float(np.sqrt(np.mean(squares))),
+        rms=lambda squares: float(np.sqrt(np.mean(squares))), excess=np.sqrt,
     )  # fmt: skip
     for own, value in (("_drives", drives), ("heldout_residual", residual), ("slopes", ()), ("_changing", 0.0)):
         monkeypatch.setattr(leftover, own, lambda *_, value=value: value)
     if hidden:
         monkeypatch.setattr(leftover, "_uneven", lambda *_: False)
     final: Any = SimpleNamespace(hypothesis=Hypothesis((), ()), squares=residual.squares)
-    reasons = reasons_of(judge, final, SimpleNamespace(pays=False), Explained(0.0, 0.0, rms))  # type: ignore[arg-type]
+    reasons = reasons_of(judge, final, SimpleNamespace(pays=False, fitted=rms**2), Explained(0.0, 0.0, rms))  # type: ignore[arg-type]
     assert bool(reasons) is (kind == "sticks")
 
 
@@ -90,8 +108,8 @@ def test_what_is_left_is_no_noise_where_it_is_loud_beside_the_motion(
     monkeypatch.setattr(leftover, "_uneven", lambda *_: False)
     monkeypatch.setattr(leftover, "_drives", lambda _: [])
     monkeypatch.setattr(leftover, "heldout_residual", lambda *_: None)
-    judge: Any = SimpleNamespace(material=1.0, travel=200.0, thresholds=SimpleNamespace(explained_share=0.75))
+    judge: Any = SimpleNamespace(material=1.0, travel=200.0, excess=np.sqrt, thresholds=SimpleNamespace(explained_share=0.75))
     final: Any = SimpleNamespace(hypothesis=Hypothesis((Choice("tube_line"),), ()), squares=None)
-    offer: Any = SimpleNamespace(pays=False)
+    offer: Any = SimpleNamespace(pays=False, fitted=left**2)
     reasons = reasons_of(judge, final, offer, Explained(0.98, of_all, left))
     assert bool(reasons) is told and all("of the motion" in reason for reason in reasons)

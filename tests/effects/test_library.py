@@ -90,7 +90,7 @@ def test_config_mirrors_the_class_and_round_trips(name: str) -> None:
     assert (CONF / "effect" / f"{name}.yaml").read_text().startswith(f"# @package effect.{name}\n")
     assert NODES[name]["_target_"] == f"{cls.__module__}.{cls.__qualname__}"
     effect = configured(name)
-    placed = {"before_gauge", *(f.name for f in cls.gate_fields())}
+    placed = {"before_gauge", "behind_gauge", *(f.name for f in cls.gate_fields())}
     own = {k: v for k, v in dataclasses.asdict(effect).items() if k not in placed}
     assert {"_target_": NODES[name]["_target_"], **own} == NODES[name]
 
