@@ -24,13 +24,14 @@ def report_samples(settings: SetSettings, snapshots: Snapshots, tracker: Tracker
     tracker.metric("full_order_share_pct", 100.0 * full / (full + reduced))
 
 
-def residual_share(net: ForwardNet, physics: PhysicsResidual, heldout: Windows) -> float:
-    """Return the rms physics residual of f_S on held-out windows; 1 is that of the linear prediction there."""
-    rows, _ = heldout.take(torch.arange(len(heldout)))
+def residual_shares(net: ForwardNet, physics: PhysicsResidual, heldout: Windows) -> tuple[float, float]:
+    """Return the rms physics residual on held-out windows of f_S, and of the motions; 1 is that of the linear prediction."""
+    rows, true = heldout.take(torch.arange(len(heldout)))
     with torch.no_grad():
         linear = net.linear_rate(rows[:, -net.linear_rows :])[:, -1]
-        own, plain = (physics(rows, rate).pow(2).mean(dim=0) for rate in (net.last(rows), linear))
-    return float((own / plain.clamp(min=1e-30)).mean().sqrt())
+        own, least, plain = (physics(rows, rate).pow(2).mean(dim=0) for rate in (net.last(rows), true, linear))
+    shares = [float((part / plain.clamp(min=1e-30)).mean().sqrt()) for part in (own, least)]
+    return shares[0], shares[1]
 
 
 def report_errors(

@@ -25,7 +25,7 @@ from softrl.dynamics.figures import draw_losses
 from softrl.dynamics.generate import StoredWindows
 from softrl.dynamics.inverse import InverseNet, InverseSettings, inverse_errors, train_inverse
 from softrl.dynamics.physics_residual import PhysicsResidual
-from softrl.dynamics.report import report_errors, report_samples, residual_share
+from softrl.dynamics.report import report_errors, report_samples, residual_shares
 from softrl.dynamics.sets import Sets, SetSettings, generate, load_range, stored
 from softrl.dynamics.training import History, TrainingSettings, fit_linear, fit_polynomial, train_forward
 from softrl.dynamics.transformer import ForwardNet, GruNet, weights_of
@@ -233,7 +233,9 @@ def report(
     """
     train, windows = _windows(sets.train, config.window), Windows(sets.heldout, config.window)
     physics = PhysicsResidual.fit(body, net, train, config.dt_s, config.physics_samples, config.seed)
-    tracker.metric("heldout/physics_residual_share", residual_share(net, physics, windows))
+    own, least = residual_shares(net, physics, windows)
+    tracker.metric("heldout/physics_residual_share", own)
+    tracker.metric("heldout/physics_residual_of_motions_share", least)
     known = predictors(net, body, config.dt_s)
     known |= {name: predictors(other, body, config.dt_s)["f_s"] for name, other in others.items()}
     judged = config.dt_s, config.rollout_s, tracker
