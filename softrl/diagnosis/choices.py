@@ -10,7 +10,6 @@ BEGINS = (0.3, 0.6)  # shares of the run and of its highest pressure at which se
 BEGIN_ALONE = (0.45,)  # the same for one chamber alone, of which there are many
 # what may change from one day to the next: warmth, rest and age of the wall; what it carries; how it is mounted, and how seen
 BY_SESSION = ("stiffness_scale", "strain_softening", "payload", "mount_tilt", "frame", "marker_offset")
-RETUNED = ("stiffness_scale",)  # of these only the difference between sessions shows: all are tuned to one of them
 
 
 def candidates(
@@ -49,6 +48,8 @@ def candidates(
 def in_one_session(names: Sequence[str], training: Sequence[str], heldout: Sequence[str]) -> list[Choice]:
     """Return the effects out of ``names`` that may act in one session alone, for every session that can show them.
 
+    What retuning does shows as a difference between sessions only: of the last one it is told by the others.
+
     Parameters
     ----------
     training, heldout : session of every run; only a session with two runs to fit and one to judge can show such an effect
@@ -60,7 +61,7 @@ def in_one_session(names: Sequence[str], training: Sequence[str], heldout: Seque
         for name in names
         if name in BY_SESSION
         for s in shown
-        if s != sessions[-1] or name not in RETUNED
+        if s != sessions[-1] or not effect_class(name).retunes
     ]
 
 

@@ -8,16 +8,7 @@ from softrl.artifacts.diagnosis import Diagnosis
 from softrl.diagnosis.along import BENDS
 from softrl.diagnosis.correct import Model
 from softrl.diagnosis.examine import Finding, Named
-from softrl.diagnosis.hypothesis import (
-    AT_END,
-    BEFORE_GAUGE,
-    BEHIND_GAUGE,
-    GATES,
-    LATE,
-    Choice,
-    has_chamber,
-    pinned_values,
-)
+from softrl.diagnosis.hypothesis import AT_END, GATES, LATE, Choice, has_chamber, pinned_values
 from softrl.diagnosis.lateness import lateness
 from softrl.diagnosis.locate import significant
 from softrl.diagnosis.problem import Problem
@@ -90,9 +81,7 @@ def where(choice: Choice) -> str:
         places = {"valve": "all valves", "load": "tip", "sensor": "pose sensor", "chamber": "all chambers"}
         place = "one layer" if effect_class(choice.name).layered else places.get(choice.site, "whole body")
     place += f", {GATES[choice.gate.field]}" if choice.gate else ""
-    if choice.behind_gauge:
-        return f"{place}, {BEHIND_GAUGE}"
-    return f"{place}, {BEFORE_GAUGE}" if choice.before_gauge else place
+    return f"{place}, {choice.gauge}" if choice.gauge else place
 
 
 def shown_in(finding: Finding) -> tuple[float, str]:

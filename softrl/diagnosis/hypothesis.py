@@ -13,7 +13,6 @@ from softrl.effects.effect import Effect
 from softrl.effects.library import effect_class
 
 GATES = {"above_share": "above a pressure", "since_s": "from a time on"}
-BEFORE_GAUGE, BEHIND_GAUGE = "before the gauge", "behind the gauge"
 LATE = "late_s"  # how late a log has it that rows act, tuned with the simulator's parameters
 LATE_SCALE = 12.0  # sampling intervals that are one scaled unit: what a log may be late counts as no far retuning
 AT_END = 0.97  # a retuned parameter this close to the end of its range (in logarithms) is not plausible
@@ -47,8 +46,13 @@ class Choice(NamedTuple):
         """Return the name, with the chamber (counted from 1), the gate and the session where it acts there alone."""
         where = [f"chamber {self.chamber + 1}"] * (self.chamber >= 0) + [f"session {self.session}"] * bool(self.session)
         where += [GATES[self.gate.field]] if self.gate else []
-        where += [BEFORE_GAUGE] * self.before_gauge + [BEHIND_GAUGE] * self.behind_gauge
+        where += [self.gauge] if self.gauge else []
         return f"{self.name} ({', '.join(where)})" if where else self.name
+
+    @property
+    def gauge(self) -> str:
+        """In words on which side of the gauge it acts, where its effect may be on either; else empty."""
+        return "before the gauge" if self.before_gauge else "behind the gauge" if self.behind_gauge else ""
 
     @property
     def site(self) -> str:
