@@ -189,7 +189,7 @@ def draw_rivals(diagnosis: Diagnosis) -> Figure:
         ax.set_yticks(range(len(labels)), labels, fontsize=8)
         ax.set_ylim(len(labels) - 0.5, -0.5)
         ax.axvline(0.0, color="black", lw=0.8)
-        ax.set_xlabel(f"held-out error beyond the named effects', {unit} (orange: alike)")
+        ax.set_xlabel(f"held-out error beyond the named\neffects', {unit} (orange: alike)")
     return figure
 
 
