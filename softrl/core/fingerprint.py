@@ -78,7 +78,21 @@ def _imports(module: str) -> tuple[str, ...]:
                 node.module,
                 *(f"{node.module}.{alias.name}" for alias in node.names if _is_module(f"{node.module}.{alias.name}")),
             ]
+        elif isinstance(node, ast.Call):
+            found += _by_name(node)
     return tuple(name for name in found if name.startswith(PACKAGE))
+
+
+def _by_name(call: ast.Call) -> list[str]:
+    """Return all modules of the package of which a call of the form ``import_module(f"package.{name}")`` loads one."""
+    if not (isinstance(call.func, ast.Attribute) and call.func.attr == "import_module" and call.args):
+        return []
+    match call.args[0]:
+        case ast.JoinedStr(values=[ast.Constant(value=str(start)), ast.FormattedValue()]) if start.startswith(f"{PACKAGE}."):
+            spec = importlib.util.find_spec(start.removesuffix("."))
+            folders = spec.submodule_search_locations or [] if spec else []
+            return [start + path.stem for folder in folders for path in sorted(Path(folder).glob("*.py"))]
+    return []
 
 
 @functools.cache

@@ -9,11 +9,13 @@ from softrl.diagnosis.flexible import pressures
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, neutral
 from softrl.diagnosis.judge import SHOWN, Judge
 from softrl.diagnosis.moves import addition, not_taken, pays, prune, swap
+from softrl.diagnosis.pairs import best_pairs
 from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.rank import rank
+from softrl.diagnosis.search import Fit
 from softrl.diagnosis.slim import slim
-from softrl.diagnosis.trial import Search, Trial, drop, fit_trials, join
+from softrl.diagnosis.trial import Search, Trial, columns_of, drop, fit_trials, join, raced
 from softrl.effects.library import effect_class
 
 PLAIN = 2.5  # times what counts: what is left, before effects are asked where alone they act, if none was found before
@@ -45,6 +47,7 @@ def forward(
     _grow(fitting, judge, choices, search, path, report)
     if _narrow(fitting, judge, choices, search, path, report) or _behind_a_map(fitting, judge, choices, search, path, report):
         _grow(fitting, judge, choices, search, path, report)
+    _without_map(fitting, judge, choices, search, path, report)
     return path
 
 
@@ -129,6 +132,52 @@ def _behind_a_map(
     path.best = _settled(fitting, judge, added, choices, search, path)
     report(f"{path.best.hypothesis.label()}: {judge.rms(path.best.squares):.4g} on runs left out, neither without the other")
     return True
+
+
+def _without_map(
+    fitting: Problem, judge: Judge, choices: Sequence[Choice], search: Search, path: Path, report: Callable[[str], None]
+) -> None:
+    """Put two effects in the place of a map without physics, where they predict runs left out as well.
+
+    A map bends to anything: it is chosen where two things are missing and neither explains much alone.
+    """
+    mapped = path.best
+    maps = [choice for choice in mapped.hypothesis.effects if effect_class(choice.name).together]
+    if not maps or len(mapped.hypothesis.effects) >= search.max_effects:
+        return
+    less = _as_it_was(fitting, mapped, maps[0])
+    physics = [c for c in not_taken(choices, less) if c != maps[0] and not c.session]
+    pairs = best_pairs(fitting.rough_about(less.hypothesis, less.fit.point), less, physics, search)
+    trials = raced(fitting, None, [(pair.hypothesis, [pair.point]) for pair in pairs], search, mapped).finished
+    best = judge.simplest(trials) if trials else mapped
+    report(f"{best.hypothesis.label()} in the place of {maps[0].label()}: {judge.rms(best.squares):.4g} on runs left out")
+    if best is mapped or judge.pays(best.squares, mapped.squares):
+        return
+    last = best.hypothesis.effects[-1]
+    first = path.fit(fitting, [(best.hypothesis.without(last), drop(best, last))], search)
+    added = addition(fitting, judge, first[0], physics, search, path, against=best) if first else None
+    settled = _settled(fitting, judge, added, physics, search, path) if added else best
+    if judge.tells(settled.squares, best.squares):
+        settled = _preferred(path, best, settled)
+    path.best = settled
+
+
+def _preferred(path: Path, best: Trial, other: Trial) -> Trial:
+    """Return ``best``, and note what ``other`` has in the place of each of its effects as tried there."""
+    for mine in best.hypothesis.effects:
+        for instead in other.hypothesis.effects:
+            if instead not in best.hypothesis.effects and mine not in other.hypothesis.effects:
+                others = [pair for pair in path.tried.get(instead, []) if pair[0] != mine]
+                path.tried[mine] = [(instead, other.fit.point[columns_of(other, instead)]), *others]
+    return best
+
+
+def _as_it_was(fitting: Problem, trial: Trial, choice: Choice) -> Trial:
+    """Return ``trial`` without one of its effects, all else as it was."""
+    hypothesis, point = trial.hypothesis.without(choice), drop(trial, choice)
+    value = fitting.residual(hypothesis, point).flat
+    jacobian = np.delete(trial.fit.jacobian, columns_of(trial, choice), axis=1)
+    return trial._replace(hypothesis=hypothesis, fit=Fit(point, value, jacobian, 0.5 * float(value @ value), 0))
 
 
 def _least_share(judge: Judge, trial: Trial) -> float:

@@ -32,6 +32,7 @@ class AreaGrowth(Effect):
     site: ClassVar[str] = "chamber"
     title: ClassVar[str] = "growth of a chamber's effective area with pressure"
     kernel: ClassVar = area_growth_kernel
+    of_area: ClassVar[bool] = True
 
     growth: float = parameter("1", -0.5, 20.0, 0.0, typical=1.0)
     chamber: int = -1

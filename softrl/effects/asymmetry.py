@@ -30,6 +30,7 @@ class Asymmetry(Effect):
     site: ClassVar[str] = "chamber"
     title: ClassVar[str] = "asymmetry of the chambers"
     kernel: ClassVar = asymmetry_kernel
+    of_area: ClassVar[bool] = True
 
     along_x: float = parameter("1", -0.8, 0.8, 0.0, typical=0.15)
     along_y: float = parameter("1", -0.8, 0.8, 0.0, typical=0.1)

@@ -27,8 +27,11 @@ class EffectChain:
 
     @cached_property
     def ordered(self) -> tuple[Effect, ...]:
-        """The effects by site; within a site by name, so that a list's order cannot change a result; chambers behind valves."""
-        return tuple(sorted(self.effects, key=lambda e: (SITES.index(e.acts_at), SITES.index(e.site), e.name())))
+        """The effects by site; within a site by name, so that a list's order cannot change a result.
+
+        In chambers what belongs to valves comes first, and areas after all that changes the pressure on them.
+        """
+        return tuple(sorted(self.effects, key=lambda e: (SITES.index(e.acts_at), SITES.index(e.site), e.of_area, e.name())))
 
     @cached_property
     def _at(self) -> dict[tuple[str, ...], tuple[Effect, ...]]:

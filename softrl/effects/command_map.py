@@ -15,21 +15,22 @@ CHAMBERS = 3
 
 @nb.njit(SIGNAL_KERNEL, cache=True)
 def command_map_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
-    """Add the matrix times the commands, the shifts, and the bends; the state is the commands."""
-    count = len(value)
+    """Add the matrix times the commands, the shifts, and the bends, down to the lowest; the state is the commands."""
+    count, lowest = len(value), parameters[CHAMBERS * CHAMBERS + 2 * CHAMBERS]
     state[:count] = value
     for i in range(count):
         value[i] += parameters[CHAMBERS * CHAMBERS + i]
         value[i] += parameters[CHAMBERS * CHAMBERS + CHAMBERS + i] * state[i] * abs(state[i])
         for j in range(count):
             value[i] += parameters[CHAMBERS * i + j] * state[j]
+        value[i] = max(value[i], min(state[i], lowest))
 
 
 @dataclass(frozen=True)
 class CommandMap(Effect):
     """Supplied pressure ``p_i + sum_j a_ij p_j + b_i p_max + c_i p_i |p_i| / p_max`` of commands p.
 
-    It is what a map fitted beforehand has put in or taken.
+    It is what a map fitted beforehand has put in or taken, and goes no lower than the robot's smallest pressure.
 
     Notes
     -----
@@ -65,11 +66,11 @@ class CommandMap(Effect):
         return 1 < robot.chambers <= CHAMBERS
 
     def pack(self, robot: Robot) -> np.ndarray:
-        """Return the matrix, the shifts in Pa, and the bends per Pa."""
+        """Return the matrix, the shifts in Pa, the bends per Pa, and the lowest pressure in Pa."""
         if robot.chambers > CHAMBERS:
             raise ConfigError(f"effect command_map knows {CHAMBERS} chambers; robot {robot.name} has {robot.chambers}")
         values = super().pack(robot)[:-1]
         first = CHAMBERS * CHAMBERS
         values[first : first + CHAMBERS] *= robot.pressure_max_pa
         values[first + CHAMBERS :] /= robot.pressure_max_pa
-        return values
+        return np.append(values, robot.lowest_pa)

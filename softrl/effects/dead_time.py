@@ -1,5 +1,6 @@
-"""Transport: what is commanded arrives unchanged, some time later."""
+"""Transport: what is commanded arrives some time later, as it was or a little spread."""
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -13,33 +14,47 @@ from softrl.robots.robot import Robot
 
 @nb.njit(SIGNAL_KERNEL, cache=True)
 def dead_time_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
-    """Replace the command by the one ``delay_s`` ago; before the start it was zero."""
+    """Delay the command, then let what arrives lag twice; the state is the history, and the pressures behind each lag.
+
+    Before the start it was zero.
+    """
+    n = len(value)
+    first, second = state[len(state) - 2 * n : len(state) - n], state[len(state) - n :]
     push(state, value, False)
-    chamber = int(parameters[1])
-    for i in range(len(value)):
+    delay, lag, chamber = parameters[0], parameters[1], int(parameters[2])
+    share = 1.0 if lag <= 0.0 else -math.expm1(-dt / lag)
+    for i in range(n):
         if chamber < 0 or chamber == i:
-            value[i] = look_back(state, len(value), i, parameters[0] / dt)
+            first[i] = (1.0 - share) * first[i] + share * look_back(state, n, i, delay / dt)
+            second[i] = (1.0 - share) * second[i] + share * first[i]
+            value[i] = second[i]
 
 
 @dataclass(frozen=True)
 class DeadTime(Effect):
-    """Pure delay between command and supply, ``p(t) = p_cmd(t - delay)``.
+    """Delay between command and supply, ``p(t) = p_cmd(t - delay)``, of which a share may be spent in two equal lags.
 
     Notes
     -----
-    Textbook transport delay of a line (no equation number checked). Exact for a delay of whole steps,
-    interpolated linearly between; the step must exceed delay / 4094.
+    Textbook transport delay of a line, and second order plus dead time of one that disperses: ``delay_s`` is the mean of all,
+    ``spread delay_s`` that of the lags (no equation number checked). What spreads further is a lag or a tube. Exact for a
+    delay of whole steps, interpolated linearly between; the step must exceed delay / 4094.
     """
 
     site: ClassVar[str] = "valve"
     title: ClassVar[str] = "dead time between command and supplied pressure"
     kernel: ClassVar = dead_time_kernel
-    exact: ClassVar[bool] = True
     shifts_time: ClassVar[bool] = True
 
     delay_s: float = parameter("s", 0.0, 1.0, 0.0, typical=0.1)
+    spread: float = parameter("1", 0.0, 0.5, 0.0, typical=0.2, default=0.0)
     chamber: int = -1
 
+    def pack(self, robot: Robot) -> np.ndarray:
+        """Return (delay before the lags s, time constant of each s, chamber)."""
+        delay, spread, chamber = super().pack(robot)
+        return np.array([(1.0 - spread) * delay, 0.5 * spread * delay, chamber])
+
     def reset(self, robot: Robot) -> np.ndarray:
-        """Return an empty history."""
-        return empty_history(robot.chambers)
+        """Return an empty history, and no pressure behind the lags."""
+        return np.concatenate([empty_history(robot.chambers), np.zeros(2 * robot.chambers)])

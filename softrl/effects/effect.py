@@ -104,6 +104,7 @@ class Effect:
     sticks : whether a small change and its taking back leave something behind, as dry friction does
     gauged : whether a chamber's effect may lie before the gauge of its pressure as well as behind it, see ``before_gauge``
     piped : whether a valve's effect may be that of the line from the gauge to the chamber as well, see ``behind_gauge``
+    of_area : whether a chamber's effect is that of the area on which its pressure acts, after all that changes the pressure
     needs : channel of a recording whose course it follows, "temperature", without which it does nothing; or empty
     layered : whether it changes the layers of the body itself, before anything moves: it has ``layers`` in place of a kernel,
         and no gate
@@ -130,6 +131,7 @@ class Effect:
     stores: ClassVar[bool] = False
     gauged: ClassVar[bool] = False
     piped: ClassVar[bool] = False
+    of_area: ClassVar[bool] = False
     needs: ClassVar[str] = ""
     layered: ClassVar[bool] = False
 

@@ -56,4 +56,4 @@ class FlowLimit(Effect):
         """Return (rise Pa/s, time constant s, lowest pressure Pa, chamber)."""
         rise, vent_s, chamber = super().pack(robot)
         rise_pa_per_s = rise * robot.pressure_max_pa if rise < UNLIMITED_PER_S else np.inf
-        return np.array([rise_pa_per_s, vent_s, min(robot.pressure_min_pa, 0.0), chamber])
+        return np.array([rise_pa_per_s, vent_s, robot.lowest_pa, chamber])

@@ -30,6 +30,7 @@ class Gain(Effect):
     site: ClassVar[str] = "chamber"
     title: ClassVar[str] = "gain of a chamber"
     kernel: ClassVar = gain_kernel
+    of_area: ClassVar[bool] = True
     gauged: ClassVar[bool] = True
     exact: ClassVar[bool] = True
 

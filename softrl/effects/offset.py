@@ -12,11 +12,11 @@ from softrl.robots.robot import Robot
 
 @nb.njit(SIGNAL_KERNEL, cache=True)
 def offset_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
-    """Shift the acting pressure."""
-    chamber = int(parameters[1])
+    """Shift the acting pressure, down to the robot's lowest at most."""
+    shift, lowest, chamber = parameters[0], parameters[1], int(parameters[2])
     for i in range(len(value)):
         if chamber < 0 or chamber == i:
-            value[i] += parameters[0]
+            value[i] = max(value[i] + shift, min(value[i], lowest))
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,9 @@ class Offset(Effect):
 
     Notes
     -----
-    ``p_acting = p + offset p_max`` (no equation number checked).
+    ``p_acting = max(p + offset p_max, p_min)`` with the robot's smallest pressure p_min, or 0 if that is above it: nothing
+    sucks a chamber emptier than its source, and a regulator that is off downwards has a dead zone there (no equation number
+    checked).
     """
 
     site: ClassVar[str] = "chamber"
@@ -37,5 +39,6 @@ class Offset(Effect):
     chamber: int = -1
 
     def pack(self, robot: Robot) -> np.ndarray:
-        """Return (offset Pa, chamber)."""
-        return super().pack(robot) * [robot.pressure_max_pa, 1.0]
+        """Return (offset Pa, lowest pressure Pa, chamber)."""
+        offset, chamber = super().pack(robot)
+        return np.array([offset * robot.pressure_max_pa, robot.lowest_pa, chamber])

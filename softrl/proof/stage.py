@@ -127,14 +127,8 @@ def _shelf(config: Config, robot: Robot) -> Shelf:
     made = [config.cases, config.seed, asdict(config.generator), asdict(config.nominal), asdict(robot)]
     code = fingerprint.of_code("softrl.proof.trial", "softrl.proof.generator.plan")
     cases = Path(config.folder) / fingerprint.of_values([*made, code])
-    engine = fingerprint.of_code("softrl.diagnosis.stage", *(f"softrl.effects.{n}" for n in _effects()))
+    engine = fingerprint.of_code("softrl.diagnosis.stage")
     return Shelf(cases, cases / f"answers-{fingerprint.of_values([asdict(config.diagnosis), engine])}")
-
-
-def _effects() -> list[str]:
-    from softrl.effects.library import names
-
-    return names()
 
 
 def _diagnose(

@@ -64,6 +64,11 @@ class Robot:
         return len(self.chamber_angle_deg)
 
     @property
+    def lowest_pa(self) -> float:
+        """Gauge pressure below which nothing gets a chamber: that of its suction, or of the room."""
+        return min(self.pressure_min_pa, 0.0)
+
+    @property
     def chamber_direction(self) -> np.ndarray:
         """Unit vectors (chambers, 2) from the backbone to each chamber in the x-y plane."""
         angle = np.deg2rad(self.chamber_angle_deg)

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import pytest
+
 from softrl.core import fingerprint
 
 
@@ -24,3 +26,9 @@ def test_code_follows_imports_into_the_package_only() -> None:
     assert one == fingerprint.of_code("softrl.effects.lag")
     assert one != fingerprint.of_code("softrl.effects.leak")
     assert fingerprint.of_code("numpy") == fingerprint.of_code()
+
+
+def test_code_that_is_loaded_by_name_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    before, read = fingerprint.of_code("softrl.diagnosis.stage"), fingerprint._source
+    monkeypatch.setattr(fingerprint, "_source", lambda name: read(name) + "#" * (name == "softrl.effects.tether"))
+    assert fingerprint.of_code("softrl.diagnosis.stage") != before

@@ -1,5 +1,6 @@
 """One law of physics for every effect."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from softrl.core.simulator import Motion
 from softrl.effects.area_growth import AreaGrowth
 from softrl.effects.asymmetry import Asymmetry
 from softrl.effects.chain import EffectChain, Plant, SignalFilter, chain_of
+from softrl.effects.command_map import CommandMap
 from softrl.effects.contact import Contact
 from softrl.effects.crosstalk import Crosstalk
 from softrl.effects.dead_time import DeadTime
@@ -128,6 +130,14 @@ def test_dead_time_shifts_exactly() -> None:
     np.testing.assert_allclose(half, 0.5 * (command[:-8] + command[1:-7]), rtol=1e-9, atol=1e-6)
 
 
+def test_a_spread_dead_time_is_second_order_after_its_delay_and_as_late_on_average() -> None:
+    supplied = signal(DeadTime(delay_s=0.4, spread=0.25), step_to(1e4, 4000), DT / 10)[:, 0] / 1e4
+    assert not supplied[:300].any()
+    since = DT / 10 * np.arange(1, 3701) / 0.05  # in time constants of each lag
+    np.testing.assert_allclose(supplied[300:], 1.0 - (1.0 + since) * np.exp(-since), atol=0.01)
+    np.testing.assert_allclose(DT / 10 * np.sum(1.0 - supplied), 0.4, atol=2e-3)
+
+
 def test_deadband_is_a_play_whose_width_is_free_of_rate() -> None:
     band = 0.05
     for steps in (100, 1000):
@@ -224,6 +234,16 @@ def test_gain_offset_crosstalk_are_linear_maps() -> None:
     np.testing.assert_allclose(signal(Gain(gain=0.8, chamber=1), command), [[1e4, 1.6e4, -1e4]])
     np.testing.assert_allclose(signal(Offset(offset=-0.1), command), command - 0.1 * FULL)
     np.testing.assert_allclose(signal(Crosstalk(share=0.1), command), [[1.1e4, 2e4, -0.7e4]])
+
+
+def test_a_shift_stops_at_the_lowest_pressure() -> None:
+    lowest = ROBOT.lowest_pa
+    command = np.array([[0.0, lowest + 1e3, lowest - 1e3]])  # what is commanded below it is not the shift's concern
+    expected = [[-0.1 * FULL, lowest, lowest - 1e3]]
+    np.testing.assert_allclose(signal(Offset(offset=-0.1), command), expected)
+    bent = replace(CommandMap.neutral(), b_1=-0.1, b_2=-0.1, b_3=-0.1)
+    np.testing.assert_allclose(signal(bent, command), expected)
+    np.testing.assert_allclose(signal(Offset(offset=0.1), command), command + 0.1 * FULL)
 
 
 def test_area_growth_is_quadratic_and_odd() -> None:
