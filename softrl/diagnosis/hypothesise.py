@@ -137,20 +137,21 @@ def _behind_a_map(
 def _without_map(
     fitting: Problem, judge: Judge, choices: Sequence[Choice], search: Search, path: Path, report: Callable[[str], None]
 ) -> None:
-    """Put two effects in the place of a map without physics, where they predict runs left out as well.
+    """Put two effects in the place of a map without physics that explains all there is, where they predict as well.
 
-    A map bends to anything: it is chosen where two things are missing and neither explains much alone.
+    A map bends to anything: it is chosen where two things are missing and neither explains much alone. Beside other effects
+    it makes up for what these do not get right, and would be taken for two more.
     """
     mapped = path.best
-    maps = [choice for choice in mapped.hypothesis.effects if effect_class(choice.name).together]
-    if not maps or len(mapped.hypothesis.effects) >= search.max_effects:
+    if len(mapped.hypothesis.effects) != 1 or not effect_class(mapped.hypothesis.names[0]).together or search.max_effects < 2:
         return
-    less = _as_it_was(fitting, mapped, maps[0])
-    physics = [c for c in not_taken(choices, less) if c != maps[0] and not c.session]
+    the_map = mapped.hypothesis.effects[0]
+    less = _as_it_was(fitting, mapped, the_map)
+    physics = [c for c in not_taken(choices, less) if c != the_map and not c.session]
     pairs = best_pairs(fitting.rough_about(less.hypothesis, less.fit.point), less, physics, search)
     trials = raced(fitting, None, [(pair.hypothesis, [pair.point]) for pair in pairs], search, mapped).finished
     best = judge.simplest(trials) if trials else mapped
-    report(f"{best.hypothesis.label()} in the place of {maps[0].label()}: {judge.rms(best.squares):.4g} on runs left out")
+    report(f"{best.hypothesis.label()} in the place of {the_map.label()}: {judge.rms(best.squares):.4g} on runs left out")
     if best is mapped or judge.pays(best.squares, mapped.squares):
         return
     last = best.hypothesis.effects[-1]
