@@ -32,13 +32,14 @@ def dead_time_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarra
 
 @dataclass(frozen=True)
 class DeadTime(Effect):
-    """Delay between command and supply, ``p(t) = p_cmd(t - delay)``, of which a share may be spent in two equal lags.
+    """Delay between command and supply, ``p(t) = p_cmd(t - delay)``, or around it where the line disperses.
 
     Notes
     -----
-    Textbook transport delay of a line, and second order plus dead time of one that disperses: ``delay_s`` is the mean of all,
-    ``spread delay_s`` that of the lags (no equation number checked). What spreads further is a lag or a tube. Exact for a
-    delay of whole steps, interpolated linearly between; the step must exceed delay / 4094.
+    Textbook transport delay, and second order plus dead time of a line that disperses: ``delay_s`` is the mean time of
+    arrival, ``dispersion`` its variance over ``delay_s`` squared, made by two equal lags after a shorter delay (no equation
+    number checked). What spreads further is a lag or a tube. Exact for a delay of whole steps without dispersion,
+    interpolated linearly between; the step must exceed delay / 4094.
     """
 
     site: ClassVar[str] = "valve"
@@ -47,13 +48,14 @@ class DeadTime(Effect):
     shifts_time: ClassVar[bool] = True
 
     delay_s: float = parameter("s", 0.0, 1.0, 0.0, typical=0.1)
-    spread: float = parameter("1", 0.0, 0.5, 0.0, typical=0.2, default=0.0)
+    dispersion: float = parameter("1", 0.0, 0.125, 0.0, typical=0.03, default=0.0)
     chamber: int = -1
 
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (delay before the lags s, time constant of each s, chamber)."""
-        delay, spread, chamber = super().pack(robot)
-        return np.array([(1.0 - spread) * delay, 0.5 * spread * delay, chamber])
+        delay, dispersion, chamber = super().pack(robot)
+        lag = math.sqrt(0.5 * dispersion) * delay
+        return np.array([delay - 2.0 * lag, lag, chamber])
 
     def reset(self, robot: Robot) -> np.ndarray:
         """Return an empty history, and no pressure behind the lags."""

@@ -130,12 +130,15 @@ def test_dead_time_shifts_exactly() -> None:
     np.testing.assert_allclose(half, 0.5 * (command[:-8] + command[1:-7]), rtol=1e-9, atol=1e-6)
 
 
-def test_a_spread_dead_time_is_second_order_after_its_delay_and_as_late_on_average() -> None:
-    supplied = signal(DeadTime(delay_s=0.4, spread=0.25), step_to(1e4, 4000), DT / 10)[:, 0] / 1e4
+def test_a_dispersed_dead_time_is_second_order_after_its_delay_and_as_late_on_average() -> None:
+    supplied = signal(DeadTime(delay_s=0.4, dispersion=0.03125), step_to(1e4, 4000), DT / 10)[:, 0] / 1e4
     assert not supplied[:300].any()
     since = DT / 10 * np.arange(1, 3701) / 0.05  # in time constants of each lag
     np.testing.assert_allclose(supplied[300:], 1.0 - (1.0 + since) * np.exp(-since), atol=0.01)
-    np.testing.assert_allclose(DT / 10 * np.sum(1.0 - supplied), 0.4, atol=2e-3)
+    arrival = DT / 10 * np.arange(4000)
+    weight = np.diff(supplied, prepend=0.0)
+    np.testing.assert_allclose(weight @ arrival, 0.4, atol=2e-3)
+    np.testing.assert_allclose(weight @ (arrival - weight @ arrival) ** 2, 0.03125 * 0.4**2, rtol=0.03)
 
 
 def test_deadband_is_a_play_whose_width_is_free_of_rate() -> None:

@@ -26,6 +26,7 @@ LAWS = (
 ) = range(len(LAWS))  # fmt: skip
 COLUMNS, CHAMBER, ABOVE, LATE = 8, 5, 6, 7
 STAGES = 16  # of the line: a delay spread by a quarter of itself
+RELAY_FLOW = 25.0  # full pressures a second of its open valves: at 5, a small band was a limited rate and nothing else
 MODES = 7  # of the power law, from 0.05 to 50 s
 SLIPS = 8  # elements that slip one after the other
 SUPPLY_SLOTS = 6 + STAGES
@@ -66,10 +67,10 @@ def supply(P: np.ndarray, c: int, t: float, h: float, u: float, state: np.ndarra
         gap = p - state[0]
         if abs(gap) > P[RELAY, 0]:
             state[1] = 1.0
-        elif abs(gap) < 0.4 * P[RELAY, 0]:
-            state[1] = 0.0
-        if state[1] > 0.0:
-            state[0] += min(max(gap, -5.0 * h), 5.0 * h)
+        if state[1] > 0.0:  # they close within the step in which the gap comes to 0.4 of the band, not at its end
+            beyond = max(abs(gap) - 0.4 * P[RELAY, 0], 0.0)
+            state[0] += math.copysign(min(beyond, RELAY_FLOW * h), gap)
+            state[1] = 1.0 if beyond > RELAY_FLOW * h else 0.0
         p += gate(P, RELAY, c, t, u) * (state[0] - p)
     if P[CHOKE, 0] > 0.0:
         gap = p - state[2]
