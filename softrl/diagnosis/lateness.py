@@ -9,7 +9,19 @@ LATE_SHARE = 0.2  # of the interval between samples: a log that is less late goe
 
 def lateness(findings: Sequence[Finding]) -> list[str]:
     """Return how late commands act by the log, and how late the motion is seen, where it counts beside the interval."""
-    return [*_of_commands(findings[0]), *(line for finding in findings[1:] for line in _of_motion(finding))]
+    shifts = [line for finding in findings for line in _of_shifts(finding)]
+    return [*_of_commands(findings[0]), *(line for finding in findings[1:] for line in _of_motion(finding)), *shifts]
+
+
+def _of_shifts(finding: Finding) -> list[str]:
+    interval_s = finding.part.problem.late_max_s
+    shifts = [named.choice.label() for named in finding.named if named.choice.shifts_time]
+    return [
+        f"{label} holds what the log is late by, too: up to {1e3 * interval_s:.2g} ms of it, the interval between rows, may be "
+        "how rows are written."
+        for label in shifts
+        if interval_s > 0.0
+    ]
 
 
 def _of_commands(finding: Finding) -> list[str]:

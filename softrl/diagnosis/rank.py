@@ -146,7 +146,8 @@ def _begun(look: Look, bent: bool) -> list[Begin]:
     straight line shows.
     """
     best = {begin.base: begin for begin in reversed(look.begins)} if bent else {}
-    return [b for b in look.begins if b.share >= SECOND_LOOK * look.share or b is best.get(b.base)]
+    least = min(SECOND_LOOK * look.share, look.share)  # the best itself, if none promises anything
+    return [b for b in look.begins if b.share >= least or b is best.get(b.base)]
 
 
 def _left_behind(bases: list[Base], choice: Choice, points: list[np.ndarray], look: Look) -> Lead:

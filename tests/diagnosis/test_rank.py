@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from softrl.diagnosis.hypothesis import Choice, Hypothesis
+from softrl.diagnosis.look import Begin, Look
 from softrl.diagnosis.problem import Problem
-from softrl.diagnosis.rank import rank
+from softrl.diagnosis.rank import _begun, rank
 from softrl.diagnosis.stage import Config
 from softrl.diagnosis.trial import fit_trials
 from softrl.effects.stiffness_scale import StiffnessScale
@@ -24,3 +25,8 @@ def test_a_wall_that_is_stiffer_or_softer_by_little_or_much_is_seen(body: PccSim
     first = rank(problem, retuned, choices, config.search)[0]
     assert first.choice.chamber == 1
     assert first.gain > 0.9
+
+
+def test_an_effect_that_promises_nothing_has_a_begin_all_the_same() -> None:
+    look = Look([Begin(0, np.zeros(1), -0.2), Begin(0, np.ones(1), -0.5)], [{}])
+    assert [begin.share for begin in _begun(look, bent=False)] == [-0.2]
