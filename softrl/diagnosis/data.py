@@ -128,7 +128,7 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: 
         pressure_noise,
         travel,
         rms_about_mean([r.pressure_meas for r in training if r.pressure_meas is not None]),
-        (*spiked, *mended),
+        (*_too_short(recordings), *spiked, *mended),
     )
 
 
@@ -142,6 +142,13 @@ def _seen_undisturbed(recordings: RecordingSet, channel: str) -> list[Recording]
         and getattr(run, channel) is not None
         and not disturbed & {run.name, run.session}
     ]
+
+
+def _too_short(recordings: RecordingSet) -> list[str]:
+    """Return the runs that are too short to be used, a sentence each."""
+    lasted = {run.name: float(np.ptp(run.time)) for run in recordings.recordings}
+    told = "left out: a run says something about dynamics from"
+    return [f"{name}: {seconds:.2g} s, {told} {MIN_RUN_S:g} s on" for name, seconds in lasted.items() if seconds < MIN_RUN_S]
 
 
 def hold_out(recordings: RecordingSet, share: float, seed: int) -> tuple[RecordingSet, RecordingSet]:

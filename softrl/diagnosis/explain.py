@@ -10,6 +10,7 @@ from softrl.diagnosis.correct import Model
 from softrl.diagnosis.examine import Finding, Named
 from softrl.diagnosis.hypothesis import AT_END, GATES, LATE, Choice, has_chamber, pinned_values
 from softrl.diagnosis.lateness import lateness
+from softrl.diagnosis.leftover import UNEVEN_FACTOR
 from softrl.diagnosis.locate import significant
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.separate import separating_program
@@ -18,6 +19,7 @@ from softrl.effects.library import effect_class
 from softrl.robots.robot import Robot
 
 PIECE_SHARE = 0.2  # of the wrong bending: a piece of the body with less goes without saying
+UNTOLD = "more than white noise; it was not found to be physics"
 TOLD = 0.02  # logarithm of a retuned parameter over its nominal value: less goes without saying
 WORDS = {
     "valve": "between command and chamber pressure",
@@ -183,7 +185,7 @@ def _planned(findings: Sequence[Finding], noise_m: float) -> dict[str, Any] | No
 
 def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
     """Return the finding in plain words, the verdict first."""
-    lines = [_verdict_sentence(diagnosis), _error_sentence(diagnosis)]
+    lines = [_verdict_sentence(diagnosis) + _but(findings, diagnosis.verdict), _error_sentence(diagnosis)]
     if diagnosis.effects and misleads(findings, diagnosis.errors_mm["heldout"]):
         behind = " What is named holds under the measured pressure; what the command does to it is not understood."
         lines.append(
@@ -216,6 +218,13 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
     left = [finding for finding in findings if finding.left > finding.judge.material]
     lines += [_left_sentence(finding) + _from_command(diagnosis, finding) for finding in left]
     return lines
+
+
+def _but(findings: Sequence[Finding], verdict: str) -> str:
+    """Return what a verdict of nothing missing leaves open, where more stays than a detail of the body would."""
+    if verdict != "nothing missing" or all(f.left <= UNEVEN_FACTOR * f.judge.material for f in findings):
+        return ""
+    return " But more stays than white noise, and no test tells whether it is slow noise of the sensor or something else."
 
 
 def _along_sentence(diagnosis: Diagnosis) -> list[str]:
@@ -319,5 +328,6 @@ def _left_sentence(finding: Finding) -> str:
         if offer.pays
         else ""
     )
-    why = f" ({'; '.join(finding.reasons)})" if finding.reasons else " (more than white noise; it was not found to be physics)"
+    little = "a detail of the body may leave as much" if finding.left <= UNEVEN_FACTOR * finding.judge.material else UNTOLD
+    why = f" ({'; '.join(finding.reasons) or little})"
     return f"{finding.part.title}: {factor * finding.left:.3g} {unit} above the noise stay unexplained{why}{closest}.{more}"

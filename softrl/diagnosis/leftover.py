@@ -11,6 +11,7 @@ from softrl.diagnosis.locate import corrected, locate
 from softrl.diagnosis.moments import at_moments
 from softrl.diagnosis.noise import unlike_noise
 from softrl.diagnosis.problem import Problem, Residual
+from softrl.diagnosis.repeats import repeats
 from softrl.diagnosis.spectrum import spectral_line
 from softrl.diagnosis.trial import Trial
 from softrl.diagnosis.varied import slopes, varied
@@ -29,7 +30,7 @@ LOUD_BESIDE = 0.25  # the same beside effects that explain most of it, whose for
 NEARLY_ALL = 0.9  # of the squared error: effects whose laws have no other form explain it, or leave a third of the error
 FOLLOWING_FACTOR = 3.0  # times what counts: structure below this may be a detail of the body
 CARRIES = 3.0  # times what is left on the runs of the fit: what leaves more on others was bent to fit
-UNEVEN_FACTOR = 2.0  # times what counts: what jumps or moves with the pressures, without the noise, and is no detail of the body
+UNEVEN_FACTOR = 2.0  # times what counts: what jumps, or is all that follows the pressures; less is a detail of the body
 FOLLOWING_LEVEL = 1e-3
 
 
@@ -127,7 +128,7 @@ def reasons_of(judge: Judge, final: Trial, offer: Offer, explained: Explained) -
         enough = NEARLY_ALL if all(law.exact or law.together for law in laws) else judge.thresholds.explained_share
         uneven = explained.of_all < enough and _uneven(judge, final, heldout, drives, 1.0)
         return ["what the effects named leave is no noise: it jumps, or grows where the pressures move"] if uneven else []
-    if follows:
+    if follows and (final.hypothesis.effects or left > UNEVEN_FACTOR * judge.material):
         reasons.append("what is left follows the pressures and their past")
     elif left > FOLLOWING_FACTOR * judge.material and (region := _followed(judge, heldout)):
         reasons.append(f"what is left follows the pressures and their past ({region})")
@@ -139,6 +140,8 @@ def reasons_of(judge: Judge, final: Trial, offer: Offer, explained: Explained) -
         reasons.append("what is left is no noise: it jumps, or grows where the pressures move")
     elif left > UNEVEN_FACTOR * judge.material and _momentary(judge, heldout):
         reasons.append("what is left is no noise: it comes at a few moments")
+    elif left > FOLLOWING_FACTOR * judge.material and _repeated(judge, heldout):
+        reasons.append("what is left is the same wherever a chamber's pressure is")
     return reasons
 
 
@@ -152,6 +155,13 @@ def _changing(judge: Judge, residual: Residual) -> float:
     rng = np.random.default_rng(judge.seed)
     found = follows_at_times(residual.runs, _drives(judge), window, CHANGING_DRAWS, rng)
     return found.share * float(residual.squares.mean()) if found.p_value < CHANGING_LEVEL else 0.0
+
+
+def _repeated(judge: Judge, residual: Residual) -> bool:
+    """Return whether what comes again with the pressure of a chamber is no noise, and plainly larger than what counts."""
+    found = repeats(residual.runs, _drives(judge), CHANGING_DRAWS, np.random.default_rng(judge.seed))
+    size = np.sqrt(found.share) * judge.rms(residual.squares)
+    return bool(found.p_value < CHANGING_LEVEL and size > FOLLOWING_FACTOR * judge.material)
 
 
 def _followed(judge: Judge, residual: Residual) -> str:

@@ -11,7 +11,7 @@ from softrl.diagnosis.judge import SHOWN, SHOWN_BESIDE, Judge
 from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.rank import LEAD_SHARE, Lead, rank
-from softrl.diagnosis.trial import Search, Trial, columns_of, drop, join, raced
+from softrl.diagnosis.trial import Search, Trial, as_nominal, columns_of, drop, join, raced
 from softrl.effects.library import effect_class
 
 log = logging.getLogger(__name__)
@@ -176,9 +176,7 @@ def starting_points(current: Trial, lead: Lead, count: int) -> list[np.ndarray]:
     mine, others = lead.point[:own], lead.point[own:]
     points = [np.concatenate([others[:before], mine, others[before:]])]
     if current.hypothesis.tuned and count > 1:
-        fresh = points[0].copy()
-        fresh[-len(current.hypothesis.tuned) :] = 0.0
-        points.append(fresh)
+        points.append(as_nominal(points[0], current.hypothesis))
     if count > 2:
         points += [join(current, start) for start in starts(lead.choice)[: count - 2]]
     return points

@@ -5,10 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
+from scipy.ndimage import maximum_filter1d
 
 from softrl.diagnosis.least_squares import UNSEEN
 
 MAX_ORDER = 8  # of an autoregression
+STILL, AFTER, MANY = 0.02, 4, 8  # share of the largest move, over so many steps: a rest; so many samples of it tell
 BAND = 0.2  # share of a frequency over which the spectrum of noise drawn anew is averaged
 
 
@@ -62,7 +64,7 @@ def redrawn(series: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 class Uneven(NamedTuple):
     """How unlike noise a series is: the chance of it in noise, and the share of its power that is in excess.
 
-    In excess of what its quiet samples have, or of what it has where the drives rest, whichever is more.
+    In excess of what its quiet samples have, or of what it has where the drives rest or would, whichever is more.
     """
 
     p_value: float
@@ -78,9 +80,10 @@ def unlike_noise(
 ) -> Uneven:
     """Return how uneven ``runs`` (steps, n) are under ``drives`` (steps, m), beside noise of the same memory.
 
-    Uneven in two ways: their innovations have heavy tails, as after jumps, or are larger where the drives move. What
-    parameters with the derivatives ``slopes`` (steps, n, p) could take up counts as neither: a fit to noise leaves them a
-    little off, and what that does is sharp where the drives move.
+    Uneven in three ways: their innovations have heavy tails, as after jumps, are larger where the drives move more, or than
+    where they have stood still: no sensor's noise waits for a command. What parameters with the derivatives ``slopes``
+    (steps, n, p) could take up counts as none: a fit to noise leaves them a little off, and what that does is sharp where the
+    drives move.
 
     Notes
     -----
@@ -94,6 +97,9 @@ def unlike_noise(
     active = [np.abs(np.diff(drive, axis=0, prepend=drive[:1])).sum(axis=1) for drive in drives]
     news = [innovations(run, memories) for run in runs]
     moves = np.concatenate([move[-len(new) :] for move, new in zip(active, news, strict=True)])
+    lately = [maximum_filter1d(move, AFTER, origin=(AFTER - 1) // 2)[-len(new) :] for move, new in zip(active, news, strict=True)]
+    still = np.concatenate(lately) <= STILL * moves.max(initial=0.0)
+    still &= MANY <= still.sum() <= len(still) - MANY
     size = np.concatenate([np.broadcast_to(np.maximum(new.std(axis=0), 1e-150), new.shape) for new in news])
     ends = np.cumsum([len(new) for new in news])[:-1]
     taken = _taken_up([innovations(slope, memories) for slope in slopes], size)
@@ -106,7 +112,8 @@ def unlike_noise(
     def uneven(square: np.ndarray) -> np.ndarray:
         power = np.sqrt(square.sum(axis=1))
         slope = np.corrcoef(moves, power)[0, 1] if np.ptp(moves) > 0.0 and np.ptp(power) > 0.0 else 0.0
-        return np.array([np.mean(square**2), slope])
+        waits = power[~still].mean() - power[still].mean() if still.any() else 0.0
+        return np.array([np.mean(square**2), slope, waits])
 
     new = np.concatenate(news) / size
     found = squares(new)
@@ -114,16 +121,16 @@ def unlike_noise(
     mix = (basis * np.sqrt(np.maximum(seen, 0.0))).T
     drawn = np.array([uneven(squares(rng.standard_normal(new.shape) @ mix)) for _ in range(draws)])
     ranks = (1.0 + np.sum(drawn >= uneven(found), axis=0)) / (draws + 1.0)
-    return Uneven(float(min(1.0, len(ranks) * ranks.min())), _in_excess(found, moves))
+    return Uneven(float(min(1.0, len(ranks) * ranks.min())), _in_excess(found, moves, still))
 
 
-def _in_excess(square: np.ndarray, moves: np.ndarray) -> float:
-    """Return the share of the power of ``square`` (steps, n) beyond that of quiet samples, or of no ``moves`` (steps,)."""
+def _in_excess(square: np.ndarray, moves: np.ndarray, still: np.ndarray) -> float:
+    """Return the share of the power of ``square`` (steps, n) beyond that of quiet samples, of no ``moves`` (steps,) or rests."""
     channels, power = square.shape[1], square.sum(axis=1)
     quiet = float(np.median(power)) * channels / float(stats.chi2.median(channels))
     change = moves - moves.mean()
     slope = max(float(change @ power) / max(float(change @ change), 1e-300), 0.0)
-    rest = min(quiet, float(power.mean() - slope * moves.mean()))
+    rest = min(quiet, float(power.mean() - slope * moves.mean()), float(power[still].mean()) if still.any() else np.inf)
     return float(np.clip(1.0 - rest / max(float(power.mean()), 1e-300), 0.0, 1.0))
 
 

@@ -20,6 +20,7 @@ log = logging.getLogger(__name__)
 FIRST_ITERATIONS = 8  # of every start, with longer steps
 BEATEN = 9.0  # times the best squared error, after ``FIRST_ITERATIONS``: such a fit is not followed further
 PLAINLY = 2.0  # the same for a fit that has settled, beside the best simulated with the same steps
+ALIKE = 10.0  # bins that tell as much as one
 FAR_SHARE = 0.1  # of the squared error: a run that adds more to it once it is left out, along a straight line, is refitted
 
 
@@ -127,7 +128,7 @@ def _fit_trial(
         except SolverError as error:
             log.debug("%s does not run from its start: %s", hypothesis.label(), error)
             continue
-        fit = found if fit is None or found.cost < fit.cost else fit
+        fit = found if fit is None or unlikelihood(fitting, hypothesis, found) < unlikelihood(fitting, hypothesis, fit) else fit
     if fit is None:
         return None
     try:
@@ -139,6 +140,18 @@ def _fit_trial(
         log.info("%s diverges on runs left out and is dropped: %s", hypothesis.label(), error)
         return None
     return Trial(hypothesis, fit, placed, squares, inside)
+
+
+def unlikelihood(fitting: Problem, hypothesis: Hypothesis, fit: Fit) -> float:
+    """Return minus the logarithm of how likely a fit is, but for a constant.
+
+    By its squared error, of which ``ALIKE`` bins tell as much as one, and by how far it is from the simulator's nominal
+    parameters, which are known to a factor of two. A lag and a damping may be exchanged: both fit alike then.
+    """
+    tuned, nominal = fitting.space(hypothesis).tuned(fit.point), fitting.simulator.parameters
+    doublings = np.array([np.log2(value / nominal[name]) for name, value in tuned.items()])
+    told = len(fitting.run_of_bin) / ALIKE
+    return float(0.5 * told * np.log(max(fit.cost, 1e-300)) + 0.5 * np.sum(doublings**2))
 
 
 def shared_out(
@@ -232,6 +245,13 @@ def join(current: Trial, point: np.ndarray) -> np.ndarray:
     """Return the point of ``current`` with the scaled parameters of one more effect put after its effects'."""
     count = len(current.fit.point) - len(current.hypothesis.tuned)
     return np.concatenate([current.fit.point[:count], point, current.fit.point[count:]])
+
+
+def as_nominal(point: np.ndarray, hypothesis: Hypothesis) -> np.ndarray:
+    """Return ``point`` with the simulator's parameters at their nominal values, and a log that is not late."""
+    fresh = point.copy()
+    fresh[len(point) - len(hypothesis.tuned) :] = 0.0
+    return fresh
 
 
 def of_effects(trial: Trial) -> np.ndarray:

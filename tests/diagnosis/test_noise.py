@@ -59,3 +59,15 @@ def test_what_parameters_a_little_off_leave_is_no_structure() -> None:
     assert unlike_noise(off, [drive, drive], 200, rng, [slope[:, :, None]] * 2).p_value > 0.05
     rough = [noise + 3.0 * slope * rng.standard_normal((300, 1)) for noise in slow]
     assert unlike_noise(rough, [drive, drive], 200, rng, [slope[:, :, None]] * 2).p_value < 0.02
+
+
+def test_what_waits_for_a_first_command_is_no_noise() -> None:
+    rng = np.random.default_rng(18)
+    drive = np.cumsum(rng.standard_normal((300, 2)), axis=0)
+    drive[:20] = drive[20]  # the robot stands, then moves without a pause and always alike
+    drive[20:] = drive[20] + np.cumsum(np.sign(rng.standard_normal((280, 2))), axis=0)
+    noise = rng.standard_normal((300, 3))
+    assert unlike_noise([noise, noise[::-1]], [drive, drive], 200, rng).p_value > 0.05
+    found = unlike_noise([noise * np.where(np.arange(300) < 20, 0.2, 1.0)[:, None]] * 2, [drive, drive], 200, rng)
+    assert found.p_value < 0.02
+    assert found.share > 0.8
