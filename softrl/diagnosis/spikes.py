@@ -14,6 +14,7 @@ LONGEST = 7  # samples: what lasts longer may be real
 TIMES = 10.0  # a spike stands out from the running median by this many times what four samples out of five do
 LEAST_SHARE = 0.02  # of the range
 NEARBY, CALM_PERCENT = 1.5, 85.0  # times what so many of the samples around it do: a fast swing has many peaks
+COMMAND_SHARE, JUST = 0.15, 3  # of its range: a command that changes by more within a row jumps; rows for which that counts
 JUMP_SHARE = 0.5  # of its height a spike is entered and left by within one sample, beyond the motion before and after
 
 
@@ -26,7 +27,7 @@ def without_spikes(runs: Sequence[Recording]) -> tuple[tuple[Recording, ...], li
             if values is not None:
                 seen = values.reshape(len(values), -1)
                 first, reading = _readings(run.time, seen)
-                wrong |= spikes(seen[first])[reading]
+                wrong |= spikes(seen[first], run.pressure_cmd[first])[reading]
                 if len(first) == len(seen):  # the few readings of a slow sensor all jump
                     wrong |= strayed(run.time, seen, _pressures(run))
         if wrong.any():
@@ -55,8 +56,11 @@ def _readings(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndar
     return first, reading
 
 
-def spikes(values: np.ndarray) -> np.ndarray:
-    """Return which rows (steps,) of ``values`` (steps, n) lie on a spike of at most ``LONGEST`` samples."""
+def spikes(values: np.ndarray, commands: np.ndarray) -> np.ndarray:
+    """Return which rows (steps,) of ``values`` (steps, n) lie on a spike of at most ``LONGEST`` samples.
+
+    Not where one of the ``commands`` (steps, m) has just jumped: two steps that follow each other throw the tip there and back.
+    """
     wrong = np.zeros(len(values), dtype=bool)
     if len(values) <= 2 * LONGEST + 1:
         return wrong
@@ -64,9 +68,10 @@ def spikes(values: np.ndarray) -> np.ndarray:
     height = np.linalg.norm(off, axis=1)
     level = max(TIMES * float(np.quantile(height, 0.8)), LEAST_SHARE * float(np.linalg.norm(np.ptp(values, axis=0))))
     nearby = percentile_filter(height, CALM_PERCENT, size=8 * LONGEST + 1, mode="nearest")
+    thrown = _just_jumped(commands)
     edges = np.flatnonzero(np.diff(np.r_[False, height > level, False].astype(int)))
     for first, end in edges.reshape(-1, 2):
-        if first == 0 or end == len(values) or end - first > LONGEST:
+        if first == 0 or end == len(values) or end - first > LONGEST or thrown[first:end].any():
             continue
         if height[first:end].max() < NEARBY * nearby[(first + end) // 2]:
             continue
@@ -75,6 +80,13 @@ def spikes(values: np.ndarray) -> np.ndarray:
         if min(np.linalg.norm(entered), np.linalg.norm(left)) > jump and entered @ left > 0.0:
             wrong[first:end] = True
     return wrong
+
+
+def _just_jumped(commands: np.ndarray) -> np.ndarray:
+    """Return where (steps,) a command has jumped within the last ``JUST`` rows."""
+    span = np.maximum(np.ptp(commands, axis=0), 1e-300)
+    jumped = (np.abs(np.diff(commands, axis=0, prepend=commands[:1])) > COMMAND_SHARE * span).any(axis=1)
+    return np.convolve(jumped, np.ones(JUST + 1), mode="full")[: len(jumped)] > 0.0
 
 
 def _aside(values: np.ndarray, row: int, towards: int) -> np.ndarray:
