@@ -192,7 +192,7 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
             "Do not rely on the corrected simulator: from the command it predicts held-out runs worse than retuning or one lag."
             + (behind if len(findings) > 1 else "")
         )
-    lines += [_effect_sentence(effect) for effect in diagnosis.effects]
+    lines += [_effect_sentence(effect) for effect in diagnosis.effects] + _ungauged(findings)
     lines += [line for finding in findings for line in finding.switched]
     for rival in diagnosis.rivals[:4]:
         verb = "cannot be told from" if rival["equivalent"] else "is worse than"
@@ -225,6 +225,14 @@ def _but(findings: Sequence[Finding], verdict: str) -> str:
     if verdict != "nothing missing" or all(f.left <= UNEVEN_FACTOR * f.judge.material for f in findings):
         return ""
     return " But more stays than white noise, and no test tells whether it is slow noise of the sensor or something else."
+
+
+def _ungauged(findings: Sequence[Finding]) -> list[str]:
+    """Return that the place of a valve's effect is not certain, where no gauge between valve and body was read."""
+    at_valve = any(named.choice.site == "valve" for named in findings[0].named)
+    if len(findings) > 1 or not at_valve:
+        return []
+    return ["No pressure behind the valve was used: what is named at the valve may as well lie between pressure and force."]
 
 
 def _along_sentence(diagnosis: Diagnosis) -> list[str]:

@@ -5,7 +5,8 @@ from typing import Any
 
 import pytest
 
-from softrl.diagnosis.explain import _at_the_end
+from softrl.diagnosis.explain import _at_the_end, _but, _ungauged
+from softrl.diagnosis.hypothesis import Choice
 from softrl.diagnosis.verdict import verdict_of
 
 
@@ -27,3 +28,20 @@ def test_parameters_that_the_correction_too_drives_to_an_end_are_told() -> None:
         simulator_parameters={"mass_scale": 0.5, "damping_s": 2.1, "stiffness_scale": 8.0},
     )
     assert _at_the_end(made) == ["mass_scale", "stiffness_scale"]
+
+
+def test_a_valve_without_a_gauge_behind_it_may_lie_elsewhere() -> None:
+    def finding(*names: str) -> Any:
+        return SimpleNamespace(named=[SimpleNamespace(choice=Choice(name)) for name in names])
+
+    assert "may as well lie between pressure and force" in _ungauged([finding("deadband")])[0]
+    assert not _ungauged([finding("payload")])
+    assert not _ungauged([finding("deadband"), finding("payload")])  # valve and body apart: a gauge stands between
+
+
+def test_nothing_missing_says_what_stays_beyond_a_detail_of_the_body() -> None:
+    def finding(left: float) -> Any:
+        return SimpleNamespace(left=left, judge=SimpleNamespace(material=1.0))
+
+    assert "no test tells" in _but([finding(2.5)], "nothing missing")
+    assert not _but([finding(1.5)], "nothing missing") and not _but([finding(2.5)], "unknown")
