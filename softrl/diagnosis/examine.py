@@ -15,7 +15,7 @@ from softrl.diagnosis.judge import SHOWN_BESIDE, Gap, Judge, Thresholds
 from softrl.diagnosis.leftover import Offer, explained_by, heldout_residual, offer_of, reasons_of, varies
 from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem, Residual
-from softrl.diagnosis.trial import Search, Trial, as_nominal, columns_of, drop, fit_trials, join, raced
+from softrl.diagnosis.trial import Search, Trial, columns_of, drop, fit_trials, from_nominal, join, raced
 from softrl.effects.library import effect_class
 from softrl.recordings.recording import Recording
 
@@ -286,7 +286,7 @@ def _rivals(
 ) -> list[Rival]:
     """Return the best alternatives to ``choice``, the other effects staying, judged on held-out runs."""
     tasks = [
-        (without.hypothesis.with_effect(other), [start, as_nominal(start, without.hypothesis)][: search.starts])
+        (without.hypothesis.with_effect(other), [start, *from_nominal(start, without.hypothesis)][: search.starts])
         for other, point in path.tried.get(choice, [])
         if other.name not in final.hypothesis.names
         for start in [join(without, point)]

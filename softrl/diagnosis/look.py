@@ -12,7 +12,7 @@ from softrl.core.errors import SolverError
 from softrl.diagnosis.hypothesis import Choice, effect_axes, neutral
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.search import Fit, jacobian_at
-from softrl.diagnosis.trial import Trial, join
+from softrl.diagnosis.trial import FAR, Trial, join
 from softrl.effects.library import effect_class
 
 log = logging.getLogger(__name__)
@@ -22,7 +22,6 @@ WILD, GENTLE = 20.0, 0.1  # a size that moves this many times what is left tells
 PLAIN_LOOK = 0.2  # gain along straight lines of the best effect below which they tell little behind a bent curve
 IN_VAIN = 0.1  # of the squared error at nominal parameters: where more stays although they went far, the curve is bent
 ROUGH_DIFFERENCE = 0.02  # scaled step of differences
-FAR = 0.5  # a parameter retuned by more than this factor, in logarithms, is no longer near nominal
 RETUNED = 0.1  # likewise: it may have been retuned in an effect's place
 MISTAKEN = 0.15  # of what an effect changes: where retuning can do all but this, it may have taken the effect's place
 Known = dict[bytes, "Moved | None"]

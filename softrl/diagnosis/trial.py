@@ -21,6 +21,7 @@ FIRST_ITERATIONS = 8  # of every start, with longer steps
 BEATEN = 9.0  # times the best squared error, after ``FIRST_ITERATIONS``: such a fit is not followed further
 PLAINLY = 2.0  # the same for a fit that has settled, beside the best simulated with the same steps
 ALIKE = 10.0  # bins that tell as much as one
+FAR = 0.5  # a parameter retuned by more than this factor, in logarithms, is no longer near nominal
 FAR_SHARE = 0.1  # of the squared error: a run that adds more to it once it is left out, along a straight line, is refitted
 
 
@@ -252,6 +253,12 @@ def as_nominal(point: np.ndarray, hypothesis: Hypothesis) -> np.ndarray:
     fresh = point.copy()
     fresh[len(point) - len(hypothesis.tuned) :] = 0.0
     return fresh
+
+
+def from_nominal(point: np.ndarray, hypothesis: Hypothesis) -> list[np.ndarray]:
+    """Return the start ``as_nominal`` if a simulator's parameter was retuned far: perhaps in an effect's place."""
+    tuned = point[len(point) - len(hypothesis.tuned) :]
+    return [as_nominal(point, hypothesis)] if np.abs(tuned).max(initial=0.0) > FAR else []
 
 
 def of_effects(trial: Trial) -> np.ndarray:
