@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from softrl.core.errors import SolverError
 from softrl.diagnosis.choices import gated
 from softrl.diagnosis.flexible import pressures
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, neutral
@@ -146,7 +147,10 @@ def _without_map(
     if len(mapped.hypothesis.effects) != 1 or not effect_class(mapped.hypothesis.names[0]).together or search.max_effects < 2:
         return
     the_map = mapped.hypothesis.effects[0]
-    less = _as_it_was(fitting, mapped, the_map)
+    try:
+        less = _as_it_was(fitting, mapped, the_map)
+    except SolverError:  # the body as it was retuned beside the map does not run without it
+        return
     physics = [c for c in not_taken(choices, less) if c != the_map and not c.session]
     pairs = best_pairs(fitting.rough_about(less.hypothesis, less.fit.point), less, physics, search)
     trials = raced(fitting, None, [(pair.hypothesis, [pair.point]) for pair in pairs], search, mapped).finished
