@@ -12,6 +12,7 @@ from softrl.diagnosis.hypothesis import AT_END, GATES, LATE, Choice, has_chamber
 from softrl.diagnosis.lateness import lateness
 from softrl.diagnosis.leftover import UNEVEN_FACTOR
 from softrl.diagnosis.locate import significant
+from softrl.diagnosis.parameters import effect_sentence
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.separate import separating_program
 from softrl.diagnosis.verdict import AS_GOOD, alternatives, misleads
@@ -21,13 +22,6 @@ from softrl.robots.robot import Robot
 PIECE_SHARE = 0.2  # of the wrong bending: a piece of the body with less goes without saying
 UNTOLD = "more than white noise; it was not found to be physics"
 TOLD = 0.02  # logarithm of a retuned parameter over its nominal value: less goes without saying
-WORDS = {
-    "valve": "between command and chamber pressure",
-    "chamber": "in the chamber",
-    "body": "in the body",
-    "load": "in the load on the tip",
-    "sensor": "in the sensor",
-}
 BESIDE = {
     "one_lag": "one lag alone",
     "static": "a static map",
@@ -192,7 +186,8 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
             "Do not rely on the corrected simulator: from the command it predicts held-out runs worse than retuning or one lag."
             + (behind if len(findings) > 1 else "")
         )
-    lines += [_effect_sentence(effect) for effect in diagnosis.effects] + _ungauged(findings)
+    lines += [effect_sentence(effect, findings[0].part.problem.robot) for effect in diagnosis.effects]
+    lines += _ungauged(findings)
     lines += [line for finding in findings for line in finding.switched]
     for rival in diagnosis.rivals[:4]:
         verb = "cannot be told from" if rival["equivalent"] else "is worse than"
@@ -296,34 +291,6 @@ def _verdict_sentence(diagnosis: Diagnosis) -> str:
         return f"The simulator leaves out {names_}; the recordings cannot tell from it: {alike}."
     also = f" What is named describes part of it and is no identification: {names_}." if names_ else ""
     return f"Something is missing that no effect of the library explains.{also}"
-
-
-def _effect_sentence(effect: dict[str, Any]) -> str:
-    values = ", ".join(
-        f"{name} {p['value']:.3g} ({p['low']:.3g} to {p['high']:.3g}){'' if p['unit'] == '1' else ' ' + p['unit']}"
-        f"{', at the end of its range' if p['at_bound'] else ''}"
-        for name, p in _telling(effect).items()
-    )
-    return f"{effect['name']} {WORDS[effect['site']]}, {effect['where']}: {values}. {effect['evidence']}."
-
-
-def _telling(effect: dict[str, Any]) -> dict[str, Any]:
-    """Return the parameters worth a word, or all if none is.
-
-    Not those that came to rest where they do nothing, those that may be anything, and of many that stand together those
-    whose interval holds zero.
-    """
-    cls = effect_class(effect["name"])
-    known = {field.name: field.metadata for field in (*cls.parameter_fields(), *cls.gate_fields())}
-
-    def tells(name: str, p: dict[str, Any]) -> bool:
-        m = known[name]
-        idle = p["at_bound"] and p["value"] == m["neutral"]
-        anything = p["low"] <= m["low"] and p["high"] >= m["high"]
-        return not (idle or anything or (cls.together and p["low"] <= 0.0 <= p["high"]))
-
-    found: dict[str, Any] = effect["parameters"]
-    return {name: p for name, p in found.items() if tells(name, p)} or found
 
 
 def _left_sentence(finding: Finding) -> str:

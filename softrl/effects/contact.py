@@ -41,7 +41,7 @@ class Contact(Effect):
     title: ClassVar[str] = "contact of the tip with a plane"
     kernel: ClassVar = contact_kernel
 
-    distance: float = parameter("1", 0.0, 2.0, 2.0, typical=0.1)
+    distance: float = parameter("1", 0.0, 2.0, 2.0, typical=0.1, of="length")
     azimuth_rad: float = parameter("rad", -math.pi, math.pi, 0.0, typical=0.0)
     stiffness_n_per_m: float = parameter("N/m", 10.0, 1e5, 500.0, typical=500.0, log=True)
     elevation_rad: float = 0.0

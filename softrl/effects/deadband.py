@@ -47,7 +47,7 @@ class Deadband(Effect):
     kernel: ClassVar = deadband_kernel
     sticks: ClassVar[bool] = True
 
-    band: float = parameter("1", 0.0, 0.3, 0.0, typical=0.05)
+    band: float = parameter("1", 0.0, 0.3, 0.0, typical=0.05, of="pressure")
     closes_at: float = parameter("1", 0.0, 1.0, 1.0, typical=1.0, scale=0.5, default=1.0)
     fill_per_s: float = parameter(
         "1/s", 0.5, AT_ONCE_PER_S, AT_ONCE_PER_S, typical=AT_ONCE_PER_S, log=True, default=AT_ONCE_PER_S

@@ -58,6 +58,7 @@ def parameter(
     log: bool = False,
     scale: float | None = None,
     default: Any = dataclasses.MISSING,
+    of: str = "",
 ) -> Any:
     """Declare a fitted parameter of an effect.
 
@@ -70,8 +71,9 @@ def parameter(
     log : search on a logarithmic scale (only where low > 0)
     scale : a change that is plain to see, where it is not what leads from ``neutral`` to ``typical``
     default : the value where none is given; must be given if this is missing
+    of : of what of the robot's it is a share: "pressure" (the largest), "length" or "mass"; or empty
     """
-    metadata = {"unit": unit, "low": low, "high": high, "neutral": neutral, "typical": typical, "log": log}
+    metadata = {"unit": unit, "low": low, "high": high, "neutral": neutral, "typical": typical, "log": log, "of": of}
     metadata["scale"] = scale or abs(typical - neutral) or 0.1 * (high - low)
     return dataclasses.field(default=default, metadata=metadata)
 
@@ -79,7 +81,7 @@ def parameter(
 def _gate(unit: str, low: float, high: float, typical: float) -> dict[str, Any]:
     """Return what is known of a number of the gate; it is neutral at ``low``."""
     known = {"unit": unit, "low": low, "high": high, "neutral": low, "typical": typical, "log": False, "gate": True}
-    return known | {"scale": typical - low}
+    return known | {"scale": typical - low, "of": "pressure" if unit == "1" else ""}
 
 
 @dataclass(frozen=True)

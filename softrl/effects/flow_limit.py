@@ -43,7 +43,7 @@ class FlowLimit(Effect):
     kernel: ClassVar = flow_limit_kernel
     variant_of: ClassVar[str] = "rate_limit"
 
-    rise_per_s: float = parameter("1/s", 0.02, UNLIMITED_PER_S, UNLIMITED_PER_S, typical=0.4, log=True)
+    rise_per_s: float = parameter("1/s", 0.02, UNLIMITED_PER_S, UNLIMITED_PER_S, typical=0.4, log=True, of="pressure")
     vent_s: float = parameter("s", 0.0, 10.0, 0.0, typical=0.5)
     chamber: int = -1
 

@@ -40,9 +40,9 @@ class Frame(Effect):
     turn_x_rad: float = parameter("rad", -0.8, 0.8, 0.0, typical=0.1)
     turn_y_rad: float = parameter("rad", -0.8, 0.8, 0.0, typical=0.1)
     turn_z_rad: float = parameter("rad", -3.1416, 3.1416, 0.0, typical=0.2)
-    shift_x: float = parameter("1", -0.8, 0.8, 0.0, typical=0.02)
-    shift_y: float = parameter("1", -0.8, 0.8, 0.0, typical=0.02)
-    shift_z: float = parameter("1", -0.8, 0.8, 0.0, typical=0.02)
+    shift_x: float = parameter("1", -0.8, 0.8, 0.0, typical=0.02, of="length")
+    shift_y: float = parameter("1", -0.8, 0.8, 0.0, typical=0.02, of="length")
+    shift_z: float = parameter("1", -0.8, 0.8, 0.0, typical=0.02, of="length")
 
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (matrix (9,), quaternion (4,) w x y z, shift (3,) m)."""

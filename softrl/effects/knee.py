@@ -42,7 +42,7 @@ class Knee(Effect):
     extends: ClassVar[str] = "supply_limit"
 
     slope: float = parameter("1", 0.0, 4.0, 1.0, typical=0.5)
-    threshold: float = parameter("1", 0.05, 0.95, 0.5, typical=0.5)
+    threshold: float = parameter("1", 0.05, 0.95, 0.5, typical=0.5, of="pressure")
     chamber: int = -1
 
     def pack(self, robot: Robot) -> np.ndarray:

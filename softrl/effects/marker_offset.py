@@ -35,9 +35,9 @@ class MarkerOffset(Effect):
     kernel: ClassVar = marker_offset_kernel
     exact: ClassVar[bool] = True
 
-    x: float = parameter("1", -0.3, 0.3, 0.0, typical=0.03)
-    y: float = parameter("1", -0.3, 0.3, 0.0, typical=0.03)
-    z: float = parameter("1", -0.3, 0.3, 0.0, typical=0.03)
+    x: float = parameter("1", -0.3, 0.3, 0.0, typical=0.03, of="length")
+    y: float = parameter("1", -0.3, 0.3, 0.0, typical=0.03, of="length")
+    z: float = parameter("1", -0.3, 0.3, 0.0, typical=0.03, of="length")
 
     def pack(self, robot: Robot) -> np.ndarray:
         """Return the offset (3,) m."""

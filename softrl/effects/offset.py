@@ -35,7 +35,7 @@ class Offset(Effect):
     kernel: ClassVar = offset_kernel
     exact: ClassVar[bool] = True
 
-    offset: float = parameter("1", -0.5, 0.5, 0.0, typical=0.05)
+    offset: float = parameter("1", -0.5, 0.5, 0.0, typical=0.05, of="pressure")
     chamber: int = -1
 
     def pack(self, robot: Robot) -> np.ndarray:

@@ -36,7 +36,7 @@ class Payload(Effect):
     kernel: ClassVar = payload_kernel
     exact: ClassVar[bool] = True
 
-    mass: float = parameter("1", 0.0, 3.0, 0.0, typical=0.2)
+    mass: float = parameter("1", 0.0, 3.0, 0.0, typical=0.2, of="mass")
 
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (mass kg,)."""

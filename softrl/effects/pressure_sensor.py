@@ -35,7 +35,7 @@ class PressureSensor(Effect):
     kernel: ClassVar = pressure_sensor_kernel
 
     gain: float = parameter("1", 0.5, 2.0, 1.0, typical=1.1)
-    offset: float = parameter("1", -0.3, 0.3, 0.0, typical=0.03)
+    offset: float = parameter("1", -0.3, 0.3, 0.0, typical=0.03, of="pressure")
     chamber: int = -1
 
     def pack(self, robot: Robot) -> np.ndarray:

@@ -36,8 +36,8 @@ class RateLimit(Effect):
     title: ClassVar[str] = "limited rate of pressure change"
     kernel: ClassVar = rate_limit_kernel
 
-    rise_per_s: float = parameter("1/s", 0.02, UNLIMITED_PER_S, UNLIMITED_PER_S, typical=0.4, log=True)
-    fall_per_s: float = parameter("1/s", 0.02, UNLIMITED_PER_S, UNLIMITED_PER_S, typical=0.4, log=True)
+    rise_per_s: float = parameter("1/s", 0.02, UNLIMITED_PER_S, UNLIMITED_PER_S, typical=0.4, log=True, of="pressure")
+    fall_per_s: float = parameter("1/s", 0.02, UNLIMITED_PER_S, UNLIMITED_PER_S, typical=0.4, log=True, of="pressure")
     chamber: int = -1
 
     @classmethod

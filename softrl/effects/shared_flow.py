@@ -40,7 +40,7 @@ class SharedFlow(Effect):
     title: ClassVar[str] = "limited flow of the source that all chambers share"
     kernel: ClassVar = shared_flow_kernel
 
-    rise_per_s: float = parameter("1/s", 0.02, UNLIMITED_PER_S, UNLIMITED_PER_S, typical=0.6, log=True)
+    rise_per_s: float = parameter("1/s", 0.02, UNLIMITED_PER_S, UNLIMITED_PER_S, typical=0.6, log=True, of="pressure")
 
     @classmethod
     def suits(cls, robot: Robot) -> bool:

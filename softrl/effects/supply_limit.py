@@ -34,7 +34,7 @@ class SupplyLimit(Effect):
     title: ClassVar[str] = "saturation of the supply pressure"
     kernel: ClassVar = supply_limit_kernel
 
-    ceiling: float = parameter("1", 0.1, 1.0, 1.0, typical=0.6)
+    ceiling: float = parameter("1", 0.1, 1.0, 1.0, typical=0.6, of="pressure")
     floor: float = parameter("1", 0.0, 1.0, 1.0, typical=0.6)
     chamber: int = -1
 

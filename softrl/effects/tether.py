@@ -47,9 +47,9 @@ class Tether(Effect):
     kernel: ClassVar = tether_kernel
 
     stiffness_n_per_m: float = parameter("N/m", 0.0, 500.0, 0.0, typical=30.0)
-    offset_x: float = parameter("1", -0.5, 0.5, 0.0, typical=0.1)
-    offset_y: float = parameter("1", -0.5, 0.5, 0.0, typical=0.0)
-    free_length: float = parameter("1", 0.0, 0.5, 0.0, typical=0.05, default=0.0)
+    offset_x: float = parameter("1", -0.5, 0.5, 0.0, typical=0.1, of="length")
+    offset_y: float = parameter("1", -0.5, 0.5, 0.0, typical=0.0, of="length")
+    free_length: float = parameter("1", 0.0, 0.5, 0.0, typical=0.05, default=0.0, of="length")
 
     @classmethod
     def shapes(cls) -> list[dict[str, float]]:

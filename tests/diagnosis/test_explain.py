@@ -7,6 +7,7 @@ import pytest
 
 from softrl.diagnosis.explain import _at_the_end, _but, _ungauged
 from softrl.diagnosis.hypothesis import Choice
+from softrl.diagnosis.parameters import effect_sentence
 from softrl.diagnosis.verdict import verdict_of
 
 
@@ -45,3 +46,15 @@ def test_nothing_missing_says_what_stays_beyond_a_detail_of_the_body() -> None:
 
     assert "no test tells" in _but([finding(2.5)], "nothing missing")
     assert not _but([finding(1.5)], "nothing missing") and not _but([finding(2.5)], "unknown")
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter", "unit", "told"),
+    [("deadband", "band", "1", "= 1.05 kPa"), ("rate_limit", "rise_per_s", "1/s", "1/s = 1.05 kPa/s"),
+     ("payload", "mass", "1", "= 3 g"), ("contact", "distance", "1", "= 6 mm")],
+)  # fmt: skip
+def test_shares_are_told_in_units_of_the_robot(name: str, parameter: str, unit: str, told: str) -> None:
+    robot: Any = SimpleNamespace(pressure_max_pa=35e3, length_m=0.2, mass_kg=0.1)
+    entry = {"value": 0.03, "low": 0.02, "high": 0.04, "unit": unit, "at_bound": False}
+    effect = {"name": name, "site": "valve", "where": "all", "parameters": {parameter: entry}, "evidence": "so"}
+    assert f"{parameter} 0.03 (0.02 to 0.04)" in effect_sentence(effect, robot) and told in effect_sentence(effect, robot)

@@ -1,0 +1,59 @@
+"""A named effect in words: where it acts, its parameters, and what they are of this robot's."""
+
+from typing import Any
+
+from softrl.effects.library import effect_class
+from softrl.robots.robot import Robot
+
+WORDS = {
+    "valve": "between command and chamber pressure",
+    "chamber": "in the chamber",
+    "body": "in the body",
+    "load": "in the load on the tip",
+    "sensor": "in the sensor",
+}
+SHARES = {"pressure": ("pressure_max_pa", 1e-3, "kPa"), "length": ("length_m", 1e3, "mm"), "mass": ("mass_kg", 1e3, "g")}
+
+
+def effect_sentence(effect: dict[str, Any], robot: Robot) -> str:
+    """Return what a named ``effect`` is: name, place, the parameters worth a word with their intervals, and its evidence."""
+    values = ", ".join(
+        f"{name} {p['value']:.3g} ({p['low']:.3g} to {p['high']:.3g}){'' if p['unit'] == '1' else ' ' + p['unit']}"
+        f"{_of_the_robot(effect['name'], name, p['value'], robot)}{', at the end of its range' if p['at_bound'] else ''}"
+        for name, p in _telling(effect).items()
+    )
+    return f"{effect['name']} {WORDS[effect['site']]}, {effect['where']}: {values}. {effect['evidence']}."
+
+
+def _of_the_robot(effect: str, name: str, value: float, robot: Robot) -> str:
+    """Return what a share of the largest pressure, the length or the mass is of this ``robot``'s, or nothing."""
+    known = _known(effect)[name]
+    if not known["of"]:
+        return ""
+    attribute, factor, unit = SHARES[known["of"]]
+    each = "/s" if known["unit"] == "1/s" else ""
+    return f" = {factor * value * getattr(robot, attribute):.3g} {unit}{each}"
+
+
+def _known(effect: str) -> dict[str, Any]:
+    """Return what is known of each parameter of the effect of that name, and of its gates'."""
+    cls = effect_class(effect)
+    return {field.name: field.metadata for field in (*cls.parameter_fields(), *cls.gate_fields())}
+
+
+def _telling(effect: dict[str, Any]) -> dict[str, Any]:
+    """Return the parameters worth a word, or all if none is.
+
+    Not those that came to rest where they do nothing, those that may be anything, and of many that stand together those
+    whose interval holds zero.
+    """
+    known, together = _known(effect["name"]), effect_class(effect["name"]).together
+
+    def tells(name: str, p: dict[str, Any]) -> bool:
+        m = known[name]
+        idle = p["at_bound"] and p["value"] == m["neutral"]
+        anything = p["low"] <= m["low"] and p["high"] >= m["high"]
+        return not (idle or anything or (together and p["low"] <= 0.0 <= p["high"]))
+
+    found: dict[str, Any] = effect["parameters"]
+    return {name: p for name, p in found.items() if tells(name, p)} or found
