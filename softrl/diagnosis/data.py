@@ -146,9 +146,11 @@ def _seen_undisturbed(recordings: RecordingSet, channel: str) -> list[Recording]
 
 def _too_short(recordings: RecordingSet) -> list[str]:
     """Return the runs that are too short to be used, a sentence each."""
-    lasted = {run.name: float(np.ptp(run.time)) for run in recordings.recordings}
-    told = "left out: a run says something about dynamics from"
-    return [f"{name}: {seconds:.2g} s, {told} {MIN_RUN_S:g} s on" for name, seconds in lasted.items() if seconds < MIN_RUN_S]
+    return [
+        f"{run.name}: {np.ptp(run.time):.2g} s, left out: a run says something about dynamics from {MIN_RUN_S:g} s on"
+        for run in recordings.recordings
+        if np.ptp(run.time) < MIN_RUN_S
+    ]
 
 
 def hold_out(recordings: RecordingSet, share: float, seed: int) -> tuple[RecordingSet, RecordingSet]:

@@ -163,18 +163,18 @@ def _without_map(
     added = addition(fitting, judge, first[0], physics, search, path, against=best) if first else None
     settled = _settled(fitting, judge, added, physics, search, path) if added else best
     if judge.tells(settled.squares, best.squares):
-        settled = _preferred(path, best, settled)
+        _note_as_tried(path, best, settled)
+        settled = best
     path.best = settled
 
 
-def _preferred(path: Path, best: Trial, other: Trial) -> Trial:
-    """Return ``best``, and note what ``other`` has in the place of each of its effects as tried there."""
+def _note_as_tried(path: Path, best: Trial, other: Trial) -> None:
+    """Note what ``other`` has in the place of an effect of ``best`` as tried there."""
     for mine in best.hypothesis.effects:
         for instead in other.hypothesis.effects:
             if instead not in best.hypothesis.effects and mine not in other.hypothesis.effects:
                 others = [pair for pair in path.tried.get(instead, []) if pair[0] != mine]
                 path.tried[mine] = [(instead, other.fit.point[columns_of(other, instead)]), *others]
-    return best
 
 
 def _as_it_was(fitting: Problem, trial: Trial, choice: Choice) -> Trial:

@@ -1,10 +1,15 @@
 """Fits see as much of the recordings as they may, however long those are."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from softrl.diagnosis.data import within
+from softrl.diagnosis.data import Data, prepare, within
+from softrl.diagnosis.gaps import rows
+from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.recording import Recording
+from tests.diagnosis.conftest import made
 
 
 def resting(name: str, length_s: float) -> Recording:
@@ -18,3 +23,13 @@ def test_cut_runs_fill_the_time_that_fits_may_take(lengths: tuple[float, ...]) -
     cut = [float(np.ptp(run.time)) for run in within(runs, 75.0)]
     assert sum(cut) == pytest.approx(min(75.0, sum(lengths)), abs=0.1 * len(runs))
     assert all(length in (whole, max(cut)) for length, whole in zip(np.round(cut, 6), lengths, strict=True))
+
+
+def test_a_run_that_is_too_short_is_told(body: PccSimulator) -> None:
+    whole = made(body, (), sessions=3)
+    first, *others = whole.recordings
+    short = rows(first, first.time - first.time[0] < 2.5)
+    data = prepare(replace(whole, recordings=(short, *others)), body.robot, 0.34, 0)
+    assert isinstance(data, Data)
+    assert any(line.startswith(f"{first.name}: 2.") and "left out" in line for line in data.mended)
+    assert not prepare(whole, body.robot, 0.34, 0).mended
