@@ -11,13 +11,14 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
+from softrl.aside import Aside, cores
 from softrl.assembly import check_inputs
 from softrl.core.errors import ConfigError
 from softrl.core.progress import progress
 from softrl.core.store import Location, Store
 from softrl.core.sweep import PARENT_VARIABLE
 from softrl.paper import run_paper
-from softrl.pipeline import STAGES, Outcome, outputs, run_stage
+from softrl.pipeline import STAGES, Outcome, finished_before, outputs, run_stage
 from softrl.report.table import table
 
 log = logging.getLogger(__name__)
@@ -25,6 +26,7 @@ ROOT_KEYS = (
     "robot", "simulator", "task", "agent", "driver", "effect", "tracking", "profile", "stage", "alpha", "lambda", "seed",
     "parallel", "bench", "recordings", "out", "force", "debug", "inputs", "hydra",
 )  # fmt: skip
+TAKEN_BY_NONE = "dynamics"  # the stage of the loop whose artifacts no other takes: it runs beside them
 # the plain root keys: types, smallest and largest value, and both in words; groups are checked where they are built
 LARGEST_SEED = 2**32 - 1  # that every library takes
 ROOT_RANGES: dict[str, tuple[tuple[type, ...], float, float, str]] = {
@@ -61,14 +63,26 @@ def _run_all(overrides: list[str], folder: Path) -> list[Outcome]:
                 f"{word} says nothing about which stage is meant; run that stage alone: stage=<name> {word}"
             )
     shared = [word for word in overrides if not word.startswith("stage=")]
-    finished: list[Outcome] = []
+    found: dict[str, Outcome] = {}
     made: dict[str, str] = {}
-    for stage in progress(STAGES, "whole loop"):
-        config = _compose([*shared, f"stage={stage}"])
-        config["out"] = config["out"] and f"{config['out']}/{stage}"
-        outcome = run_stage(stage, config, folder / stage, made)
-        made |= {name: f"run:{outcome.run_id}" for name in outputs(stage)}
-        finished.append(outcome)
+    aside: Aside | None = None
+    try:
+        for stage in progress(STAGES, "whole loop"):
+            config = _compose([*shared, f"stage={stage}"])
+            config["out"] = config["out"] and f"{config['out']}/{stage}"
+            if stage == TAKEN_BY_NONE and cores() > 1 and not finished_before(stage, config, made):
+                aside = Aside(stage, config, folder / stage, made)
+                continue
+            found[stage] = run_stage(stage, config, folder / stage, made)
+            made |= {name: f"run:{found[stage].run_id}" for name in outputs(stage)}
+            if aside:
+                aside.check()
+        if aside:
+            found[TAKEN_BY_NONE] = aside.outcome()
+    finally:
+        if aside:
+            aside.stop()
+    finished = [found[stage] for stage in STAGES]
     _write_summary(finished, folder)
     return finished
 

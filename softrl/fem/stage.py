@@ -153,15 +153,17 @@ def _compute(
     Returns equilibria and misses in the order of ``loads``, trajectories in that of ``programs``, and how many parts
     an earlier run had kept.
     """
-    tasks = {f"chain_{k}": (_trace, body, loads, chain) for k, chain in enumerate(chains)}
-    tasks |= {f"trajectory_{k}": (_move, body, program) for k, program in enumerate(programs)}
+    # the longest first: else one core works off the last of them while the others wait
+    tasks: dict[str, tuple[Any, ...]] = {f"trajectory_{k}": (_move, body, program) for k, program in enumerate(programs)}
+    longest = sorted(range(len(chains)), key=lambda k: -len(chains[k]))
+    tasks |= {f"chain_{k}": (_trace, body, loads, chains[k]) for k in longest}
     # in memory from here on: another run of the same samples may end first, and clears the folder
     parts = {name: kept.load(name) for name in tasks if name in kept}
     waiting, reused = [name for name in tasks if name not in parts], len(parts)
     if reused:
         log.info("%d of %d chains and trajectories were finished by an earlier run and are kept", reused, len(tasks))
     results = parallel.map(_part, [tasks[name] for name in waiting], body.config.processes)
-    for number, arrays in progress(results, "FEM: chains of equilibria, then trajectories", len(waiting)):
+    for number, arrays in progress(results, "FEM: motions, then chains of equilibria", len(waiting)):
         parts[waiting[number]] = arrays
         kept.save(waiting[number], arrays)
     traced = [chain_of(parts[f"chain_{k}"]) for k in range(len(chains))]

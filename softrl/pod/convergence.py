@@ -11,7 +11,7 @@ from softrl.core.tracking import Tracker
 from softrl.pod.basis import PodBasis
 from softrl.pod.candidates import Choice
 from softrl.pod.equilibria import Equilibria
-from softrl.pod.fit import fit_model, linear_model
+from softrl.pod.fit import fit_model, folds_of, linear_model
 from softrl.pod.report import motions, rms, statics
 from softrl.pod.settings import FitSettings
 from softrl.robots.robot import Robot
@@ -52,7 +52,8 @@ def by_equilibria(
         few = seen.rows(slice(0, count))
         model = whole
         if count < len(seen.load):
-            model, _ = fit_model(lean, robot, snapshots, few, pod, np.random.default_rng(0))
+            fold = folds_of(few, robot, settings.folds, np.random.default_rng(0))
+            model, _ = fit_model(lean, robot, snapshots, few, pod, fold)
         points.append(Point(count, *errors_of(model, snapshots, heldout)))
     return points
 

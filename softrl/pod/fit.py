@@ -46,14 +46,16 @@ def fit_model(
     snapshots: Snapshots,
     samples: Equilibria,
     pod: PodBasis,
-    rng: np.random.Generator,
+    fold: np.ndarray,
 ) -> tuple[ReducedModel, list[Choice]]:
-    """Return the reduced model of the equilibria ``samples``, and every energy that was tried, best first."""
+    """Return the reduced model of the equilibria ``samples``, and every energy that was tried, best first.
+
+    ``fold`` (S,) says which of them are left out together, see ``folds_of``.
+    """
     if len(samples.load) < settings.folds:
         raise ConfigError(
             f"{len(samples.load)} equilibria are too few for stage.folds={settings.folds}; run stage=fem with more"
         )
-    fold = folds_of(samples, robot, settings.folds, rng)
     frame = frame_of(samples)
     draft = _draft(robot, snapshots, samples, pod, frame)
     draft = replace(draft, **fit_maps(settings, robot, samples, frame, fold))

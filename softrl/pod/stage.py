@@ -8,6 +8,7 @@ import numpy as np
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ArtifactError, ConfigError
+from softrl.core.parallel import LOCAL, Parallel
 from softrl.core.threads import one_thread
 from softrl.core.tracking import Tracker
 from softrl.fem.sampling import at_corners
@@ -15,7 +16,7 @@ from softrl.pod.basis import PodBasis, pod_basis, projection_errors
 from softrl.pod.convergence import by_equilibria, report_coordinates, report_equilibria
 from softrl.pod.equilibria import equilibria
 from softrl.pod.figures import draw_choice, draw_convergence, draw_motion, draw_parity, draw_spectrum
-from softrl.pod.fit import fit_model, linear_model, tell_choice
+from softrl.pod.fit import fit_model, folds_of, linear_model, tell_choice
 from softrl.pod.report import report_motions, report_speed, report_statics, report_weight, statics
 from softrl.pod.settings import FitSettings
 from softrl.robots.robot import Robot
@@ -33,40 +34,53 @@ class Config(FitSettings):
     pod_energy : keep modes until this share of the squared singular values;  modes_max : at most this many
     heldout_share : share of the equilibria that no fit and no choice sees until they have judged
     convergence_shares : of the seen equilibria, to which the model is fitted once more for the convergence figure
+    processes : of this machine that fit
     """
 
     pod_energy: float
     modes_max: int
     heldout_share: float
     convergence_shares: tuple[float, ...]
+    processes: int
     seed: int
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 0.0 < self.pod_energy <= 1.0:
             raise ConfigError(f"stage.pod_energy={self.pod_energy:g}; expected a share in (0, 1]")
-        if self.modes_max < 1:
-            raise ConfigError(f"stage.modes_max={self.modes_max:g} must be at least 1")
+        for name in ("modes_max", "processes"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"stage.{name}={getattr(self, name):g} must be at least 1")
         if not 0.0 < self.heldout_share < 0.9:
             raise ConfigError(f"stage.heldout_share={self.heldout_share:g}; expected a share between 0 and 0.9")
         if not all(0.0 < share <= 1.0 for share in self.convergence_shares):
             raise ConfigError(f"stage.convergence_shares={self.convergence_shares}; expected shares in (0, 1]")
 
 
-def run(config: Config, robot: Robot, snapshots: Snapshots, *, tracker: Tracker) -> ReducedModel:
-    """Return the reduced model of the body that ``snapshots`` show."""
+def run(
+    config: Config, robot: Robot, snapshots: Snapshots, parallel: Parallel | None = None, *, tracker: Tracker
+) -> ReducedModel:
+    """Return the reduced model of the body that ``snapshots`` show.
+
+    The fit that is judged and the fit to all equilibria are two tasks: neither needs the other.
+    """
     _refuse_other(robot, snapshots)
     with one_thread():
-        return _reduced(config, robot, snapshots, tracker)
+        return _reduced(config, robot, snapshots, parallel or LOCAL, tracker)
 
 
-def _reduced(config: Config, robot: Robot, snapshots: Snapshots, tracker: Tracker) -> ReducedModel:
+def _reduced(
+    config: Config, robot: Robot, snapshots: Snapshots, parallel: Parallel, tracker: Tracker
+) -> ReducedModel:
     rng = np.random.default_rng(config.seed)
     seen, heldout = _split(config, at_corners(robot, snapshots.loads), rng)
     pod = pod_basis(snapshots.displacement[seen], snapshots.nodal_mass, config.pod_energy, config.modes_max)
     _report_pod(pod, snapshots, seen, heldout, tracker)
     samples = equilibria(snapshots)
-    model, choices = fit_model(config, robot, snapshots, samples.rows(seen), pod, rng)
+    parts = [samples.rows(seen), samples]
+    tasks = [(config, robot, snapshots, part, pod, folds_of(part, robot, config.folds, rng)) for part in parts]
+    fits = dict(parallel.map(fit_model, tasks, config.processes))
+    (model, choices), (whole, whole_choices) = fits[0], fits[1]
     tell_choice(model, robot, samples.rows(seen), choices[0])
     tracker.metric("energy_degree", choices[0].degree)
     tracker.metric("image_weight", choices[0].image_weight)
@@ -77,13 +91,12 @@ def _reduced(config: Config, robot: Robot, snapshots: Snapshots, tracker: Tracke
     report_statics(model, linear, samples.rows(seen), "train", tracker)
     static = report_statics(model, linear, samples.rows(heldout), "heldout", tracker)
     tracker.figure("static_parity", draw_parity(static, statics(linear, samples.rows(heldout))[0]))
-    parts = samples.rows(seen), samples.rows(heldout)
-    report_coordinates(model, snapshots, parts[1], tracker)
-    points = by_equilibria(config.convergence_shares, config, choices[0], robot, snapshots, parts, pod, model)
+    report_coordinates(model, snapshots, samples.rows(heldout), tracker)
+    sides = samples.rows(seen), samples.rows(heldout)
+    points = by_equilibria(config.convergence_shares, config, choices[0], robot, snapshots, sides, pod, model)
     report_equilibria(points, tracker)
     tracker.figure("convergence", draw_convergence(choices, points))
-    whole, choices = fit_model(config, robot, snapshots, samples, pod, rng)  # those held out have judged how it is done
-    tell_choice(whole, robot, samples, choices[0])
+    tell_choice(whole, robot, samples, whole_choices[0])  # those held out have judged how it is done
     if len(snapshots.trajectory_load):
         moving = report_motions(whole, linear_model(whole), snapshots, tracker)
         tracker.figure("motion", draw_motion(snapshots.trajectory_time, moving, 0))

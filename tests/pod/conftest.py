@@ -22,7 +22,7 @@ def fitted(chambers: int) -> tuple[Robot, Snapshots, ReducedModel]:
         robot = robot_with(chambers)
         snapshots = synthetic_snapshots(robot, 40, seed=chambers)
         pod = pod_basis(snapshots.displacement, snapshots.nodal_mass, 0.9999, 8)
-        model, _ = fit_model(SETTINGS, robot, snapshots, equilibria(snapshots), pod, np.random.default_rng(0))
+        model, _ = fit_model(SETTINGS, robot, snapshots, equilibria(snapshots), pod, np.arange(40) % 2)
         _made[chambers] = robot, snapshots, model
     return _made[chambers]
 

@@ -80,7 +80,7 @@ def test_symmetry_spares_equilibria(tripod: Body) -> None:
     robot, _, _ = tripod
     few = synthetic_snapshots(robot, 12, seed=7, trajectories=0)
     pod = pod_basis(few.displacement, few.nodal_mass, 0.9999, 8)
-    model, choices = fit_model(SETTINGS, robot, few, equilibria(few), pod, np.random.default_rng(0))
+    model, choices = fit_model(SETTINGS, robot, few, equilibria(few), pod, np.arange(12) % 2)
     by_weight = {c.image_weight: c.tip_error_m for c in choices if c.degree == 4}
     assert by_weight[1.0] < 0.5 * by_weight[0.0], by_weight
     assert model.symmetry == "all"
@@ -116,7 +116,7 @@ def test_too_few_equilibria_are_refused(tripod: Body) -> None:
     samples = equilibria(snapshots).rows(np.arange(1))
     pod = pod_basis(snapshots.displacement, snapshots.nodal_mass, 0.99, 4)
     with pytest.raises(ConfigError, match="1 equilibria are too few"):
-        fit_model(SETTINGS, robot, snapshots, samples, pod, np.random.default_rng(0))
+        fit_model(SETTINGS, robot, snapshots, samples, pod, np.zeros(1, dtype=int))
 
 
 def test_hardly_any_equilibria_make_a_linear_body_and_a_warning(tripod: Body, caplog: pytest.LogCaptureFixture) -> None:
@@ -124,7 +124,7 @@ def test_hardly_any_equilibria_make_a_linear_body_and_a_warning(tripod: Body, ca
     pod = pod_basis(snapshots.displacement, snapshots.nodal_mass, 0.99, 4)
     samples = equilibria(snapshots).rows(np.arange(5))
     model, _ = fit_model(
-        replace(SETTINGS, energy_degree_max=2), robot, snapshots, samples, pod, np.random.default_rng(0)
+        replace(SETTINGS, energy_degree_max=2), robot, snapshots, samples, pod, np.arange(5) % 2
     )
     prediction, failed = statics(model, samples)
     assert failed == 0
