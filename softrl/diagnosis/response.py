@@ -44,7 +44,8 @@ class StepResponse:
                 f"{time:.2f} s after {kind}" for kind, time in (("filling", fill), ("venting", vent)) if time is not None)
             for what, (fill, vent) in pairs.items() if fill is not None or vent is not None
         ]  # fmt: skip
-        return f"Read from {self.steps} steps without a model: {'; '.join(told)}.{self._by_size()}" if told else None
+        steps = "one step" if self.steps == 1 else f"{self.steps} steps"
+        return f"Read from {steps} without a model: {'; '.join(told)}.{self._by_size()}" if told else None
 
     def _by_size(self) -> str:
         """Return what the time of large steps against that of small ones says, or nothing."""
