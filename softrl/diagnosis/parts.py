@@ -9,12 +9,12 @@ from softrl.core.simulator import Layered
 from softrl.diagnosis.blocks import correlation_time
 from softrl.diagnosis.choices import candidates, in_one_session
 from softrl.diagnosis.data import Data
-from softrl.diagnosis.examine import Finding, Part
+from softrl.diagnosis.examine import Finding, Named, Part
 from softrl.diagnosis.hypothesis import LATE
 from softrl.diagnosis.judge import Judge
 from softrl.diagnosis.prelude import preludes
 from softrl.diagnosis.problem import ORIENTATION_LEVER, Problem
-from softrl.diagnosis.trial import Trial
+from softrl.diagnosis.trial import Trial, columns_of
 from softrl.effects.chain import chain_of
 from softrl.effects.effect import SITES
 from softrl.effects.replay import Supply
@@ -41,23 +41,46 @@ def valve_part(whole: Problem, data: Data, effects: list[str]) -> Part:
 
 
 def punctual(valve: Finding) -> Finding:
-    """Return the finding with a log that is no later than the pressures tell.
+    """Return the finding with a log, or a dead time, that is no later than the pressures tell.
 
     Where a regulator is quicker than the log, its pressure is the same at every sample however late the rows act in between;
     the body behind it tells.
     """
-    return replace(valve, base=_earliest(valve.judge, valve.base), final=_earliest(valve.judge, valve.final))
+    final = _earliest(valve.judge, valve.final)
+    named = [_told_at(valve.part.problem, final, effect) if effect.choice.shifts_time else effect for effect in valve.named]
+    return replace(valve, base=_earliest(valve.judge, valve.base), final=final, named=named)
 
 
 def _earliest(judge: Judge, trial: Trial) -> Trial:
-    if LATE not in trial.hypothesis.tuned:
-        return trial
     for share in EARLIER:
-        sooner = trial.fit.point * np.r_[np.ones(len(trial.fit.point) - 1), share]
+        sooner = _sooner(judge.problem, trial, share)
         squares = judge.problem.residual(trial.hypothesis, sooner, trial.placed).squares
         if not judge.tells(squares, trial.squares):
             return trial._replace(fit=trial.fit._replace(point=sooner), squares=squares)
     return trial
+
+
+def _sooner(problem: Problem, trial: Trial, share: float) -> np.ndarray:
+    """Return the point of ``trial`` with ``share`` of how late its log is, and dead times as much of a row shorter."""
+    point, axes = trial.fit.point.copy(), problem.space(trial.hypothesis).axes
+    if LATE in trial.hypothesis.tuned:
+        point[-1] *= share
+    for choice in trial.hypothesis.effects:
+        if choice.shifts_time:
+            delay = columns_of(trial, choice)[0]
+            wanted = axes[delay].physical(point[delay]) - (1.0 - share) * problem.late_max_s
+            point[delay] = axes[delay].scaled(max(wanted, axes[delay].low))
+    return point
+
+
+def _told_at(problem: Problem, trial: Trial, effect: Named) -> Named:
+    """Return a named effect with the parameters of ``trial``, its intervals wide enough to hold them."""
+    values = problem.space(trial.hypothesis).values(trial.fit.point)
+    told = [
+        known._replace(value=values[k], low=min(known.low, values[k]), high=max(known.high, values[k]))
+        for k, known in zip(columns_of(trial, effect.choice), effect.intervals, strict=True)
+    ]
+    return effect._replace(intervals=told)
 
 
 def part_behind(valve: Finding, whole: Problem, data: Data, effects: list[str]) -> Part:

@@ -12,15 +12,17 @@ from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.errors import ConfigError
 from softrl.core.simulator import Simulator
 from softrl.effects.chain import Plant, chain_of
+from softrl.effects.dead_time import DeadTime
 from softrl.effects.effect import Effect
 from softrl.effects.library import effect_class
 from softrl.robots.robot import Robot
 
 NOTHING = "nothing"  # the hypothesis that only the simulator's parameters are off
+BODY, LOG = -1, -2  # owners of free parameters beside the effects
 
 
 class Axis(NamedTuple):
-    """One free parameter: ``effect`` is its place in the rival's list, or -1 for the simulator's own."""
+    """One free parameter: ``effect`` is its place in the rival's list, ``BODY`` the simulator's own, ``LOG`` the log's."""
 
     effect: int
     name: str
@@ -50,6 +52,7 @@ class Rival:
     simulator : at its nominal parameters
     effects : at the parameters from which searches begin
     tuned_factor : the simulator's parameters may change by this factor either way
+    late_max_s : how long after its time a row may act, as logs have it: a diagnosis takes that for no physics
     """
 
     label: str
@@ -57,25 +60,29 @@ class Rival:
     simulator: Simulator
     effects: tuple[Effect, ...]
     tuned_factor: float
+    late_max_s: float = 0.0
 
     @property
     def axes(self) -> tuple[Axis, ...]:
-        """The free parameters: effects' in order, then the simulator's."""
+        """The free parameters: effects' in order, then the simulator's, and the log's where no effect delays all there is."""
         found = [axis for k, effect in enumerate(self.effects) for axis in _axes_of(k, effect)]
         spread = math.log(self.tuned_factor)
         for name, value in self.simulator.parameters.items():
             found.append(
-                Axis(-1, name, value / self.tuned_factor, value * self.tuned_factor, value, 0.5 * spread, True)
+                Axis(BODY, name, value / self.tuned_factor, value * self.tuned_factor, value, 0.5 * spread, True)
             )
+        delayed = any(effect.shifts_time and getattr(effect, "chamber", -1) < 0 for effect in self.effects)
+        if self.late_max_s > 0.0 and not delayed:
+            found.append(Axis(LOG, "late_s", 0.0, self.late_max_s, 0.0, self.late_max_s, False))
         return tuple(found)
 
     @property
     def point(self) -> np.ndarray:
         """The scaled parameters (p,) at which the rival stands."""
-        values = {-1: self.simulator.parameters}
+        values = {BODY: self.simulator.parameters, LOG: {"late_s": 0.0}}
         return np.array(
             [
-                axis.scaled(values[-1][axis.name] if axis.effect < 0 else getattr(self.effects[axis.effect], axis.name))
+                axis.scaled(values[axis.effect][axis.name] if axis.effect < 0 else getattr(self.effects[axis.effect], axis.name))
                 for axis in self.axes
             ]
         )
@@ -88,12 +95,12 @@ class Rival:
 
     def at(self, point: np.ndarray) -> Plant:
         """Return the plant at a scaled point (p,)."""
-        tuned: dict[str, float] = {}
-        changed: list[dict[str, float]] = [{} for _ in self.effects]
+        changed: dict[int, dict[str, float]] = {k: {} for k in (BODY, LOG, *range(len(self.effects)))}
         for axis, u in zip(self.axes, point, strict=True):
-            (tuned if axis.effect < 0 else changed[axis.effect])[axis.name] = axis.physical(float(u))
-        effects = [replace(e, **c) for e, c in zip(self.effects, changed, strict=True)]
-        return Plant(self.simulator.with_parameters(**tuned), chain_of(self.robot, effects))
+            changed[axis.effect][axis.name] = axis.physical(float(u))
+        effects = [replace(effect, **changed[k]) for k, effect in enumerate(self.effects)]
+        effects += [DeadTime(delay_s=late) for late in changed[LOG].values()]
+        return Plant(self.simulator.with_parameters(**changed[BODY]), chain_of(self.robot, effects))
 
 
 def _axes_of(number: int, effect: Effect) -> list[Axis]:
@@ -148,8 +155,9 @@ def rivals_of(
     simulator: Simulator,
     tuned_factor: float,
     size: float = 1.0,
+    late_max_s: float = 0.0,
 ) -> list[Rival]:
-    """Return the rivals that were listed, or else those that a diagnosis left open.
+    """Return the rivals that were listed, or else those that a diagnosis left open; their logs may be late.
 
     Raises
     ------
@@ -169,7 +177,7 @@ def rivals_of(
         raise ConfigError(
             f"stage.hypotheses={[rival.label for rival in found]}: nothing to tell apart; expected two or more that differ"
         )
-    return list({rival.label: rival for rival in found}.values())
+    return list({rival.label: replace(rival, late_max_s=late_max_s) for rival in found}.values())
 
 
 def _open_in(diagnosis: Diagnosis, robot: Robot, simulator: Simulator, factor: float) -> list[Rival]:

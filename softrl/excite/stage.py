@@ -115,7 +115,8 @@ def run(
     noise = config.sensing
     pressure_pa = None if noise.pressure_kpa is None else 1e3 * noise.pressure_kpa
     sensing = Sensing(noise.dt_s, noise.sample_s, 1e-3 * noise.position_mm, pressure_pa)
-    rivals = rivals_of(config.hypotheses, diagnosis, robot, simulator, config.tuned_factor, config.size)
+    # a row acts until its time or from then on: as a diagnosis will have it
+    rivals = rivals_of(config.hypotheses, diagnosis, robot, simulator, config.tuned_factor, config.size, noise.dt_s)
     candidates, count = blocks(robot, noise.dt_s, config.rest_s, config.seed), round(60.0 * config.minutes / noise.dt_s)
     shortest = min(len(block.pressure) for block in candidates)
     if count < shortest:
