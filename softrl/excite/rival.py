@@ -79,7 +79,8 @@ class Rival:
     @property
     def point(self) -> np.ndarray:
         """The scaled parameters (p,) at which the rival stands."""
-        values = {BODY: self.simulator.parameters, LOG: {"late_s": 0.0}}
+        # from an end of its range a search hardly sets out
+        values = {BODY: self.simulator.parameters, LOG: {"late_s": 0.5 * self.late_max_s}}
         return np.array(
             [
                 axis.scaled(values[axis.effect][axis.name] if axis.effect < 0 else getattr(self.effects[axis.effect], axis.name))

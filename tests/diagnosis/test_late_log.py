@@ -53,6 +53,16 @@ def test_a_log_whose_commands_act_from_their_row_on_hides_nothing(body: PccSimul
     assert any(line.startswith("By the log") for line in found.sentences)
 
 
+def test_a_dead_time_is_no_longer_than_the_pressures_between_rows_tell(body: PccSimulator) -> None:
+    """A step that comes at any time between two rows looks the same at both; the body behind it tells."""
+    recordings = made(body, (DeadTime(delay_s=0.1),), sessions=4, measured=True, period_s=0.05, noise_m=3e-4)
+    found = run(configured(candidates=[*RIVALS, "viscoelasticity"]), body.robot, recordings, body, tracker=NullTracker())
+    assert [effect["name"] for effect in found.effects] == ["dead_time"], found.sentences
+    delay = found.effects[0]["parameters"]["delay_s"]
+    assert delay["value"] == pytest.approx(0.1, abs=0.01) and delay["low"] <= 0.1 <= delay["high"]
+    assert found.errors_mm["heldout"]["corrected"] < 1.05 * found.errors_mm["heldout"]["noise_floor"]
+
+
 @pytest.mark.parametrize(("measured", "lag_s"), [(False, 0.4), (True, 0.15)])
 def test_a_lag_behind_such_a_log_is_no_tube(body: PccSimulator, measured: bool, lag_s: float) -> None:
     found = diagnosed(body, (Lag(fill_s=lag_s, vent_s=lag_s),), measured, early=True)

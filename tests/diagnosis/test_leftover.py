@@ -54,38 +54,6 @@ def test_what_holds_for_the_runs_of_the_fit_alone_is_not_understood(
     assert not unknown or "4.0 times as large on runs that no fit saw" in reasons[0]
 
 
-@pytest.mark.parametrize(("fitted", "left", "unknown"), [(1.0, 4.0, True), (2.0, 4.0, False), (0.1, 2.0, False)])
-def test_what_holds_for_the_runs_of_the_fit_alone_is_not_understood(
-    fitted: float, left: float, unknown: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    judge: Any = SimpleNamespace(
-        material=1.0, travel=200.0, thresholds=SimpleNamespace(explained_share=0.75), excess=np.sqrt
-    )
-    monkeypatch.setattr(leftover, "_drives", lambda *_: [])
-    monkeypatch.setattr(leftover, "heldout_residual", lambda *_: None)
-    final: Any = SimpleNamespace(hypothesis=Hypothesis((Choice("rate_limit"),), ()), squares=None)
-    offer: Any = SimpleNamespace(pays=False, fitted=fitted**2)
-    reasons = reasons_of(judge, final, offer, Explained(0.9, 0.9, left))
-    assert bool(reasons) is unknown
-    assert not unknown or "4.0 times as large on runs that no fit saw" in reasons[0]
-
-
-@pytest.mark.parametrize(("fitted", "left", "unknown"), [(1.0, 4.0, True), (2.0, 4.0, False), (0.1, 2.0, False)])
-def test_what_holds_for_the_runs_of_the_fit_alone_is_not_understood(
-    fitted: float, left: float, unknown: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    judge: Any = SimpleNamespace(
-        material=1.0, travel=200.0, thresholds=SimpleNamespace(explained_share=0.75), excess=np.sqrt
-    )
-    monkeypatch.setattr(leftover, "_drives", lambda *_: [])
-    monkeypatch.setattr(leftover, "heldout_residual", lambda *_: None)
-    final: Any = SimpleNamespace(hypothesis=Hypothesis((Choice("rate_limit"),), ()), squares=None)
-    offer: Any = SimpleNamespace(pays=False, fitted=fitted**2)
-    reasons = reasons_of(judge, final, offer, Explained(0.9, 0.9, left))
-    assert bool(reasons) is unknown
-    assert not unknown or "4.0 times as large on runs that no fit saw" in reasons[0]
-
-
 def test_rare_jumps_are_no_noise_however_white_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(5)
     quiet = rng.standard_normal((400, 3))

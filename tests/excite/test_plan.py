@@ -15,6 +15,7 @@ from softrl.artifacts.excitation import Excitation
 from softrl.core.config import build
 from softrl.core.errors import ConfigError
 from softrl.core.tracking import NullTracker
+from softrl.effects.dead_time import DeadTime
 from softrl.effects.hysteresis import Hysteresis
 from softrl.effects.lag import Lag
 from softrl.excite.block import blocks
@@ -97,6 +98,19 @@ def test_a_hypothesis_finds_itself() -> None:
     point, left = refitted(lag, start, target, wave(), SENSING, 20)
     np.testing.assert_allclose(point[:2], lag.point[:2], atol=0.02)
     assert left < 0.02 * np.linalg.norm(responses([lag.at(start)], wave(), SENSING)[0] - target)
+
+
+def test_a_dead_time_within_a_row_is_how_a_log_may_be_written() -> None:
+    """A diagnosis tunes how late rows act: no program tells less than a row from that."""
+    short = Rival("short", robot(), body(), (DeadTime(delay_s=0.01),), 4.0)
+    target = responses([short.at(short.point)], wave(), SENSING)[0]
+    left = []
+    for late_s in (0.0, 0.02):
+        still = replace(rival("nothing"), late_max_s=late_s)
+        left.append(refitted(still, still.point, target, wave(), SENSING, 12)[1])
+    assert left[1] < 0.1 * left[0], left
+    named = [axis.name for axis in replace(rival("dead_time"), late_max_s=0.02).axes]
+    assert "late_s" not in named and "delay_s" in named
 
 
 def test_a_retuned_body_absorbs_what_it_can() -> None:
