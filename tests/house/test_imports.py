@@ -30,6 +30,7 @@ LEVEL = {
     "proof": 18,
     "assembly": 20,
     "pipeline": 21,
+    "aside": 22,
     "paper": 22,
     "loop": 23,
     "__main__": 24,
