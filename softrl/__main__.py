@@ -6,7 +6,7 @@ import sys
 import textwrap
 import threading
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 # errors of the command line are told in one line here, not by hydra
 os.environ.setdefault("HYDRA_FULL_ERROR", "1")
@@ -54,7 +54,7 @@ def main() -> None:
     """Run the command line; a user's mistake is one line and exit status 2."""
     sweep = bool({"-m", "--multirun"} & set(sys.argv[1:]))
     sys.argv[1:] = [word for given in sys.argv[1:] for word in _spell_out(given, sweep)]
-    signal.signal(signal.SIGTERM, _stop)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     sys.unraisablehook = _repeat_interrupt
     error: BaseException | None = None
     try:
@@ -113,10 +113,6 @@ def _one_line(error: Exception) -> str:
 def _leave(message: str, status: int) -> NoReturn:
     print(f"softrl: {message}", file=sys.stderr)
     sys.exit(status)
-
-
-def _stop(number: int, frame: Any) -> NoReturn:
-    raise KeyboardInterrupt
 
 
 def _repeat_interrupt(lost: "sys.UnraisableHookArgs") -> None:

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Mapping
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from softrl.core.errors import SolverError
 from softrl.pipeline import Outcome, run_stage
@@ -59,17 +59,12 @@ class Aside:
             self._process.kill()
 
 
-def cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0))
-
-
 def _work(
     answer: Connection, file: Path, stage: str, config: Mapping[str, Any], folder: Path, made: Mapping[str, str]
 ) -> None:
     """Run the stage and send what it left, or the error that ended it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal's Ctrl-C is for the process that started this one
-    signal.signal(signal.SIGTERM, _stopped)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     with file.open("a") as own:
         os.dup2(own.fileno(), sys.stdout.fileno())
         os.dup2(own.fileno(), sys.stderr.fileno())
@@ -80,7 +75,3 @@ def _work(
     except Exception as error:
         answer.send(error)
         sys.exit(1)
-
-
-def _stopped(number: int, frame: Any) -> NoReturn:
-    raise KeyboardInterrupt

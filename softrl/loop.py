@@ -11,12 +11,13 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from softrl.aside import Aside, cores
+from softrl.aside import Aside
 from softrl.assembly import check_inputs
 from softrl.core.errors import ConfigError
 from softrl.core.progress import progress
 from softrl.core.store import Location, Store
 from softrl.core.sweep import PARENT_VARIABLE
+from softrl.core.threads import cores
 from softrl.paper import run_paper
 from softrl.pipeline import STAGES, Outcome, finished_before, outputs, run_stage
 from softrl.report.table import table

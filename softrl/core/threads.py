@@ -1,5 +1,6 @@
-"""The threads of linear algebra: two on two cores that are not idle wait for each other, and spin while they do."""
+"""Cores, and the threads of linear algebra: two on two cores that are not idle wait for each other, and spin while they do."""
 
+import os
 import sys
 from contextlib import AbstractContextManager
 from functools import lru_cache
@@ -16,3 +17,8 @@ def _libraries(modules: int) -> ThreadpoolController:
 def one_thread() -> AbstractContextManager[object]:
     """Return a context in which linear algebra has one thread."""
     return _libraries(len(sys.modules)).limit(limits=1, user_api="blas")
+
+
+def cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0))

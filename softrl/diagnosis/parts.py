@@ -54,6 +54,8 @@ def punctual(valve: Finding) -> Finding:
 def _earliest(judge: Judge, trial: Trial) -> Trial:
     for share in EARLIER:
         sooner = _sooner(judge.problem, trial, share)
+        if np.array_equal(sooner, trial.fit.point):
+            break
         squares = judge.problem.residual(trial.hypothesis, sooner, trial.placed).squares
         if not judge.tells(squares, trial.squares):
             return trial._replace(fit=trial.fit._replace(point=sooner), squares=squares)

@@ -71,7 +71,7 @@ class Rival:
             found.append(
                 Axis(BODY, name, value / self.tuned_factor, value * self.tuned_factor, value, 0.5 * spread, True)
             )
-        delayed = any(effect.shifts_time and getattr(effect, "chamber", -1) < 0 for effect in self.effects)
+        delayed = any(e.shifts_time and getattr(e, "chamber", -1) < 0 and not e.gated for e in self.effects)
         if self.late_max_s > 0.0 and not delayed:
             found.append(Axis(LOG, "late_s", 0.0, self.late_max_s, 0.0, self.late_max_s, False))
         return tuple(found)

@@ -4,7 +4,6 @@ The equations are those of ``pod.kernel`` and ``pod.potential``; polynomials of 
 """
 
 import math
-import os
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 
 from softrl.artifacts.reduced_model import SHAPES
 from softrl.core.compiled import standing
+from softrl.core.threads import cores
 from softrl.pod.chords import fill_viscosities, go_half_way
 from softrl.pod.columns import Columns, columns_of
 from softrl.pod.inertia import Course, make_course
@@ -49,8 +49,8 @@ def run_batch(
     converge, and the largest ``|y|``; the same motions as ``pod.kernel.run_kernel`` makes, to round-off, and bit for bit the
     same in whatever block.
     """
-    path, columns, cores = np.empty(load.shape), columns_of(tables), len(os.sched_getaffinity(0))
-    lanes = min(LANES, _whole_tiles(-(-len(y) // cores)) or TILE)
+    path, columns = np.empty(load.shape), columns_of(tables)
+    lanes = min(LANES, _whole_tiles(-(-len(y) // cores())) or TILE)
     blocks = [slice(first, first + lanes) for first in range(0, len(y), lanes)]
 
     def run(block: slice) -> tuple[int, float]:
@@ -60,7 +60,7 @@ def run_batch(
         push = np.ascontiguousarray(load[block][filled].transpose(1, 2, 0))
         return run_block(*moving, dt_s, push, tables, columns, path[block])
 
-    with ThreadPoolExecutor(min(len(blocks), cores) or 1) as threads:
+    with ThreadPoolExecutor(min(len(blocks), cores()) or 1) as threads:
         ends = list(threads.map(run, blocks))
     return path, sum(failed for failed, _ in ends), max((farthest for _, farthest in ends), default=0.0)
 
