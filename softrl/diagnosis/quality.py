@@ -10,7 +10,7 @@ from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
 MIN_TOTAL_S = 12.0  # recordings of less than this together say nothing about dynamics
-MAX_CLIPPED_SHARE = 0.25  # of the samples of a channel that sit at one extreme while the command moves
+MAX_CLIPPED_SHARE = 0.25  # of the samples of the motion that sit at one extreme while the command moves
 PRESSURE_FACTOR = 20.0  # times the robot's largest pressure, or that part of it: another unit
 MIN_PRESSURE_SHARE = 1.0 / 200.0
 MAX_TRAVEL = 5.0  # lengths of the robot
@@ -75,6 +75,10 @@ def mixed(runs: Sequence[Recording], simulated: Sequence[Recording], robot: Robo
 
 
 def _clipped(runs: Sequence[Recording]) -> str | None:
+    """Return which coordinate of the motion sits at one extreme, or None.
+
+    Measured pressures may: behind a supply that gives no more, a gauge that shows few values shows but one. ``check`` warns.
+    """
     shares: dict[str, list[float]] = {}
     for run in runs:
         for channel, values in _seen(run):
@@ -118,7 +122,7 @@ def _wrong_motion(runs: Sequence[Recording], robot: Robot) -> str | None:
 
 
 def _seen(run: Recording) -> list[tuple[str, np.ndarray]]:
-    found = [("position", run.position), ("bend_angle", run.bend_angle), ("pressure_meas", run.pressure_meas)]
+    found = [("position", run.position), ("bend_angle", run.bend_angle)]
     return [(name, values.reshape(len(values), -1)) for name, values in found if values is not None]
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 MIN_FREQUENCIES = 32  # fewer do not show whether a spectrum is smooth
 NEAR, FAR = 4, 16  # frequencies whose power says how high a spectrum is around one: farther than a line is wide
@@ -54,7 +55,6 @@ def _above_smooth(height: np.ndarray) -> np.ndarray:
 
 def _above_near(height: np.ndarray) -> np.ndarray:
     """Return by how much the periodogram ``height`` (frequencies,) exceeds what the median around says of the mean power."""
-    places = np.arange(len(height))
-    distance = np.abs(places[:, None] - places)
-    around = np.where((distance >= NEAR) & (distance <= FAR), height, np.nan)
+    beside = np.abs(np.arange(-FAR, FAR + 1)) >= NEAR
+    around = sliding_window_view(np.pad(height, FAR, constant_values=np.nan), 2 * FAR + 1)[:, beside]
     return np.asarray(height - np.nanmedian(around, axis=1) + np.log(np.log(2.0)))

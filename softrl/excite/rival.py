@@ -15,6 +15,7 @@ from softrl.effects.chain import Plant, chain_of
 from softrl.effects.dead_time import DeadTime
 from softrl.effects.effect import Effect
 from softrl.effects.library import effect_class
+from softrl.excite.form import Form, form_of, form_of_label
 from softrl.robots.robot import Robot
 
 NOTHING = "nothing"  # the hypothesis that only the simulator's parameters are off
@@ -182,24 +183,36 @@ def rivals_of(
 
 
 def _open_in(diagnosis: Diagnosis, robot: Robot, simulator: Simulator, factor: float) -> list[Rival]:
-    """Return the hypothesis that a diagnosis named, and it with each effect replaced by an equivalent rival."""
+    """Return the hypothesis that a diagnosis named, and it with each effect replaced by an equivalent rival.
+
+    They are told apart by what is recorded from now on: what is history does nothing there, and of hypotheses that do the same
+    the first is enough.
+    """
     tuned = diagnosis.simulator_parameters
     body = simulator.with_parameters(**{k: v for k, v in tuned.items() if k in simulator.parameters})
-    named: dict[str, Effect] = {}
-    for found in diagnosis.named():
-        cls = effect_class(found["name"])
-        alone = {"chamber": found["chamber"]} if any(f.name == "chamber" for f in fields(cls)) else {}
-        label = found["name"] if alone.get("chamber", -1) < 0 else f"{found['name']} (chamber {alone['chamber'] + 1})"
-        named[label] = cls(**found["parameters"], **alone)
-    rivals = [Rival("+".join(named) or NOTHING, robot, body, tuple(named.values()), factor)]
+    named = [form_of(entry) for entry in diagnosis.effects]
+    open_: dict[tuple[Effect, ...], str] = {_built(named): "+".join(_labels(named)) or NOTHING}
     for row in diagnosis.rivals:
-        if row["equivalent"] and row["instead_of"] in named:
-            swapped = {row["name"] if k == row["instead_of"] else k: v for k, v in named.items()}
-            swapped[row["name"]] = typical(row["name"], robot)
-            rivals.append(Rival("+".join(swapped), robot, body, tuple(swapped.values()), factor))
-    if len(rivals) < 2:
+        gone = form_of(row["replaces"]) if "replaces" in row else form_of_label(row["instead_of"])
+        place = next((k for k, form in enumerate(named) if form.same_as(gone)), None)
+        if not row["equivalent"] or place is None:
+            continue
+        rival = form_of(row["effect"]) if "effect" in row else form_of_label(row["name"])
+        before, after = named[:place], named[place + 1 :]
+        labels = [*_labels(before), row["name"], *_labels(after)]
+        open_.setdefault(_built([*before, rival, *after]), "+".join(labels))
+    if len(open_) < 2:
+        listed = "+".join(form.listed for form in named if not form.past) or "lag"
         raise ConfigError(
             f"inputs.diagnosis ({diagnosis.verdict}) leaves no two hypotheses open; list them, for example "
-            f"stage.hypotheses=[{rivals[0].label},{NOTHING}]"
+            f"stage.hypotheses=[{listed},{NOTHING}]"
         )
-    return rivals
+    return [Rival(label, robot, body, effects, factor) for effects, label in open_.items()]
+
+
+def _labels(forms: Sequence[Form]) -> list[str]:
+    return [form.label for form in forms if not form.past]
+
+
+def _built(forms: Sequence[Form]) -> tuple[Effect, ...]:
+    return tuple(form.build() for form in forms if not form.past)

@@ -2,7 +2,8 @@
 
 import logging
 import re
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from softrl.robots.robot import Robot
 log = logging.getLogger(__name__)
 
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
+EPOCH_S = 1e8  # a later time counts from an epoch, as Unix time does: no session goes on for three years
 
 
 @dataclass(frozen=True)
@@ -41,8 +43,8 @@ def load_runs(folder: Path | str, robot: Robot | None) -> tuple[str, tuple[Recor
             f"{folder / DATASET}: robot '{head['robot']}' made these recordings, but '{robot.name}' is chosen; "
             f"choose robot={head['robot']}"
         )
-    recordings = tuple(
-        _read_run(folder / f"{run}.csv", run, session, robot) for session in sessions for run in session.runs
+    recordings = _since_each_session(
+        [_read_run(folder / f"{run}.csv", run, session, robot) for session in sessions for run in session.runs]
     )
     if not recordings:
         raise RecordingError(f"{folder} names no runs; expected one CSV file a run beside {DATASET}")
@@ -114,6 +116,21 @@ def _read_run(path: Path, name: str, session: Session, robot: Robot | None) -> R
         if flat in arrays:
             arrays[flat] = arrays[flat][:, 0]
     return Recording(name=name, session=session.name, markers=markers, **arrays)
+
+
+def _since_each_session(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+    """Return the runs, those whose times count from an epoch counted from the earliest such sample of their session.
+
+    One offset for all runs of a session keeps the pauses between them. Times as large as Unix time are known to 2e-7 s only,
+    and what is made of steps between them goes wrong by as much with every step.
+    """
+    begins: dict[str, float] = {}
+    for run in recordings:
+        if run.time[0] >= EPOCH_S:
+            begins[run.session] = min(float(run.time[0]), begins.get(run.session, np.inf))
+    return tuple(
+        replace(run, time=run.time - begins[run.session]) if run.time[0] >= EPOCH_S else run for run in recordings
+    )
 
 
 def _text(path: Path) -> str:

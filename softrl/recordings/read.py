@@ -18,7 +18,8 @@ def read(folder: Path | str, robot: Robot | None) -> RecordingSet:
     Returns
     -------
     RecordingSet
-        In SI units and in the robot's base frame. A dataset without ``sessions`` has one session a run.
+        In SI units and in the robot's base frame. A dataset without ``sessions`` has one session a run. Times that count
+        from an epoch, such as Unix time, are counted from their session's first sample.
 
     Raises
     ------

@@ -12,6 +12,7 @@ from softrl.core.units import si_factor
 from softrl.recordings.run import Recording
 
 DATASET = "dataset.yaml"
+TIME, OTHER = "%.15g", "%.9g"  # nine digits of a time that goes on for days are too few
 UNITS = {
     "time": "s",
     "pressure": "kPa gauge",
@@ -46,7 +47,8 @@ def _sessions(recordings: tuple[Recording, ...], notes: dict[str, Any]) -> dict[
 
 def _write_run(path: Path, recording: Recording) -> None:
     header, columns = zip(*_columns(recording), strict=True)
-    np.savetxt(path, np.stack(columns, axis=1), fmt="%.9g", delimiter=",", header=",".join(header), comments="")
+    digits = [TIME if name == "time_s" else OTHER for name in header]
+    np.savetxt(path, np.stack(columns, axis=1), fmt=digits, delimiter=",", header=",".join(header), comments="")
 
 
 def _columns(recording: Recording) -> Iterator[tuple[str, np.ndarray]]:

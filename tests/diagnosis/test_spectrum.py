@@ -1,9 +1,11 @@
 """A swing shows in a spectrum of any smooth shape, and none where there is none."""
 
+import tracemalloc
+
 import numpy as np
 from scipy.signal import butter, sosfilt
 
-from softrl.diagnosis.spectrum import spectral_line
+from softrl.diagnosis.spectrum import FAR, NEAR, _above_near, spectral_line
 from tests.diagnosis.series import coloured
 
 
@@ -26,3 +28,18 @@ def test_a_spectrum_that_falls_onto_a_floor_has_no_line() -> None:
     assert not any(spectral_line([run], [still]) < 1e-5 for run in runs)
     swing = 0.05 * np.sin(2.5 * np.arange(300))[:, None]
     assert spectral_line([runs[0] + swing], [still]) < 1e-8
+
+
+def test_neighbours_are_taken_from_a_window_and_an_hour_of_bins_is_no_matter() -> None:
+    height = np.random.default_rng(2).standard_normal(80)
+    expected = [
+        height[k] - np.median([height[j] for j in range(80) if NEAR <= abs(j - k) <= FAR]) + np.log(np.log(2.0))
+        for k in range(80)
+    ]
+    np.testing.assert_allclose(_above_near(height), expected, rtol=0.0, atol=1e-14)
+    hour = np.random.default_rng(3).standard_normal((36_000, 1))
+    tracemalloc.start()
+    spectral_line([hour], [np.zeros((36_000, 1))])
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 1e8, most
