@@ -9,7 +9,7 @@ from softrl.robots.robot import Robot
 BEGINS = (0.3, 0.6)  # shares of the run and of its highest pressure at which searches for a gate begin
 BEGIN_ALONE = (0.45,)  # the same for one chamber alone, of which there are many
 # what may change from one day to the next: warmth, rest and age of the wall; what it carries; how it is mounted, and how seen
-BY_SESSION = ("stiffness_scale", "strain_softening", "payload", "mount_tilt", "frame", "marker_offset")
+BY_SESSION = ("stiffness_scale", "strain_softening", "payload", "mount_tilt", "base_tilt", "frame", "marker_offset")
 
 
 def candidates(
@@ -63,6 +63,26 @@ def in_one_session(names: Sequence[str], training: Sequence[str], heldout: Seque
         for s in shown
         if s != sessions[-1] or not effect_class(name).retunes
     ]
+
+
+def that_last(choices: Sequence[Choice], training: Sequence[str], heldout: Sequence[str]) -> list[Choice]:
+    """Return the forms of ``choices`` whose time goes on from run to run: for ever, or through a session.
+
+    Parameters
+    ----------
+    choices : for all chambers, or for one
+    training, heldout : session of every run; what no run after another shows is not offered
+    """
+    able = [choice for choice in choices if effect_class(choice.name).lasts]
+    sessions = list(dict.fromkeys(training))
+    several = [s for s in sessions if training.count(s) > 1]
+    found = [choice._replace(lasting="ever") for choice in able if len(training) > 1]
+    for choice in able:
+        if several and len(sessions) > 1 and choice.chamber < 0:
+            found.append(choice._replace(lasting="session"))
+        # of the last session nothing tells what lasts for ever from what lasts until its end
+        found += [choice._replace(lasting="session", session=s) for s in several if s in heldout and s != sessions[-1]]
+    return found
 
 
 def may_be_gated(choice: Choice) -> list[str]:

@@ -1,6 +1,6 @@
 """What the recordings can carry: checks, the split into runs that fits see and runs that judge, the noise floor."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import comb
 from typing import NamedTuple
@@ -13,6 +13,7 @@ from softrl.diagnosis.problem import MIN_FOLDS
 from softrl.diagnosis.quality import torn, unusable
 from softrl.diagnosis.spikes import without_spikes
 from softrl.recordings.check import DataCheck, check, driven
+from softrl.recordings.gone import in_order
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.split import split
 from softrl.robots.robot import Robot
@@ -20,7 +21,9 @@ from softrl.robots.robot import Robot
 MIN_RUN_S = 3.0  # a shorter run says nothing about dynamics
 LEAST_S = 15.0  # fits rather see fewer runs than shorter pieces
 MIN_SIGNAL = 3.0  # travel over noise below which nothing can be told
+FEW_READINGS = 20  # a sensor that reports fewer values than this tells no noise by their differences
 CHANGED_K = 1.0  # a temperature that changes less tells nothing
+ENOUGH_RUNS = 3  # of a session that is not held out as a whole: two to fit, and one to judge
 FEW_SESSIONS = 2  # with this many sessions or fewer, runs are held out within each instead
 
 
@@ -94,9 +97,11 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: 
 
     Runs in which the robot was interfered with (``disturbed`` in the notes: names of runs or sessions) are not used.
     """
+    recordings = replace(recordings, recordings=in_order(recordings.recordings))
     found = check(recordings, robot)
     channel = "bend_angle" if robot.output == "bend_angle" else "position"
-    usable, spiked = without_spikes(_seen_undisturbed(recordings, channel))
+    seen, copies = _without_copies(_seen_undisturbed(recordings, channel), channel)
+    usable, spiked = without_spikes(seen)
     marked = set(recordings.notes.get("out_of_distribution", ()))
     outside = tuple(r for r in usable if marked & {r.name, r.session})
     usable = tuple(r for r in usable if not marked & {r.name, r.session})
@@ -110,7 +115,7 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: 
     sides = hold_out(replace(recordings, recordings=intact), heldout_share, seed)
     training, heldout = (tuple(part for run in side.recordings for part in parts[run.name]) for side in sides)
     noise, pressure_noise = _noise(found, usable, robot, channel)
-    travel = rms_about_mean([_seen(r, robot) for r in training])
+    travel = _travel(training, lambda run: _seen(run, robot))
     if travel < MIN_SIGNAL * noise:
         return Refusal(
             found,
@@ -127,8 +132,8 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: 
         2.0 * np.sqrt(3.0) * found.noise_floor.get("quaternion", 0.0),  # a turn is twice the quaternion's vector
         pressure_noise,
         travel,
-        rms_about_mean([r.pressure_meas for r in training if r.pressure_meas is not None]),
-        (*_too_short(recordings), *spiked, *mended),
+        _travel([r for r in training if r.pressure_meas is not None], lambda run: np.asarray(run.pressure_meas)),
+        (*_too_short(recordings), *copies, *spiked, *mended),
     )
 
 
@@ -144,6 +149,23 @@ def _seen_undisturbed(recordings: RecordingSet, channel: str) -> list[Recording]
     ]
 
 
+def _without_copies(runs: Sequence[Recording], channel: str) -> tuple[list[Recording], list[str]]:
+    """Return the runs that measured something of their own, and a sentence for every copy of an earlier one.
+
+    A copy among the runs that judge would be known to the fits.
+    """
+    first: dict[bytes, str] = {}
+    kept, lines = [], []
+    for run in runs:
+        measured = getattr(run, channel).tobytes()
+        if measured in first:
+            lines.append(f"{run.name}: measured the same as {first[measured]} to the last digit, a copy, left out")
+        else:
+            first[measured] = run.name
+            kept.append(run)
+    return kept, lines
+
+
 def _too_short(recordings: RecordingSet) -> list[str]:
     """Return the runs that are too short to be used, a sentence each."""
     return [
@@ -154,10 +176,18 @@ def _too_short(recordings: RecordingSet) -> list[str]:
 
 
 def hold_out(recordings: RecordingSet, share: float, seed: int) -> tuple[RecordingSet, RecordingSet]:
-    """Return (training, heldout): whole sessions if there are more than two, else whole runs out of each session."""
+    """Return (training, heldout): whole sessions if there are more than two, else whole runs out of each session.
+
+    Of every other session of enough runs one is held out, too: what acted in that session alone shows nowhere else.
+    """
     sessions = recordings.sessions()
     if len(sessions) > FEW_SESSIONS:
-        return split(recordings, share, seed, by="session")
+        training, heldout = split(recordings, share, seed, by="session")
+        names = {s: [r.name for r in training.recordings if r.session == s] for s in training.sessions()}
+        rng = np.random.default_rng(seed)
+        judges = {str(rng.choice(runs)) for runs in names.values() if len(runs) >= ENOUGH_RUNS}
+        parts = [tuple(r for r in training.recordings if (r.name in judges) == held) for held in (False, True)]
+        return replace(training, recordings=parts[0]), replace(heldout, recordings=(*heldout.recordings, *parts[1]))
     parts = [
         replace(recordings, recordings=tuple(r for r in recordings.recordings if r.session == session))
         for session in sessions
@@ -210,6 +240,15 @@ def rms_about_mean(series: Sequence[np.ndarray]) -> float:
     return float(np.sqrt(np.mean(np.sum((rows - rows.mean(axis=0)) ** 2, axis=1))))
 
 
+def _travel(runs: Sequence[Recording], seen: Callable[[Recording], np.ndarray]) -> float:
+    """Return the rms of what is ``seen`` about the mean of each session: a camera that was moved is no travel."""
+    series = []
+    for session in dict.fromkeys(run.session for run in runs):
+        rows = np.concatenate([seen(run) for run in runs if run.session == session])
+        series.append(rows - rows.mean(axis=0))
+    return rms_about_mean(series)
+
+
 def _seen(run: Recording, robot: Robot) -> np.ndarray:
     if robot.output == "bend_angle":
         return robot.length_m * np.asarray(run.bend_angle)[:, None]
@@ -222,10 +261,16 @@ def _noise(found: DataCheck, usable: Sequence[Recording], robot: Robot, channel:
     for name in (channel, "pressure_meas"):
         series = [getattr(run, name) for run in usable if getattr(run, name) is not None]
         if series:
-            quick = float(np.median([jitter(values.reshape(len(values), -1)) for values in series]))
+            quick = float(np.median([jitter(_readings(values.reshape(len(values), -1))) for values in series]))
             floor[name] = max(min(quick, found.noise_floor[name]), found.repeatability.get(name, 0.0))
     motion = floor[channel] * (robot.length_m if channel == "bend_angle" else np.sqrt(3.0))
     return float(motion), float(floor.get("pressure_meas", 0.0) * np.sqrt(robot.chambers))
+
+
+def _readings(values: np.ndarray) -> np.ndarray:
+    """Return the rows (readings, n) of ``values`` (steps, n) that do not repeat the one before: a slower sensor's own."""
+    own = values[np.r_[True, np.any(np.diff(values, axis=0) != 0.0, axis=1)]]
+    return own if len(own) >= FEW_READINGS else values
 
 
 def jitter(values: np.ndarray) -> float:

@@ -69,6 +69,15 @@ class Rival(NamedTuple):
     trial: Trial
     better: bool
 
+    @property
+    def contests(self) -> bool:
+        """Whether it does as well and says something else: another effect, or the same one of another chamber."""
+        return self.equivalent and (self.choice.name != self.instead_of.name or _of_another_chamber(self.choice, self.instead_of))
+
+
+def _of_another_chamber(one: Choice, other: Choice) -> bool:
+    return one.name == other.name and min(one.chamber, other.chamber) >= 0 and one.chamber != other.chamber
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -191,9 +200,11 @@ def _better(finding: Finding) -> Rival | None:
 def plainer(judge: Judge, rivals: Sequence[Rival], final: Trial) -> Rival | None:
     """Return the one of ``rivals`` whose law what is named extends by less than counts, if there is one.
 
-    A ceiling that yields by a hundredth is a ceiling.
+    A ceiling that yields by a hundredth is a ceiling; but a law that needs more numbers for it is no plainer.
     """
-    return next((r for r in rivals if _extended(r) and judge.removed(r.trial.squares, final.squares) < judge.material), None)
+    most = len(final.fit.point)
+    plain = [rival for rival in rivals if _extended(rival) and len(rival.trial.fit.point) <= most]
+    return next((r for r in plain if judge.removed(r.trial.squares, final.squares) < judge.material), None)
 
 
 def _extended(rival: Rival) -> bool:
@@ -285,13 +296,15 @@ def _rivals(
     part: Part, judge: Judge, path: Path, final: Trial, without: Trial, choice: Choice, search: Search
 ) -> list[Rival]:
     """Return the best alternatives to ``choice``, the other effects staying, judged on held-out runs."""
+    tried = path.tried.get(choice, [])
+    others = [pair for pair in tried if pair[0].name not in final.hypothesis.names][: search.rivals]
+    others += [pair for pair in tried if _of_another_chamber(pair[0], choice)][:1]
     tasks = [
         (without.hypothesis.with_effect(other), [start, *from_nominal(start, without.hypothesis)][: search.starts])
-        for other, point in path.tried.get(choice, [])
-        if other.name not in final.hypothesis.names
+        for other, point in others
         for start in [join(without, point)]
     ]
-    race = raced(part.problem, judge.problem, tasks[: search.rivals], search, final, patient=True)
+    race = raced(part.problem, judge.problem, tasks, search, final, patient=True)
     found, both, whole = [], judge.on((*part.problem.runs, *part.heldout)), None
     for trial in (*race.finished, *race.beaten):
         gap = judge.gap(trial.squares, final.squares)

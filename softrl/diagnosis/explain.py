@@ -4,19 +4,23 @@ from collections.abc import Sequence
 from math import degrees, log
 from typing import Any
 
+import numpy as np
+
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.diagnosis.along import BENDS
 from softrl.diagnosis.correct import Model
-from softrl.diagnosis.examine import Finding, Named
-from softrl.diagnosis.hypothesis import AT_END, GATES, LATE, Choice, has_chamber, pinned_values
+from softrl.diagnosis.examine import Finding, Named, Part, Rival
+from softrl.diagnosis.hypothesis import AT_END, GATES, LASTING, LATE, Choice, effect_axes, has_chamber, pinned_values
 from softrl.diagnosis.lateness import lateness
 from softrl.diagnosis.leftover import UNEVEN_FACTOR
 from softrl.diagnosis.locate import significant
 from softrl.diagnosis.parameters import effect_sentence
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.separate import separating_program
+from softrl.diagnosis.trial import columns_of
 from softrl.diagnosis.verdict import AS_GOOD, alternatives, misleads
 from softrl.effects.library import effect_class
+from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
 PIECE_SHARE = 0.2  # of the wrong bending: a piece of the body with less goes without saying
@@ -46,30 +50,33 @@ def _entry(finding: Finding, named: Named) -> dict[str, Any]:
     choice = named.choice
     factor, unit = shown_in(finding)
     without = factor * float(finding.judge.excess(finding.final.mean_square)) + factor * named.gap.value
-    return {
-        "name": choice.name,
-        "title": effect_class(choice.name).title,
-        "site": choice.site,
-        "where": where(choice),
-        "chamber": choice.chamber,
-        "session": choice.session,
-        "parameters": {
-            p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit, "at_bound": p.at_bound}
-            for p in named.intervals
-        },
-        "pinned": pinned_values(choice)
-        | {name: True for name in ("before_gauge", "behind_gauge") if getattr(choice, name)},
-        "evidence": (
-            f"{finding.part.title}: without it the held-out error above the noise is {without:.3g} {unit}, with it "
-            f"{without - factor * named.gap.value:.3g} {unit} (gain {factor * named.gap.low:.3g} to "
-            f"{factor * named.gap.high:.3g} {unit})"
-        ),
+    told = {"name": choice.name, "title": effect_class(choice.name).title, "site": choice.site, "where": where(choice)}
+    parameters = {
+        p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit, "at_bound": p.at_bound}
+        for p in named.intervals
     }
+    evidence = (
+        f"{finding.part.title}: without it the held-out error above the noise is {without:.3g} {unit}, with it "
+        f"{without - factor * named.gap.value:.3g} {unit} (gain {factor * named.gap.low:.3g} to "
+        f"{factor * named.gap.high:.3g} {unit})"
+    )
+    return told | _form(finding.part, choice) | {"parameters": parameters, "evidence": evidence}
+
+
+def _ended(part: Part) -> float:
+    """Return how long all sessions had gone on when the last run ended, s: there the clock of what lasts stands now."""
+    last = _last(part)
+    return last.gone_s[-1] + float(np.ptp(last.time))
+
+
+def _last(part: Part) -> Recording:
+    """Return the run that was recorded last."""
+    return max((*part.problem.runs, *part.heldout), key=lambda run: run.gone_s[-1])
 
 
 def where(choice: Choice) -> str:
     """Return in words where an effect acts."""
-    if choice.session:
+    if choice.session and choice.chamber < 0:
         return f"session {choice.session} only"
     if has_chamber(choice.name):
         place = "all chambers" if choice.chamber < 0 else f"chamber {choice.chamber + 1}"
@@ -77,6 +84,8 @@ def where(choice: Choice) -> str:
         places = {"valve": "all valves", "load": "tip", "sensor": "pose sensor", "chamber": "all chambers"}
         place = "one layer" if effect_class(choice.name).layered else places.get(choice.site, "whole body")
     place += f", {GATES[choice.gate.field]}" if choice.gate else ""
+    place += f", {LASTING[choice.lasting]}" if choice.lasting else ""
+    place += f", session {choice.session} only" if choice.session else ""
     return f"{place}, {choice.gauge}" if choice.gauge else place
 
 
@@ -91,7 +100,11 @@ def shown_in(finding: Finding) -> tuple[float, str]:
 
 
 def rival_entries(findings: Sequence[Finding], robot: Robot) -> list[dict[str, Any]]:
-    """Return the alternatives, nearest first; gaps of motion in mm or deg, of measured pressure in kPa."""
+    """Return the alternatives, nearest first; gaps of motion in mm or deg, of measured pressure in kPa.
+
+    ``effect`` is the alternative as it was fitted and ``replaces`` what is named, for programs that build either: by their
+    labels alone people tell them.
+    """
     rows = []
     for finding in findings:
         factor, unit = shown_in(finding)
@@ -104,10 +117,32 @@ def rival_entries(findings: Sequence[Finding], robot: Robot) -> list[dict[str, A
                 "high": factor * rival.gap.high,
                 "unit": unit,
                 "equivalent": rival.equivalent,
+                "effect": _form(finding.part, rival.choice) | {"parameters": _fitted(finding.part.problem, rival)},
+                "replaces": _form(finding.part, rival.instead_of),
             }
             for rival in finding.rivals
         ]
     return sorted(rows, key=lambda row: row["score_gap"])
+
+
+def _form(part: Part, choice: Choice) -> dict[str, Any]:
+    """Return where and when ``choice`` acts, what is pinned, and its clock; a gate's number is one of its parameters."""
+    flags = {name: True for name in ("before_gauge", "behind_gauge") if getattr(choice, name)}
+    return {
+        "name": choice.name,
+        "chamber": choice.chamber,
+        "session": choice.session,
+        "past": choice.session not in ("", _last(part).session),
+        "lasting": choice.lasting,
+        "pinned": pinned_values(choice) | flags | ({"begun_s": _ended(part)} if choice.lasting == "ever" else {}),
+    }
+
+
+def _fitted(problem: Problem, rival: Rival) -> dict[str, float]:
+    """Return the free parameters of an alternative as they were fitted, the gate's too."""
+    values = problem.space(rival.trial.hypothesis).values(rival.trial.fit.point)
+    names = [axis.name for axis in effect_axes(rival.choice)]
+    return {name: values[k] for name, k in zip(names, columns_of(rival.trial, rival.choice), strict=True)}
 
 
 def retuned_entries(whole: Problem, model: Model) -> dict[str, Any]:
@@ -171,7 +206,7 @@ def _planned(findings: Sequence[Finding], noise_m: float) -> dict[str, Any] | No
     """Return the program that tells the nearest open rival apart, with how far it does."""
     for finding in findings:
         for rival in sorted(finding.rivals, key=lambda r: r.gap.value):
-            if rival.equivalent and rival.choice.name != rival.instead_of.name:
+            if rival.contests:
                 motion = finding.part.problem.target == "motion"
                 return separating_program(finding.part.problem, finding.final, rival.trial, noise_m) if motion else None
     return None

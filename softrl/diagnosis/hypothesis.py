@@ -12,6 +12,8 @@ from softrl.core.simulator import Simulator
 from softrl.effects.effect import Effect
 from softrl.effects.library import effect_class
 
+NEW = (0.0, 0.0, 0.0)  # how long a run, its session and all sessions had gone on before the first sample
+LASTING = {"session": "lasting through a session", "ever": "lasting"}
 GATES = {"above_share": "above a pressure", "since_s": "from a time on"}
 LATE = "late_s"  # how late a log has it that rows act, tuned with the simulator's parameters
 LATE_SCALE = 12.0  # sampling intervals that are one scaled unit: what a log may be late counts as no far retuning
@@ -31,7 +33,8 @@ class Choice(NamedTuple):
 
     ``pinned`` names the parameters that are held at their neutral values; ``gate`` says above which pressure or from when on
     alone it acts, ``session`` in which session alone, if anywhere; ``before_gauge`` that gauges show it,
-    ``behind_gauge`` that they do not.
+    ``behind_gauge`` that they do not. ``lasting`` says that its clock goes on from run to run, through its "session" or for
+    "ever"; else it begins anew with every run.
     """
 
     name: str
@@ -41,12 +44,14 @@ class Choice(NamedTuple):
     session: str = ""
     before_gauge: bool = False
     behind_gauge: bool = False
+    lasting: str = ""
 
     def label(self) -> str:
         """Return the name, with the chamber (counted from 1), the gate and the session where it acts there alone."""
         where = [f"chamber {self.chamber + 1}"] * (self.chamber >= 0) + [f"session {self.session}"] * bool(self.session)
         where += [GATES[self.gate.field]] if self.gate else []
         where += [self.gauge] if self.gauge else []
+        where += [LASTING[self.lasting]] if self.lasting else []
         return f"{self.name} ({', '.join(where)})" if where else self.name
 
     @property
@@ -177,13 +182,19 @@ class Space:
         """Return the physical values at a scaled point (p,)."""
         return [axis.physical(float(u)) for axis, u in zip(self.axes, point, strict=True)]
 
-    def effects(self, point: np.ndarray, session: str = "") -> tuple[Effect, ...]:
-        """Return the effects that act in ``session``, with their parameters at a scaled point."""
+    def effects(
+        self, point: np.ndarray, session: str = "", gone_s: tuple[float, float, float] = NEW
+    ) -> tuple[Effect, ...]:
+        """Return the effects that act in ``session``, with their parameters at a scaled point.
+
+        ``gone_s`` is how long the run, and for what lasts its session and all sessions, had gone on before.
+        """
+        gone = dict(zip(("", *LASTING), gone_s, strict=True))
         values, made = iter(self.values(point)), []
         for choice in self.hypothesis.effects:
             mine = [next(values) for _ in effect_axes(choice)]
             if choice.session in ("", session):
-                made.append(build_effect(choice, mine))
+                made.append(build_effect(choice, mine, gone[choice.lasting]))
         return tuple(made)
 
     def tuned(self, point: np.ndarray) -> dict[str, float]:
@@ -224,12 +235,12 @@ def effect_axes(choice: Choice) -> tuple[Axis, ...]:
     return tuple(found)
 
 
-def build_effect(choice: Choice, values: Sequence[float]) -> Effect:
-    """Return the effect with ``values`` in the order of its free parameters."""
+def build_effect(choice: Choice, values: Sequence[float], begun_s: float = 0.0) -> Effect:
+    """Return the effect with ``values`` in the order of its free parameters, its clock at ``begun_s``."""
     cls = effect_class(choice.name)
     named = pinned_values(choice) | dict(zip((f.name for f in free_fields(choice)), values, strict=True))
     fixed: dict[str, Any] = {"chamber": choice.chamber} if has_chamber(choice.name) else {}
-    return cls(**named, **fixed, before_gauge=choice.before_gauge, behind_gauge=choice.behind_gauge)
+    return cls(**named, **fixed, begun_s=begun_s, before_gauge=choice.before_gauge, behind_gauge=choice.behind_gauge)
 
 
 def pinned_values(choice: Choice) -> dict[str, float]:

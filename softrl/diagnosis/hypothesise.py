@@ -98,7 +98,7 @@ def _narrow(
     plain = (SOME if before.hypothesis.effects else PLAIN) * judge.material
     if judge.excess(before.mean_square) < plain:
         return False
-    forms = _gated([choice for choice in choices if not choice.session], fitting)
+    forms = _gated([c for c in choices if not (c.session or c.lasting)], fitting)
     beside = rank(fitting, before, not_taken(forms, before), search)
     promising = {lead.choice for lead in beside if lead.gain >= BESIDE * _least_share(judge, before)}
     for name in before.hypothesis.names:
@@ -126,7 +126,7 @@ def _behind_a_map(
     if bare.hypothesis.effects or not maps or judge.excess(bare.mean_square) < PLAIN * judge.material:
         return False
     behind = path.fit(fitting, [(bare.hypothesis.with_effect(maps[0]), join(bare, neutral(maps[0])))], search)
-    forms = _gated([choice for choice in choices if not choice.session], fitting)
+    forms = _gated([c for c in choices if not (c.session or c.lasting)], fitting)
     added = addition(fitting, judge, behind[0], forms, search, path) if behind else None
     if added is None or not all(judge.pays(less.squares, added.squares) for less in (bare, behind[0])):
         return False

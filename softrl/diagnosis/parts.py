@@ -7,8 +7,8 @@ import numpy as np
 
 from softrl.core.simulator import Layered
 from softrl.diagnosis.blocks import correlation_time
-from softrl.diagnosis.choices import candidates, in_one_session
-from softrl.diagnosis.data import Data
+from softrl.diagnosis.choices import candidates, in_one_session, that_last
+from softrl.diagnosis.data import Data, within
 from softrl.diagnosis.examine import Finding, Named, Part
 from softrl.diagnosis.hypothesis import LATE
 from softrl.diagnosis.judge import Judge
@@ -20,8 +20,10 @@ from softrl.effects.effect import SITES
 from softrl.effects.replay import Supply
 from softrl.recordings.recording import Recording
 
+PLACED = ("frame", "base_tilt")  # no news where every session is placed by itself
 SURE = 3.0  # standard errors that a sensor's bias must exceed
 EARLIER = (0.0, 0.25, 0.5, 0.75)  # shares of how late a log was found to be, of which the least that does as well is taken
+VALVE_S = 1200.0  # of the recordings, which a valve's fits see at most
 VALVE_STEPS = 4  # of a valve to one of the body: it costs little, and pressures are measured well
 
 
@@ -34,8 +36,10 @@ def valve_part(whole: Problem, data: Data, effects: list[str]) -> Part:
     """Return the pipeline from command to measured pressure, in finer steps."""
     steps = whole.numerics
     finer = replace(steps, dt_s=steps.dt_s / VALVE_STEPS, rough_dt_s=steps.rough_dt_s / VALVE_STEPS)
-    problem = replace(whole, target="pressure", register=False, orientation=False, runs=data.training, numerics=finer)
+    runs = within(data.training, VALVE_S)
+    problem = replace(whole, target="pressure", register=False, orientation=False, runs=runs, numerics=finer)
     choices = candidates(effects, ("valve",), whole.robot, data.check.excited, gauges_only=True)
+    choices += that_last(choices, [run.session for run in runs], [])
     floor = floor_in_bin(data.pressure_noise, data, problem)
     return Part("command to measured pressure", problem, data.heldout, floor, data.pressure_travel, tuple(choices))
 
@@ -104,10 +108,11 @@ def part_behind(valve: Finding, whole: Problem, data: Data, effects: list[str]) 
 
 
 def _motion_part(problem: Problem, data: Data, title: str, effects: list[str], sites: tuple[str, ...]) -> Part:
-    wanted = [name for name in effects if not (problem.register and name == "frame")]
-    choices = in_one_session(wanted, *([run.session for run in side] for side in (data.training, data.heldout)))
+    wanted = [name for name in effects if not (problem.register and name in PLACED)]
+    sessions = [[run.session for run in side] for side in (data.training, data.heldout)]
     layers = isinstance(problem.simulator, Layered)
-    choices += candidates(wanted, sites, problem.robot, data.check.excited, layers, data.varied)
+    everywhere = candidates(wanted, sites, problem.robot, data.check.excited, layers, data.varied)
+    choices = in_one_session(wanted, *sessions) + everywhere + that_last(everywhere, *sessions)
     turned = ORIENTATION_LEVER * problem.robot.length_m * data.turn_noise if problem.orientation else 0.0
     floor = floor_in_bin(float(np.hypot(data.noise, turned)), data, problem)
     return Part(title, problem.on(data.training), data.heldout, floor, data.travel, tuple(choices))
@@ -134,8 +139,8 @@ def _understood(runs: Sequence[Recording], valve: Finding, noise: float) -> list
     """
     final, problem = valve.final, valve.part.problem
     space, point, found = problem.space(final.hypothesis), final.fit.point, []
-    chain = chain_of(problem.robot, space.effects(point))
     for run, made in zip(runs, _supplied(runs, valve), strict=True):
+        chain = chain_of(problem.robot, space.effects(point, run.session, run.gone_s))
         apart = run.pressure_meas - made.pressure_meas
         apart -= _bias(apart)
         square = float(np.mean(np.sum(apart**2, axis=1)))

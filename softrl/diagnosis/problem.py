@@ -10,7 +10,7 @@ import numpy as np
 from softrl.core.errors import SolverError
 from softrl.core.identity import Same
 from softrl.core.simulator import Simulator
-from softrl.diagnosis.hypothesis import LATE, Hypothesis, Space
+from softrl.diagnosis.hypothesis import LASTING, LATE, Hypothesis, Space
 from softrl.diagnosis.still_body import StillBody
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.library import effect_class, names
@@ -22,6 +22,7 @@ AT_REST_SHARE = 0.02  # a run whose first pressures stay below this share of the
 UNJUDGED_S, UNJUDGED_SHARE = 1.0, 0.05  # of a run that does not begin at rest, at most: its past is only guessed
 MIN_FOLDS = 3  # parts of the data that are left out in turn, at least
 FOLDS, FOLD_S = 8, 20.0  # with fewer runs than that: so many parts, where each is as long
+SAME_RATE = 0.1  # relative difference of sampling intervals that is jitter
 KEPT = 16  # bodies with other parameters: the columns of a Jacobian by effects' parameters share one
 REPLAYS = 4  # the last ones, kept: what a fit ends with is asked for again by all that judges it
 ORIENTATION_LEVER = 0.5  # lengths of the robot: turns orientation errors into displacements
@@ -85,6 +86,7 @@ class Problem:
         better than by the first pressures themselves, see ``prelude``
     late_max_s : how late a log may have it that rows act: an interval between its samples
     late_apart_s : the same where an effect shifts time that does so in a part examined apart: the other part has its own log
+    interval_s : between samples, of most runs: where it is another a log is later or earlier as much
     supply : by run the valve, where it is understood, and what is measured beyond what it does
     defect : by run what is added to the residual (bins, channels), see ``rough_about``
     """
@@ -100,6 +102,7 @@ class Problem:
     before: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     late_max_s: float = 0.0
     late_apart_s: float = 0.0
+    interval_s: float = 0.0
     supply: Mapping[str, Supply] = field(default_factory=dict)
     defect: tuple[np.ndarray, ...] = ()
 
@@ -149,10 +152,15 @@ class Problem:
         return np.repeat(np.arange(len(self.runs)), [int(b[-1]) + 1 for b in self.bins])
 
     @cached_property
-    def seen(self) -> dict[str, list[dict[str, float]]]:
-        """Values of effects' parameters that can be read off the runs, by the effect's name."""
-        found = {name: effect_class(name).seen_in(self.runs) for name in names()}
-        return {name: values for name, values in found.items() if values}
+    def seen(self) -> dict[tuple[str, str], list[dict[str, float]]]:
+        """Values of effects' parameters that can be read off the runs, by the effect's name and how long it lasts."""
+        gone = [dict(zip(("", *LASTING), run.gone_s, strict=True)) for run in self.runs]
+        found = {}
+        for name in names():
+            for lasting in ("", *LASTING) if effect_class(name).lasts else ("",):
+                longest_s = max(g[lasting] + float(np.ptp(run.time)) for g, run in zip(gone, self.runs, strict=True))
+                found[name, lasting] = effect_class(name).seen_in(self.runs, longest_s)
+        return {kind: values for kind, values in found.items() if values}
 
     @cached_property
     def folds(self) -> np.ndarray:
@@ -219,10 +227,14 @@ class Problem:
         space = self.space(hypothesis)
         body = StillBody() if self.target == "pressure" else _tuned(Same(self.simulator), *space.tuned(point).items())
         apart = {choice.session for choice in hypothesis.effects}  # all other sessions share what acts everywhere
-        sessions = [run.session if run.session in apart else "" for run in self.runs]
-        plants = {s: Plant(body, chain_of(self.robot, space.effects(point, s))) for s in dict.fromkeys(sessions)}
-        pairs, late_s = zip(sessions, self.runs, strict=True), space.late(point)
-        return [self._replay(plants[session], run, channels, late_s) for session, run in pairs]
+        lasts = any(choice.lasting for choice in hypothesis.effects)
+        times = [
+            (run.session if run.session in apart else "", run.gone_s if lasts else (run.gone_s[0], 0.0, 0.0))
+            for run in self.runs
+        ]
+        plants = {when: Plant(body, chain_of(self.robot, space.effects(point, *when))) for when in dict.fromkeys(times)}
+        pairs, late_s = zip(times, self.runs, strict=True), space.late(point)
+        return [self._replay(plants[when], run, channels, late_s) for when, run in pairs]
 
     def _from_rest(self, run: Recording) -> bool:
         """Return whether nothing acts at the beginning of ``run``, nor did before."""
@@ -230,12 +242,18 @@ class Problem:
         past = np.abs([first, self.before.get(run.name, first)]).max()
         return bool(past <= AT_REST_SHARE * self.robot.pressure_max_pa)
 
+    def _rows_apart(self, run: Recording) -> float:
+        """Return how far apart the rows of ``run`` are, in intervals of most runs."""
+        apart = float(np.median(np.diff(run.time))) / self.interval_s if self.interval_s > 0.0 else 1.0
+        return apart if abs(apart - 1.0) > SAME_RATE else 1.0
+
     def _unjudged(self, run: Recording) -> float:
         return 0.0 if self._from_rest(run) else min(UNJUDGED_S, UNJUDGED_SHARE * float(np.ptp(run.time)))
 
     def _replay(self, plant: Plant, run: Recording, channels: tuple[str, ...], late_s: float) -> Recording:
         settle = 0.0 if self._from_rest(run) else self.numerics.settle_s
         before, supply = self.before.get(run.name), self.supply.get(run.name)
+        late_s *= self._rows_apart(run)
         made = replay(plant, run, self.numerics.dt_s, self.drive, settle, before, channels, late_s, supply)
         for name in self._compared:
             if not np.isfinite(_present(getattr(made, name))).all():

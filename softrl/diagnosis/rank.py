@@ -1,6 +1,6 @@
 """Every effect of the library fitted roughly beside a trial, so that only the promising ones are fitted in full."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -56,7 +56,7 @@ def rank(fitting: Problem, current: Trial, choices: Sequence[Choice], search: Se
     seen, fitting = fitting.seen, fitting.rough_about(current.hypothesis, current.fit.point)
     bases = bases_of(fitting, current)
     for_all = [choice for choice in choices if choice.chamber < 0]
-    tasks = [(c, starts(c, seen.get(c.name, ()))) for c in for_all]
+    tasks = [(c, starts(c, seen.get((c.name, c.lasting), ()))) for c in for_all]
     all_over = _leads(fitting, bases, tasks, Best(0.0, np.inf), search, set(seen))
     leads = all_over.leads
     shapes = {_form(lead.choice): lead.point[: len(effect_axes(lead.choice))] for lead in leads}
@@ -64,14 +64,19 @@ def rank(fitting: Problem, current: Trial, choices: Sequence[Choice], search: Se
     promising = {_form(lead.choice) for lead in leads if lead.gain >= max(least, 0.0)}
     anyhow = (None, "since_s")
     alone = [c for c in choices if c.chamber >= 0 and ((c.gate and c.gate.field) in anyhow or _form(c) in promising)]
-    tasks = [(c, [_plain(c, shapes.get(_form(c))), starts(c)[0]]) for c in alone]
+    tasks = [(c, [_plain(c, shapes.get(_form(c))), *_begins_alone(c, seen)]) for c in alone]
     leads = leads + _leads(fitting, bases, tasks, all_over.best, search).leads
     return sorted(leads, key=lambda lead: -lead.gain)
 
 
-def _form(choice: Choice) -> tuple[str, tuple[str, ...], str]:
+def _begins_alone(choice: Choice, seen: Mapping[tuple[str, str], Sequence[dict[str, float]]]) -> list[np.ndarray]:
+    """Return where one chamber's fit begins beside the shape of all: where something lasts each may have its own onset."""
+    return starts(choice, seen.get((choice.name, choice.lasting), ())) if choice.lasting else starts(choice)[:1]
+
+
+def _form(choice: Choice) -> tuple[str, tuple[str, ...], str, str, str]:
     """Return what choices with the same parameters have in common."""
-    return choice.name, choice.pinned, choice.gate.field if choice.gate else ""
+    return choice.name, choice.pinned, choice.gate.field if choice.gate else "", choice.lasting, choice.session
 
 
 def _leads(
@@ -80,7 +85,7 @@ def _leads(
     tasks: list[tuple[Choice, list[np.ndarray]]],
     best: Best,
     search: Search,
-    seen: Collection[str] = (),
+    seen: Collection[tuple[str, str]] = (),
 ) -> Leads:
     """Return the leads of ``tasks`` (choice, starting points), and the best of all; ``best`` is that of others.
 
@@ -94,7 +99,7 @@ def _leads(
         bool(look.begins)
         and (
             bent
-            or (choice.name in seen and not effect_class(choice.name).sized)
+            or ((choice.name, choice.lasting) in seen and not effect_class(choice.name).sized)
             or look.share >= LOOK_SHARE * reach
             or hidden_by_retuning(bases[0], look.known[0])
         )

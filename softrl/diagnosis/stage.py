@@ -159,7 +159,7 @@ def _whole(config: Config, robot: Robot, simulator: Simulator, data: Data, numer
     bare = Problem(robot, simulator, data.training, numerics, "motion", "command", False, turns)
     runs = [run for part in data.splits.values() for run in part]
     interval_s = float(np.median([run.period_s for run in data.check.runs]))
-    bare = replace(bare, late_max_s=interval_s, before=preludes(data.training, runs, robot))
+    bare = replace(bare, late_max_s=interval_s, interval_s=interval_s, before=preludes(data.training, runs, robot))
     if robot.output == "bend_angle":
         return bare
     nominal = bare.replayed(Hypothesis((), ()), np.zeros(0))

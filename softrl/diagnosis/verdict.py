@@ -39,5 +39,5 @@ def explains(valve: Finding, heldout: dict[str, float]) -> bool:
 
 
 def alternatives(finding: Finding) -> list[str]:
-    """Return the alternatives of another name that held-out data cannot tell apart from a named effect."""
-    return [r.choice.label() for r in finding.rivals if r.equivalent and r.choice.name != r.instead_of.name]
+    """Return the alternatives, effects or chambers, that held-out data cannot tell apart from what is named."""
+    return [rival.choice.label() for rival in finding.rivals if rival.contests]

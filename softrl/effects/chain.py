@@ -18,12 +18,18 @@ from softrl.robots.robot import Robot
 
 @dataclass(frozen=True)
 class EffectChain:
-    """Effects of one robot, sorted by site: valve, chamber, body, load, sensor; never by list order."""
+    """Effects of one robot, sorted by site: valve, chamber, body, load, sensor; never by list order.
+
+    ``effects`` are the parts of those that are given, so that each acts at one site.
+    """
 
     robot: Robot
     effects: tuple[Effect, ...] = ()
     before_s: float = 0.0  # how long a run goes on before its first sample, at which the effects' clocks stand at zero
     temperature: np.ndarray | None = field(default=None, compare=False)  # degree Celsius, one a second from there on
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "effects", tuple(part for effect in self.effects for part in effect.parts()))
 
     @cached_property
     def ordered(self) -> tuple[Effect, ...]:

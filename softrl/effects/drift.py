@@ -36,17 +36,18 @@ class Drift(Effect):
     -----
     With the time t since ``onset_s`` after the start of the run, stiffness over the model's is ``exp(-rate T (1 -
     exp(-t / T)))``, and 1 before: what warms comes to an end as its surroundings take up the heat (Newton's law of
-    cooling; no equation number checked). With ``levels_s`` T long it goes on for ever. Nothing is carried from run to
-    run.
+    cooling; no equation number checked). With ``levels_s`` T long it goes on for ever. From run to run it goes on where
+    the clock does (``begun_s``): a wall that ages, a day that warms up.
     """
 
     site: ClassVar[str] = "body"
     title: ClassVar[str] = "slow drift of the stiffness"
     kernel: ClassVar = drift_kernel
     clock: ClassVar = 0
+    lasts: ClassVar[bool] = True
 
     rate_per_s: float = parameter("1/s", -0.05, 0.05, 0.0, typical=0.003)
-    onset_s: float = parameter("s", 0.0, 600.0, 0.0, typical=0.0, default=0.0)
+    onset_s: float = parameter("s", 0.0, 3.6e4, 0.0, typical=0.0, default=0.0, scale=60.0)
     levels_s: float = parameter("s", 1.0, LONG_S, LONG_S, typical=LONG_S, default=LONG_S, log=True)
     chamber: int = -1
 

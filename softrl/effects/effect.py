@@ -48,6 +48,19 @@ TIP, TIP_VELOCITY, GRAVITY, FORCE, FORCE_SLOPE = 0, 1, 2, 3, 4
 BODY_PORT_ROWS, LOAD_PORT_ROWS = 8, 7
 
 
+@nb.njit(cache=True)
+def wall(port: np.ndarray, chamber: int, i: int) -> tuple[float, float]:
+    """Return the elastic resistance, Pa, of the wall beside chamber ``i``, and its slope, Pa, as an effect of ``chamber`` has it.
+
+    The whole body resists as it does; what is said of one chamber alone is said of a spring of its own. The pressure that
+    holds a chamber in its place is in part that of the others' walls, which do not change with its own. For laws that add to
+    it: what takes a share away may take more than the body has, in bending.
+    """
+    if chamber < 0:
+        return port[ELASTIC, i], port[ELASTIC_SLOPE, i]
+    return port[REST, i] * port[STRAIN, i], port[REST, i]
+
+
 def parameter(
     unit: str,
     low: float,
@@ -101,6 +114,7 @@ class Effect:
     exact : whether its law has no other form: a turned frame explains nearly all where it acts, a wall's law may not
     sized : whether half of its first parameter is half of the effect; half the period of a slow sensor is another sensor
     clock : slot of the state that counts the seconds since the first sample, if there is one
+    lasts : whether what its clock has brought about may stay from run to run: its clock then goes on, see ``begun_s``
     shifts_time : whether all that it does is to let everything happen later
     retunes : whether all that it does, everywhere and always, is what another value of a simulator's parameters does
     sticks : whether a small change and its taking back leave something behind, as dry friction does
@@ -112,6 +126,7 @@ class Effect:
         and no gate
     stores : whether its first parameter is a flow into a store of each chamber's, which stays when a gate stops the flow
     before_gauge : whether an effect on chambers acts before their pressures are measured, at the valve, so that gauges show it
+    begun_s : how long the clock, and that of ``since_s``, had gone on already at the first sample of a run, s
     behind_gauge : whether an effect of valves lies between where pressures are measured and the chambers: gauges do not show it
     above_share : share of the robot's largest pressure above which it acts; ``EVERYWHERE`` for all pressures
     since_s : time of each run from which it acts, s; 0 for always
@@ -127,6 +142,7 @@ class Effect:
     exact: ClassVar[bool] = False
     sized: ClassVar[bool] = True
     clock: ClassVar[int | None] = None
+    lasts: ClassVar[bool] = False
     shifts_time: ClassVar[bool] = False
     retunes: ClassVar[bool] = False
     sticks: ClassVar[bool] = False
@@ -139,6 +155,7 @@ class Effect:
 
     above_share: float = dataclasses.field(default=EVERYWHERE, kw_only=True, metadata=_gate("1", EVERYWHERE, 1.0, 0.3))
     since_s: float = dataclasses.field(default=0.0, kw_only=True, metadata=_gate("s", 0.0, 600.0, 10.0))
+    begun_s: float = dataclasses.field(default=0.0, kw_only=True)
     before_gauge: bool = dataclasses.field(default=False, kw_only=True)
     behind_gauge: bool = dataclasses.field(default=False, kw_only=True)
 
@@ -197,8 +214,11 @@ class Effect:
         return []
 
     @classmethod
-    def seen_in(cls, runs: Sequence[Recording]) -> list[dict[str, float]]:
-        """Return values that can be read off recordings, where a fit has no slope that leads there."""
+    def seen_in(cls, runs: Sequence[Recording], longest_s: float) -> list[dict[str, float]]:
+        """Return values that can be read off recordings, where a fit has no slope that leads there.
+
+        ``longest_s`` is the longest that the effect's clock goes on.
+        """
         return []
 
     def pack(self, robot: Robot) -> np.ndarray:
@@ -214,6 +234,10 @@ class Effect:
     def reset(self, robot: Robot) -> np.ndarray:
         """Return the state vector at rest; one or more slots, as the kernel needs."""
         return np.zeros(max(robot.chambers, 1))
+
+    def parts(self) -> tuple["Effect", ...]:
+        """Return the effects at single sites that this one is made of: itself, unless it acts at several."""
+        return (self,)
 
     def taken_at(self, time: np.ndarray) -> np.ndarray:
         """Return when a sensor took what it reports at ``time`` (steps,) s since the first sample."""

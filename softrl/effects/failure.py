@@ -10,7 +10,7 @@ import numpy as np
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
 from softrl.recordings.recording import Recording
 
-ONSETS = (0.2, 0.4, 0.6, 0.8)  # shares of the longest run
+ONSETS = (0.2, 0.4, 0.6, 0.8)  # shares of the time that its clock goes on
 
 
 @nb.njit(SIGNAL_KERNEL, cache=True)
@@ -31,7 +31,7 @@ class Failure(Effect):
     Notes
     -----
     A puncture, a kinked tube, a torn layer, as a step in time (an empirical form, no equation number checked). A run that
-    ends before the onset shows nothing; in real sessions the onset belongs to one run, the later ones have it at 0.
+    ends before the onset shows nothing. Where it lasts, the clock goes on from run to run (``begun_s``).
     """
 
     site: ClassVar[str] = "chamber"
@@ -39,13 +39,13 @@ class Failure(Effect):
     kernel: ClassVar = failure_kernel
     gauged: ClassVar[bool] = True
     clock: ClassVar = 0
+    lasts: ClassVar[bool] = True
 
     loss: float = parameter("1", 0.0, 1.0, 0.0, typical=0.4)
-    onset_s: float = parameter("s", 0.0, 600.0, 5.0, typical=5.0)
+    onset_s: float = parameter("s", 0.0, 3.6e4, 5.0, typical=5.0, scale=60.0)
     chamber: int = -1
 
     @classmethod
-    def seen_in(cls, runs: Sequence[Recording]) -> list[dict[str, float]]:
-        """Return onsets spread over the runs: from one that is far too early no slope leads to the right one."""
-        longest = max(float(run.time[-1] - run.time[0]) for run in runs)
-        return [{"onset_s": share * longest} for share in ONSETS]
+    def seen_in(cls, runs: Sequence[Recording], longest_s: float) -> list[dict[str, float]]:
+        """Return onsets spread over the time: from one that is far too early no slope leads to the right one."""
+        return [{"onset_s": share * longest_s} for share in ONSETS]

@@ -104,7 +104,7 @@ KERNELS = {"body": gated_body, "load": gated_load}
 
 
 def hook_of(effect: Effect, robot: Robot, before_s: float = 0.0, temperature: np.ndarray | None = None) -> Hook:
-    """Return ``effect`` as a kernel takes it, its clock ``before_s`` before the first sample.
+    """Return ``effect`` as a kernel takes it, its clock as it stands ``before_s`` before the first sample.
 
     ``temperature`` (seconds,) degree Celsius, one value a second from the first sample on, goes to what needs it.
     """
@@ -112,11 +112,11 @@ def hook_of(effect: Effect, robot: Robot, before_s: float = 0.0, temperature: np
     if effect.needs == "temperature" and temperature is not None:
         parameters = np.r_[parameters, temperature]
     if effect.clock is not None:
-        state[effect.clock] = -before_s
+        state[effect.clock] = effect.begun_s - before_s
     if not effect.gated:
         return Hook(kernel, parameters, state)
     above = effect.above_share * robot.pressure_max_pa if effect.above_share > EVERYWHERE else -np.inf
     behind = np.array([above, BAND * robot.pressure_max_pa, effect.since_s, 0.0])
     behind[-1:].view(np.int64)[0] = address_of(kernel)
     gate = gated_flow if effect.stores else KERNELS.get(effect.site, gated_signal)
-    return Hook(gate, np.r_[parameters, behind], np.r_[state, -before_s])
+    return Hook(gate, np.r_[parameters, behind], np.r_[state, effect.begun_s - before_s])

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numba as nb
 import numpy as np
 
-from softrl.effects.effect import ADDED, ADDED_SLOPE, ELASTIC, ELASTIC_SLOPE, PORT_KERNEL, Effect, parameter
+from softrl.effects.effect import ADDED, ADDED_SLOPE, PORT_KERNEL, Effect, parameter, wall
 from softrl.robots.robot import Robot
 
 MODES = 8
@@ -25,20 +25,22 @@ def power_creep_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarr
             kept = -tau / dt * faded
             for i in range(n):
                 if chamber < 0 or chamber == i:
-                    change = port[ELASTIC, i] - state[MODES * n + i]
+                    elastic, slope = wall(port, chamber, i)
+                    change = elastic - state[MODES * n + i]
                     overstress = (1.0 + faded) * state[mode * n + i] + kept * change
                     port[ADDED, i] += parameters[mode] * overstress
-                    port[ADDED_SLOPE, i] += parameters[mode] * kept * port[ELASTIC_SLOPE, i]
+                    port[ADDED_SLOPE, i] += parameters[mode] * kept * slope
                     if commit:
                         state[mode * n + i] = overstress
             tau *= FACTOR
         for i in range(n):
             if chamber < 0 or chamber == i:
-                port[ADDED, i] += parameters[MODES + 1] * port[ELASTIC, i]
-                port[ADDED_SLOPE, i] += parameters[MODES + 1] * port[ELASTIC_SLOPE, i]
+                elastic, slope = wall(port, chamber, i)
+                port[ADDED, i] += parameters[MODES + 1] * elastic
+                port[ADDED_SLOPE, i] += parameters[MODES + 1] * slope
     if commit:
         for i in range(n):
-            state[MODES * n + i] = port[ELASTIC, i]
+            state[MODES * n + i] = wall(port, chamber, i)[0]
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import groupby
-from typing import NamedTuple
+from typing import NamedTuple, TypeGuard
 
 import numba as nb
 import numpy as np
@@ -14,6 +14,7 @@ from softrl.core.identity import Same
 from softrl.core.simulator import Motion
 from softrl.effects.chain import EffectChain, Plant, simulate_batch
 from softrl.effects.effect import Effect
+from softrl.effects.hold import Hold, reading_phase
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
@@ -95,7 +96,7 @@ def replay_batch(
     past = None if before is None else np.tile(np.asarray(before, dtype=float), (round(settle_s / dt_s), 1))
     if past is not None and drive == "command" and recording.pressure_meas is None:
         pressure, past = np.vstack([past, pressure[len(past) :]]), None
-    taken = [_taken_at(plant.chain, recording.time) for plant in plants]
+    taken = [_taken_at(plant.chain, recording) for plant in plants]
     plants = [_under(plant, settle_s, _each_second(Same(recording))) for plant in plants]
     if drive == "command":
         motions = simulate_batch(plants, time, pressure, force, workers, past)
@@ -107,7 +108,7 @@ def replay_batch(
             motions += simulate_batch([behind[k] for k in group], time, seen, force, workers, past)
     robot = plants[0].chain.robot
     pairs = zip(motions, taken, strict=True)
-    return [_reported(recording, robot, time, motion, when, channels) for motion, when in pairs]
+    return [_reported(recording, robot, time, dt_s, motion, when, channels) for motion, when in pairs]
 
 
 def _under(plant: Plant, settle_s: float, temperature: np.ndarray | None) -> Plant:
@@ -126,24 +127,55 @@ def _each_second(same: Same[Recording]) -> np.ndarray | None:
     return np.interp(np.arange(int(np.ceil(since[-1])) + 1), since, run.temperature)
 
 
-def _reads(effect: Effect) -> bool:
+def _reads(effect: Effect) -> TypeGuard[Hold]:
     """Return whether an effect is nothing but the times at which a sensor is read."""
-    return type(effect).taken_at is not Effect.taken_at and not effect.gated
+    return isinstance(effect, Hold) and not effect.gated
 
 
 def _without_readers(chain: EffectChain) -> tuple[Effect, ...]:
     return tuple(effect for effect in chain.effects if not _reads(effect))
 
 
-def _taken_at(chain: EffectChain, stamps: np.ndarray) -> np.ndarray:
-    """Return when (samples,) s the poses were taken that are reported at ``stamps``.
+def _taken_at(chain: EffectChain, recording: Recording) -> tuple[np.ndarray, float]:
+    """Return when (samples,) s the poses were taken that are reported at a recording's times, and how much earlier at most, s.
 
     Exact whatever the step: a staircase on the grid would be early or late by up to a step at every jump.
     """
-    since = stamps - stamps[0]
+    since, open_s = recording.time - recording.time[0], 0.0
     for effect in reversed(chain.at("sensor")):
-        since = effect.taken_at(since) if _reads(effect) else since
-    return np.asarray(since + stamps[0])
+        if _reads(effect):
+            phase = reading_phase(Same(recording), effect.period_s)
+            since, open_s = effect.taken_at(since, phase.latest_s), phase.open_s
+    return np.asarray(since + recording.time[0]), open_s
+
+
+def _as_measured(
+    recording: Recording, robot: Robot, time: np.ndarray, dt_s: float, motion: Motion, taken: tuple[np.ndarray, float]
+) -> np.ndarray:
+    """Return when (samples,) s poses were taken, all so much earlier than at the latest as is nearest what was measured.
+
+    Rows tell when a camera was read to within the time between them, and where its period is a whole number of rows no better
+    in all of a run. What was measured may be turned, moved and of another size.
+    """
+    latest, open_s = taken
+    measured = recording.position if recording.position is not None else recording.bend_angle
+    if open_s <= 0.0 or measured is None:
+        return latest
+    ends = []
+    for when in (latest, latest - open_s):
+        if recording.position is not None:
+            ends.append(_sampled(when, time, dt_s, motion.position))
+        else:
+            ends.append(bend_angle(robot, _sampled(when, time, dt_s, motion.quaternion))[:, None])
+    late, early, seen = (rows - rows.mean(axis=0) for rows in (*ends, measured.reshape(len(latest), -1)))
+    middle, back = 0.5 * (late + early), early - late
+    if not np.isfinite(middle).all():
+        return latest
+    u, _, vt = np.linalg.svd(middle.T @ seen)
+    u[:, -1] *= np.sign(np.linalg.det(u @ vt))
+    size, moved = np.linalg.lstsq(np.stack([middle, back], axis=2).reshape(-1, 2), (seen @ (u @ vt).T).ravel())[0]
+    share = 0.5 + (moved / size if size > 0.0 else 0.0)
+    return np.asarray(latest - open_s * min(max(share, 0.0), 1.0))
 
 
 @lru_cache(maxsize=KEPT)
@@ -205,23 +237,25 @@ def _reported(
     recording: Recording,
     robot: Robot,
     time: np.ndarray,
+    dt_s: float,
     motion: Motion,
-    taken_at: np.ndarray,
+    taken: tuple[np.ndarray, float],
     channels: Sequence[str],
 ) -> Recording:
-    """Return ``recording`` with ``motion``, known on the grid ``time``, in place of what was measured.
+    """Return ``recording`` with ``motion``, known on the grid ``time`` of step ``dt_s``, in place of what was measured.
 
-    Poses are those of ``taken_at`` (samples,) s.
+    Poses are those that were ``taken`` at times (samples,) s at the latest, and by so much earlier at most.
     """
+    taken_at = _as_measured(recording, robot, time, dt_s, motion, taken)
     reports_angle = "bend_angle" in channels and (robot.output == "bend_angle" or recording.bend_angle is not None)
     quaternion = None
     if reports_angle or "quaternion" in channels:
-        quaternion = _sampled(taken_at, time, motion.quaternion)
+        quaternion = _sampled(taken_at, time, dt_s, motion.quaternion)
         quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
     return replace(
         recording,
-        pressure_meas=_held(recording.time, time, motion.pressure) if "pressure_meas" in channels else None,
-        position=_sampled(taken_at, time, motion.position) if "position" in channels else None,
+        pressure_meas=_held(recording.time, time, dt_s, motion.pressure) if "pressure_meas" in channels else None,
+        position=_sampled(taken_at, time, dt_s, motion.position) if "position" in channels else None,
         quaternion=quaternion if "quaternion" in channels else None,
         bend_angle=bend_angle(robot, quaternion) if reports_angle and quaternion is not None else None,
         markers={},
@@ -274,19 +308,22 @@ def _seen_by(gauges: Sequence[Effect], robot: Robot, reported: np.ndarray) -> np
     return reported
 
 
-def _sampled(wanted: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the columns of ``values`` (steps, n), interpolated linearly from ``time`` to ``wanted``."""
-    place = (wanted - time[0]) / (time[1] - time[0])
+def _sampled(wanted: np.ndarray, time: np.ndarray, dt_s: float, values: np.ndarray) -> np.ndarray:
+    """Return the columns of ``values`` (steps, n), interpolated linearly from ``time`` to ``wanted``.
+
+    The step is told, for a difference of large times is a little wrong, and every step adds to it.
+    """
+    place = (wanted - time[0]) / dt_s
     return _interpolated(place, np.ascontiguousarray(values))
 
 
-def _held(wanted: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _held(wanted: np.ndarray, time: np.ndarray, dt_s: float, values: np.ndarray) -> np.ndarray:
     """Return the rows of ``values`` (steps, n) at the last of ``time`` that is not after each ``wanted``.
 
     A pressure that follows its command at once jumps with it; between two grid points around a stamp it would seem to
     know the command that comes next.
     """
-    place = np.floor((wanted - time[0]) / (time[1] - time[0]) + 1e-9).astype(int)
+    place = np.floor((wanted - time[0]) / dt_s + 1e-9).astype(int)
     return np.asarray(values[np.clip(place, 0, len(values) - 1)])
 
 

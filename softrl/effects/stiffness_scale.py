@@ -6,17 +6,7 @@ from typing import ClassVar
 import numba as nb
 import numpy as np
 
-from softrl.effects.effect import (
-    ADDED,
-    ADDED_SLOPE,
-    ELASTIC,
-    ELASTIC_SLOPE,
-    PORT_KERNEL,
-    REST,
-    STRAIN,
-    Effect,
-    parameter,
-)
+from softrl.effects.effect import ADDED, ADDED_SLOPE, PORT_KERNEL, Effect, parameter, wall
 
 
 @nb.njit(PORT_KERNEL, cache=True)
@@ -26,12 +16,10 @@ def stiffness_scale_kernel(
     """Add ``scale - 1`` times the elastic resistance: the whole body's, or one chamber's own spring."""
     more, chamber = parameters[0] - 1.0, int(parameters[1])
     for i in range(port.shape[1]):
-        if chamber < 0:
-            port[ADDED, i] += more * port[ELASTIC, i]
-            port[ADDED_SLOPE, i] += more * port[ELASTIC_SLOPE, i]
-        elif chamber == i:
-            port[ADDED, i] += more * port[REST, i] * port[STRAIN, i]
-            port[ADDED_SLOPE, i] += more * port[REST, i]
+        if chamber < 0 or chamber == i:
+            elastic, slope = wall(port, chamber, i)
+            port[ADDED, i] += more * elastic
+            port[ADDED_SLOPE, i] += more * slope
 
 
 @dataclass(frozen=True)

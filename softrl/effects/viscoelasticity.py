@@ -7,7 +7,7 @@ from typing import ClassVar
 import numba as nb
 import numpy as np
 
-from softrl.effects.effect import ADDED, ADDED_SLOPE, ELASTIC, ELASTIC_SLOPE, PORT_KERNEL, Effect, parameter
+from softrl.effects.effect import ADDED, ADDED_SLOPE, PORT_KERNEL, Effect, parameter, wall
 from softrl.robots.robot import Robot
 
 
@@ -26,15 +26,16 @@ def viscoelasticity_kernel(
         kept = -tau / dt * faded
         for i in range(n):
             if chamber < 0 or chamber == i:
-                change = port[ELASTIC, i] - state[2 * n + i]
+                elastic, slope = wall(port, chamber, i)
+                change = elastic - state[2 * n + i]
                 overstress = (1.0 + faded) * state[branch * n + i] + kept * change
                 port[ADDED, i] += share * overstress
-                port[ADDED_SLOPE, i] += share * kept * port[ELASTIC_SLOPE, i]
+                port[ADDED_SLOPE, i] += share * kept * slope
                 if commit:
                     state[branch * n + i] = overstress
     if commit:
         for i in range(n):
-            state[2 * n + i] = port[ELASTIC, i]
+            state[2 * n + i] = wall(port, chamber, i)[0]
 
 
 @dataclass(frozen=True)

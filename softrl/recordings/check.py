@@ -13,6 +13,7 @@ GAP_PERIODS = 5.0  # a pause of more than this many median periods is a gap
 HOLD_S = 1.0  # a command unchanged for twice this long ends in a window of this length at rest
 EXCITED_SHARE = 0.02  # a chamber that moves less than this share of the pressure range is not excited
 CLIPPED_SHARE = 0.02  # this share of samples at one extreme value is clipping, unless the command holds there
+REPEAT_S, REPEAT_SAMPLES = 1.0, 5  # what lasts longer than this, and than so many samples, is no noise between repeats
 REST_SHARE = 0.3  # a tip at rest this share of a length away from its place is told in another frame
 JUMP_RAD = 0.5  # an orientation that turns farther than this between samples has jumped
 
@@ -58,8 +59,8 @@ class DataCheck:
     ----------
     runs : one entry a run
     noise_floor : channel -> median of the runs' noise, SI units: no model can be expected to fit better
-    repeatability : channel -> rms difference between runs of equal commands over sqrt 2, SI units; empty
-        without repeats
+    repeatability : channel -> rms of the quick difference between runs of a session of equal commands over sqrt 2, SI units;
+        empty without repeats
     excited : chambers that move in any run
     """
 
@@ -174,11 +175,16 @@ def _held_share(recording: Recording, values: np.ndarray) -> float:
 
 
 def _repeatability(recordings: RecordingSet) -> dict[str, float]:
-    """Return the rms difference over sqrt 2 between runs whose commands agree, on the shorter run's times."""
+    """Return the rms difference over sqrt 2 between runs of a session whose commands agree, on the shorter run's times.
+
+    Of the difference only what is faster than ``REPEAT_S`` is noise: a wall that ages, or a load that came in between, is
+    not. Runs that nothing is fitted to do not count.
+    """
     squares: dict[str, list[float]] = {}
-    runs = recordings.recordings
+    apart = {*recordings.notes.get("disturbed", ()), *recordings.notes.get("out_of_distribution", ())}
+    runs = [run for run in recordings.recordings if not apart & {run.name, run.session}]
     for i, one in enumerate(runs):
-        for other in runs[i + 1 :]:
+        for other in [run for run in runs[i + 1 :] if run.session == one.session]:
             count = min(len(one.time), len(other.time))
             same_time = np.allclose(np.diff(one.time[:count]), np.diff(other.time[:count]), rtol=0.01)
             if not same_time or not np.allclose(one.pressure_cmd[:count], other.pressure_cmd[:count], rtol=1e-6):
@@ -186,10 +192,18 @@ def _repeatability(recordings: RecordingSet) -> dict[str, float]:
             theirs = dict(_sensed(other))
             for channel, values in _sensed(one):
                 if channel in theirs:
-                    squares.setdefault(channel, []).append(
-                        float(np.mean((values[:count] - theirs[channel][:count]) ** 2))
-                    )
+                    difference = values[:count] - theirs[channel][:count]
+                    squares.setdefault(channel, []).append(_quick_square(one.time[:count], difference))
     return {channel: float(np.sqrt(np.mean(found) / 2.0)) for channel, found in squares.items()}
+
+
+def _quick_square(time: np.ndarray, values: np.ndarray) -> float:
+    """Return the mean square of ``values`` (steps, n) about their means over ``REPEAT_S``, per degree of freedom."""
+    period = float(np.median(np.diff(time))) if len(time) > 1 else REPEAT_S
+    block = np.arange(len(values)) // max(round(REPEAT_S / period), REPEAT_SAMPLES)
+    count = np.bincount(block)
+    mean = np.stack([np.bincount(block, column) for column in values.T], axis=1) / count[:, None]
+    return float(np.sum((values - mean[block]) ** 2) / (values.size - mean.size)) if len(values) > len(mean) else 0.0
 
 
 def _sampling_warnings(gaps: tuple[tuple[float, float], ...], period: float) -> Iterator[str]:

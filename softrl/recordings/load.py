@@ -73,7 +73,7 @@ def _dataset(folder: Path) -> tuple[dict[str, Any], list[Session]]:
 
 def _sessions(entry: Any, folder: Path) -> list[Session]:
     path = folder / DATASET
-    present = sorted(file.stem for file in folder.glob("*.csv"))
+    present = sorted((file.stem for file in folder.glob("*.csv")), key=_counted)
     if entry is None or entry == "":
         return [Session(run, (run,)) for run in present]
     if not isinstance(entry, dict):
@@ -92,6 +92,11 @@ def _sessions(entry: Any, folder: Path) -> list[Session]:
     if left_out:
         log.warning("%s names no session for %s: left out", path, ", ".join(left_out))
     return sessions
+
+
+def _counted(name: str) -> list[tuple[int, str]]:
+    """Return what sorts names as people count them, run_2 before run_10: their order says what came later."""
+    return [(int(part) if part.isdigit() else 0, part) for part in re.split(r"(\d+)", name)]
 
 
 def _session(name: str, value: Any, path: Path) -> Session:

@@ -23,6 +23,8 @@ class Recording:
     tip_force : (steps, 3) N on the tip, base frame
     markers : name -> (steps, 3) m
     temperature : (steps,) degree Celsius
+    gone_s : how long the run it was cut from, its session, and all sessions had gone on at its first sample, see
+        ``recordings.gone``
     """
 
     name: str
@@ -36,6 +38,7 @@ class Recording:
     tip_force: np.ndarray | None = None
     markers: dict[str, np.ndarray] = field(default_factory=dict)
     temperature: np.ndarray | None = None
+    gone_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def channels(self) -> Iterator[tuple[str, np.ndarray]]:
         """Yield the recorded channels by name, markers by their own."""

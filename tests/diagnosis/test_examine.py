@@ -32,7 +32,8 @@ def trial(judges: tuple[Judge, Judge], name: str, inside: float, heldout: float)
     noise = np.random.default_rng(0).chisquare(3, len(both.problem.run_of_bin))
     squares = noise + np.r_[np.full(len(noise) - count, inside), np.full(count, heldout)]
     hypothesis = Hypothesis((Choice(name),), ())
-    return SimpleNamespace(hypothesis=hypothesis, everywhere=squares, squares=squares[-count:])
+    fit = SimpleNamespace(point=np.zeros(1))
+    return SimpleNamespace(hypothesis=hypothesis, everywhere=squares, squares=squares[-count:], fit=fit)
 
 
 def test_the_best_of_those_that_are_better_takes_the_place() -> None:
@@ -63,6 +64,13 @@ def test_a_rival_is_better_where_all_runs_agree(
 ) -> None:
     final = trial(judges, "mount_tilt", 5.0, 5.0)
     assert overtakes(*judges, trial(judges, name, inside, heldout), final) == taken
+
+
+def test_another_chamber_contests_what_is_named_of_one(judges: tuple[Judge, Judge]) -> None:
+    fit, gap = trial(judges, "gain", 0.0, 0.0), Gap(0.0, -0.1, 0.1)
+    for other, contests in ((Choice("gain", 2), True), (Choice("gain"), False), (Choice("knee", 1), True)):
+        assert Rival(Choice("gain", 1), other, gap, True, fit, False).contests == contests
+        assert not Rival(Choice("gain", 1), other, gap, False, fit, False).contests
 
 
 def test_what_pays_stands_in_for_what_does_not(judges: tuple[Judge, Judge]) -> None:

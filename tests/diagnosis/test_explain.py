@@ -1,14 +1,19 @@
 """The verdict holds what is named to account: a correction that predicts worse than none is no finding."""
 
+import json
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
-from softrl.diagnosis.explain import _at_the_end, _but, _ungauged
-from softrl.diagnosis.hypothesis import Choice
+from softrl.diagnosis.explain import _at_the_end, _but, _ungauged, rival_entries
+from softrl.diagnosis.hypothesis import Choice, Gate, Hypothesis, Space, effect_axes
 from softrl.diagnosis.parameters import effect_sentence
 from softrl.diagnosis.verdict import verdict_of
+from softrl.effects.knee import Knee
+from softrl.excite.form import form_of
+from softrl.pcc.simulator import PccSimulator
 
 
 @pytest.mark.parametrize(
@@ -58,3 +63,31 @@ def test_shares_are_told_in_units_of_the_robot(name: str, parameter: str, unit: 
     entry = {"value": 0.03, "low": 0.02, "high": 0.04, "unit": unit, "at_bound": False}
     effect = {"name": name, "site": "valve", "where": "all", "parameters": {parameter: entry}, "evidence": "so"}
     assert f"{parameter} 0.03 (0.02 to 0.04)" in effect_sentence(effect, robot) and told in effect_sentence(effect, robot)
+
+
+def test_alternatives_are_told_as_they_were_fitted_so_that_a_program_can_be_planned(body: PccSimulator) -> None:
+    named = Choice("gain", 1)
+    gated = Choice("knee", 1, ("slope",), Gate("since_s", 5.0), before_gauge=True)
+    lasting = Choice("failure", 2, session="monday", lasting="ever")
+    runs = [SimpleNamespace(session=day, gone_s=(0.0, 0.0, gone), time=np.array([0.0, 30.0]))
+            for day, gone in (("monday", 0.0), ("tuesday", 30.0))]  # fmt: skip
+    problem = SimpleNamespace(target="pressure", runs=runs[:1], space=lambda hypothesis: Space(hypothesis, body, 4.0))
+
+    def rival(choice: Choice, values: list[float]) -> Any:
+        hypothesis = Hypothesis((Choice("lag"), choice), ())
+        point = [0.0, 0.0, *(axis.scaled(v) for axis, v in zip(effect_axes(choice), values, strict=True))]
+        gap = SimpleNamespace(value=len(values), low=0.0, high=1.0)
+        trial = SimpleNamespace(hypothesis=hypothesis, fit=SimpleNamespace(point=np.array(point)))
+        return SimpleNamespace(choice=choice, instead_of=named, gap=gap, equivalent=True, trial=trial)
+
+    rivals = [rival(gated, [0.7, 12.0]), rival(lasting, [0.3, 40.0])]
+    finding: Any = SimpleNamespace(part=SimpleNamespace(problem=problem, heldout=runs[1:]), rivals=rivals)
+    rows = rival_entries([finding], body.robot)
+    first, second = (row["effect"] for row in rows)
+    assert first["parameters"] == pytest.approx({"threshold": 0.7, "since_s": 12.0})
+    assert first["pinned"] == {"slope": 1.0, "before_gauge": True} and not first["past"]
+    assert second["past"] and second["pinned"] == {"begun_s": 60.0} and second["lasting"] == "ever"
+    assert form_of(rows[0]["replaces"]).same_as(form_of({"name": "gain", "chamber": 1}))
+    made = form_of(json.loads(json.dumps(first))).build()
+    assert isinstance(made, Knee) and (made.slope, made.chamber, made.before_gauge) == (1.0, 1, True)
+    assert (made.threshold, made.since_s) == pytest.approx((0.7, 12.0))

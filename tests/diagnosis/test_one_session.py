@@ -46,16 +46,22 @@ def test_only_a_session_that_is_fitted_and_judged_can_show_such_an_effect() -> N
 
 @pytest.mark.parametrize(
     ("name", "hidden"),
-    [("frame", {"turn_y_rad": 0.06, "shift_x": 0.03}), ("marker_offset", {"x": 0.05}), ("payload", {"mass": 0.6})],
+    [
+        ("base_tilt", {"about_x_rad": 0.1, "about_y_rad": -0.06}),
+        ("frame", {"turn_y_rad": 0.06, "shift_x": 0.03}),
+        ("marker_offset", {"x": 0.05}),
+        ("payload", {"mass": 0.6}),
+    ],
 )
 def test_what_came_between_two_days_is_told_of_the_second(body: PccSimulator, name: str, hidden: dict[str, float]) -> None:
     changed = replace(effect_class(name).neutral(), **hidden)
     first, second = made(body, seed=1, sessions=3), made(body, (changed,), seed=2, sessions=3)
     runs = [replace(r, session="first") for r in first.recordings]
     runs += [replace(r, session="second", name=f"later_{r.name}") for r in second.recordings]
-    few = FEW | {"candidates": ["stiffness_scale", "payload", "mount_tilt", "frame", "marker_offset"]}
+    few = FEW | {"candidates": ["stiffness_scale", "payload", "mount_tilt", "base_tilt", "frame", "marker_offset"]}
     found = run(configured(**few), body.robot, replace(first, recordings=tuple(runs)), body, tracker=NullTracker())
     assert [(e["name"], e["session"]) for e in found.effects] == [(name, "second")], found.sentences
+    assert [e["name"] for e in found.named()] == [name]  # it is so still
     told = found.effects[0]["parameters"]
     for key, value in hidden.items():
         assert told[key]["low"] - 0.005 <= value <= told[key]["high"] + 0.005, told

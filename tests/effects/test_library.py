@@ -81,7 +81,8 @@ def test_it_says_what_it_is(name: str) -> None:
     assert "no equation number checked" in text or "[Hong 2025]" in text, "a source in the docstring"
     assert list(cls.parameter_fields()) and all(f.metadata["unit"] for f in cls.parameter_fields())
     assert not cls.variant_of or library.effect_class(cls.variant_of).site == cls.site
-    assert not cls.extends or library.effect_class(cls.extends).site in ("valve", cls.site)
+    sites = {"valve", *(part.site for part in cls.neutral().parts())}
+    assert not cls.extends or library.effect_class(cls.extends).site in sites
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -90,7 +91,7 @@ def test_config_mirrors_the_class_and_round_trips(name: str) -> None:
     assert (CONF / "effect" / f"{name}.yaml").read_text().startswith(f"# @package effect.{name}\n")
     assert NODES[name]["_target_"] == f"{cls.__module__}.{cls.__qualname__}"
     effect = configured(name)
-    placed = {"before_gauge", "behind_gauge", *(f.name for f in cls.gate_fields())}
+    placed = {"begun_s", "before_gauge", "behind_gauge", *(f.name for f in cls.gate_fields())}
     own = {k: v for k, v in dataclasses.asdict(effect).items() if k not in placed}
     assert {"_target_": NODES[name]["_target_"], **own} == NODES[name]
 

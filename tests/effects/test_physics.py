@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from softrl.core.simulator import Motion
 from softrl.effects.area_growth import AreaGrowth
 from softrl.effects.asymmetry import Asymmetry
+from softrl.effects.base_tilt import BaseTilt
 from softrl.effects.chain import EffectChain, Plant, SignalFilter, chain_of
 from softrl.effects.command_map import CommandMap
 from softrl.effects.contact import Contact
@@ -489,6 +490,21 @@ def test_mount_tilt_turns_gravity_and_keeps_its_size() -> None:
     ):
         _, port = MountTilt(*angles).apply(ROBOT, np.zeros(3), load_port(np.zeros(3), np.zeros(3)), DT)
         np.testing.assert_allclose(port[GRAVITY], 9.81 * np.array(expected), atol=1e-12)
+
+
+def test_a_tilted_base_before_a_standing_camera_is_felt_and_seen() -> None:
+    """The body moves as on a tilted mount, and a camera that stands still sees that motion turned by as much."""
+    time = DT * np.arange(1, 201)
+    command = np.tile([9e3, 2e3, 5e3], (200, 1))
+    felt, seen = (
+        Plant(simulator(), chain_of(ROBOT, [tilt])).simulate(time, command)
+        for tilt in (MountTilt(0.3, -0.2), BaseTilt(0.3, -0.2))
+    )
+    down = MountTilt(0.3, -0.2).apply(ROBOT, np.zeros(3), load_port(np.zeros(3), np.zeros(3)), DT)[1][GRAVITY]
+    base = Rotation.align_vectors([[0, 0, -1]], [down])[0]  # what the base has for down is down for the camera
+    turn = Rotation.from_euler("xy", [0.3, -0.2]).inv()
+    np.testing.assert_allclose((turn * base.inv()).apply([0, 0, 1]), [0, 0, 1], atol=1e-9)
+    np.testing.assert_allclose(seen.position, turn.apply(felt.position), atol=1e-12)
 
 
 def test_contact_pushes_one_way_only() -> None:

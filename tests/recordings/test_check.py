@@ -41,6 +41,12 @@ def test_repeats_measure_the_noise_too() -> None:
     runs = tuple(run_with_noise(3e-4, seed) for seed in (1, 2))
     found = check(RecordingSet("tripod", runs), TRIPOD)
     assert abs(found.repeatability["position"] / 3e-4 - 1.0) < 0.1
+    sunk = np.asarray(runs[1].position) - np.array([0.0, 0.0, 4e-3])
+    loaded = replace(runs[1], position=sunk)  # a load that came in between is no noise
+    for other, session, notes in ((loaded, "s", {}), (loaded, "t", {}), (loaded, "s", {"disturbed": [loaded.name]})):
+        one = replace(runs[0], session="s")
+        found = check(RecordingSet("tripod", (one, replace(other, session=session)), notes), TRIPOD)
+        assert found.repeatability.get("position", 3e-4) < 4e-4, found.repeatability
     assert found.excited == (0, 1)
     assert any("chamber 3 is not driven" in warning for warning in found.warnings)
 

@@ -102,7 +102,8 @@ def test_session_axis_becomes_the_robots_axis(axis: str, tripod: Robot, tmp_path
 def test_dataset_without_sessions_has_one_a_run(tripod: Robot, tmp_path: Path) -> None:
     write(tmp_path, example_set(tripod))
     (tmp_path / "dataset.yaml").write_text("robot: tripod\n")
-    assert read(tmp_path, tripod).sessions() == ["2020_0908_0", "2020_0908_1", "2020_0908_2"]
+    (tmp_path / "2020_0908_1.csv").rename(tmp_path / "2020_0908_10.csv")  # later than 2, as people count
+    assert read(tmp_path, tripod).sessions() == ["2020_0908_0", "2020_0908_2", "2020_0908_10"]
 
 
 def test_other_command_is_scaled(tmp_path: Path) -> None:

@@ -1,0 +1,22 @@
+"""How long a robot had been at work when a run began: what lasts goes on from run to run."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+from softrl.recordings.run import Recording
+
+
+def in_order(runs: Iterable[Recording]) -> tuple[Recording, ...]:
+    """Return ``runs``, in the order in which they were recorded, each with how long its session and all had gone on.
+
+    Where the times of a run go on from those of the run before, in its session, a pause between them counts; else each
+    begins where the last one ended. What lies between two sessions is not known, and counts as nothing.
+    """
+    found, session, first, session_s, ever_s = [], None, 0.0, 0.0, 0.0
+    for run in runs:
+        if run.session != session:
+            session, first, ever_s, session_s = run.session, float(run.time[0]), ever_s + session_s, 0.0
+        begins = max(session_s, float(run.time[0]) - first)
+        found.append(replace(run, gone_s=(0.0, begins, ever_s + begins)))
+        session_s = begins + float(run.time[-1] - run.time[0])
+    return tuple(found)
