@@ -8,7 +8,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Sample:
-    """One reading of the robot, stamped by the device's own clock.
+    """One reading of the robot, stamped by the device's own clock; what was not measured is not a number.
 
     Attributes
     ----------
@@ -34,9 +34,11 @@ class Driver(Protocol):
     Attributes
     ----------
     samples : all that arrived since the last entry; they outlive a lost link
+    stale_s : device time for which a reading of the tip may be acted on
     """
 
     samples: list[Sample]
+    stale_s: float
 
     def __enter__(self) -> Self:
         """Connect; the robot is vented and its samples start."""

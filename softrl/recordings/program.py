@@ -4,6 +4,7 @@ A program is a pair (time (steps,) s, pressure (steps, chambers) Pa): each row i
 program stays within the robot's limits of pressure and slew.
 """
 
+import logging
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,7 +14,9 @@ from softrl.core.errors import ConfigError, DriverError
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
+log = logging.getLogger(__name__)
 Program = tuple[np.ndarray, np.ndarray]
+LEAST_SHARE = 0.5  # of the samples in which a channel is measured, or it is left out rather than all the others
 
 
 def steps_and_holds(robot: Robot, levels: np.ndarray, hold_s: float, dt_s: float) -> Program:
@@ -112,24 +115,61 @@ def record(driver: Driver, robot: Robot, time: np.ndarray, pressure: np.ndarray,
 def recording_of(samples: Sequence[Sample], robot: Robot, name: str, session: str) -> Recording:
     """Return the samples that a driver delivered during one run as a recording.
 
+    A channel that the device does not measure, or seldom does, is None; a sample that lacks a value of another channel, as
+    where the camera lost the tip for a moment, is left out.
+
     Raises
     ------
     DriverError
-        If fewer than two samples arrived.
+        If fewer than two samples arrived, or have values in all channels.
     """
     if len(samples) < 2:
         raise DriverError(f"run {name} of {robot.name}: {len(samples)} samples arrived; is the link up?")
-    force = np.stack([s.tip_force for s in samples])
+    commanded = np.stack([s.commanded for s in samples])
+    measured = {
+        "position": np.stack([s.position for s in samples]),
+        "pressure_meas": np.stack([s.pressure for s in samples]),
+        "quaternion": np.stack([s.quaternion for s in samples]),
+        "tip_force": np.stack([s.tip_force for s in samples]),
+    }
+    channels, whole = _measured(measured, np.isfinite(commanded).all(axis=1), name)
+    if whole.sum() < 2:
+        raise DriverError(
+            f"run {name} of {robot.name}: {whole.sum()} of {len(samples)} samples have values in all channels; expected 2 "
+            "or more: does the device report what it commands, and does the camera see the tip?"
+        )
     return Recording(
         name=name,
         session=session,
-        time=np.array([s.time_s for s in samples]),
-        pressure_cmd=np.stack([s.commanded for s in samples]),
-        pressure_meas=np.stack([s.pressure for s in samples]),
-        position=np.stack([s.position for s in samples]),
-        quaternion=np.stack([s.quaternion for s in samples]),
-        tip_force=None if np.isnan(force).all() else force,
+        time=np.array([s.time_s for s in samples])[whole],
+        pressure_cmd=commanded[whole],
+        **{channel: values[whole] for channel, values in channels.items()},
     )
+
+
+def _measured(
+    channels: dict[str, np.ndarray], commanded: np.ndarray, run: str
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Return the ``channels`` (samples, n) that are measured, and which of the samples (samples,) have values in all.
+
+    ``commanded`` (samples,) are those of which the command is known.
+    """
+    kept, whole = {}, commanded.copy()
+    for channel, values in channels.items():
+        known = np.isfinite(values).all(axis=1)
+        if not known.any():
+            continue
+        # without a position a sample tells nothing of the motion, however few of them have one
+        if channel != "position" and (known & whole).sum() < LEAST_SHARE * whole.sum():
+            log.warning(
+                "run %s: %s is measured in %d of %d samples and is left out", run, channel, known.sum(), len(known)
+            )
+            continue
+        kept[channel] = values
+        whole &= known
+    if not whole.all():
+        log.warning("run %s: %d of %d samples lack a reading and are left out", run, (~whole).sum(), len(whole))
+    return kept, whole
 
 
 def _program(robot: Robot, pressure: np.ndarray, dt_s: float) -> Program:

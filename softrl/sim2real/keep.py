@@ -39,11 +39,20 @@ def _begun(recordings: Sequence[Recording], driver: Driver, robot: Robot) -> lis
     samples = list(driver.samples)
     if len(samples) < 2:
         return []
-    begun = recording_of(samples, robot, FOLDER, FOLDER)
-    # a finished run has all samples but those of its venting
-    if recordings and np.array_equal(begun.position[: len(recordings[-1].time)], recordings[-1].position):
+    try:
+        begun = recording_of(samples, robot, FOLDER, FOLDER)
+    except DriverError as error:
+        log.warning("%s: that run is not kept", error)
         return []
-    return [begun]
+    return [] if recordings and _finished(begun, recordings[-1]) else [begun]
+
+
+def _finished(begun: Recording, last: Recording) -> bool:
+    """Return whether ``begun`` is the run ``last``, which has all its samples but those of its venting."""
+    channels = dict(begun.channels())
+    return all(
+        name in channels and np.array_equal(channels[name][: len(values)], values) for name, values in last.channels()
+    )
 
 
 def _store(recordings: list[Recording], robot: Robot, tracker: Tracker) -> None:

@@ -88,31 +88,37 @@ def follow(
     """Return how the robot behind ``driver``, which is connected here, follows ``course``.
 
     The decisions are timed; the robot's clock stands still meanwhile if it is a simulated one, and runs on if not.
-    ``events`` happen before the command of their step.
+    ``events`` happen before the command of their step. A decision rests on the last reading that has a position, and on a
+    surface a force; a DriverError ends the rollout where there was none for the driver's ``stale_s``.
     """
     average = MovingAverage(pace.average_window)
     last: list[Sample] = []
     decision_s = []
+    pressing = course.frame is not None
     with driver:
         arrived = _wait(driver, pace.period_s)
-        if course.frame is not None and not np.isfinite(arrived[-1].tip_force).all():
+        if pressing and not any(np.isfinite(sample.tip_force).all() for sample in arrived):
             raise DriverError(
                 f"course {course.name} presses on a surface, but the driver reports no force; connect a force sensor, "
                 "or take a policy of task=track with inputs.policy=run:<id>"
             )
         samples = [*arrived]
+        while (seen := _seen(samples, pressing, driver.stale_s)) is None:
+            arrived = _wait(driver, pace.period_s)
+            samples += arrived
         for step in range(-pace.approach_steps, len(course.position)):
             if step in events:
                 events[step]()
             started = time.perf_counter()
             if isinstance(controller, Watchful):
                 controller.watch(arrived, step)
-            pressure = controller.pressure(samples[-1].position, step, samples[-1].tip_force)
+            pressure = controller.pressure(seen.position, step, seen.tip_force)
             decision_s.append(time.perf_counter() - started)
             driver.command(average.advance(pressure))
             arrived = _wait(driver, pace.period_s)
             samples += arrived
-            last.append(samples[-1])
+            seen = _seen(samples, pressing, driver.stale_s) or seen
+            last.append(seen)
     counted = last[pace.approach_steps :]
     recording = recording_of(samples, robot, name, session)
     pressed = course.pressed(np.stack([sample.tip_force for sample in counted]))
@@ -126,3 +132,26 @@ def _wait(driver: Driver, period_s: float) -> list[Sample]:
     if not arrived:
         raise DriverError(f"no sample arrived within {period_s:g} s; nothing to decide on: is the sensor on?")
     return arrived
+
+
+def _seen(samples: Sequence[Sample], pressing: bool, stale_s: float) -> Sample | None:
+    """Return the last sample with a position, and with a force if ``pressing``; None if there was none yet.
+
+    Raises
+    ------
+    DriverError
+        If that was longer than ``stale_s`` ago.
+    """
+    found = None
+    for sample in reversed(samples):
+        if np.isfinite(sample.position).all() and (not pressing or np.isfinite(sample.tip_force).all()):
+            found = sample
+            break
+    since = samples[0] if found is None else found
+    if samples[-1].time_s - since.time_s > stale_s:
+        what = "position and force" if pressing else "position"
+        raise DriverError(
+            f"lost sight of the tip: no {what} for more than {stale_s:g} s, so there is nothing to decide on; what had "
+            "arrived is kept: does the camera see the tip?"
+        )
+    return found

@@ -120,10 +120,18 @@ def run(
             _disturb(config, trial, recordings, tracker)
             _sweep(config, models, driver, recordings, tracker)
             _identify(config, driver, robot, recordings, tracker)
-    report_rollouts(rollouts, config.average_window, tracker)
-    tracker.figure("rollouts", draw_rollouts(rollouts))
-    tracker.metric("samples", sum(len(r.time) for r in recordings))
-    tracker.metric("recorded_s", sum(float(np.ptp(r.time)) for r in recordings))
+        # within the block: whatever is wrong with a session at a robot is found out while its recordings are kept
+        made = _recorded(robot, recordings)
+        made.validate()
+        report_rollouts(rollouts, config.average_window, tracker)
+        tracker.figure("rollouts", draw_rollouts(rollouts))
+        tracker.metric("samples", sum(len(r.time) for r in recordings))
+        tracker.metric("recorded_s", sum(float(np.ptp(r.time)) for r in recordings))
+    return made
+
+
+def _recorded(robot: Robot, recordings: list[Recording]) -> RecordingSet:
+    """Return the recordings with what each run was, and which were disturbed."""
     notes = {r.name: next(text for kind, text in RUN_NOTES.items() if kind in r.name) for r in recordings}
     disturbed = [r.name for r in recordings if r.session.endswith(LINE_OFF)]
     return RecordingSet(

@@ -10,6 +10,7 @@ import yaml
 from softrl.core.driver import Sample
 from softrl.core.errors import DriverError
 from softrl.recordings import program
+from softrl.recordings.recording import RecordingSet
 from softrl.robots.robot import Robot
 
 CONF = Path(__file__).parents[2] / "conf"
@@ -92,3 +93,50 @@ def test_silent_driver_is_an_error() -> None:
     time, pressure = program.random_steps(TRIPOD, 3, 0.2, 0.01, np.random.default_rng(3))
     with pytest.raises(DriverError, match="0 samples"):
         program.record(Echo(silent=True), TRIPOD, time, pressure, "a", "s")
+
+
+def samples_with(gaps: dict[str, list[int]], count: int = 20) -> list[Sample]:
+    """Return samples of which the numbered ones in ``gaps`` lack a field; in an empty list all do."""
+    made = []
+    for k in range(count):
+        values = {
+            "commanded": np.full(3, 1e3 * k), "pressure": np.full(3, 9e2 * k), "position": np.array([0.0, 1e-3 * k, 0.2]),
+            "quaternion": np.array([1.0, 0.0, 0.0, 0.0]), "tip_force": np.zeros(3),
+        }  # fmt: skip
+        for name, rows in gaps.items():
+            if k in rows or not rows:
+                values[name] = np.full_like(values[name], np.nan)
+        made.append(Sample(0.01 * k, **values))
+    return made
+
+
+def test_what_the_device_does_not_measure_is_none(caplog: pytest.LogCaptureFixture) -> None:
+    run = program.recording_of(samples_with({"pressure": [], "quaternion": [], "tip_force": []}), TRIPOD, "a", "s")
+    assert run.pressure_meas is None and run.quaternion is None and run.tip_force is None
+    assert len(run.time) == 20 and not caplog.records
+    RecordingSet("tripod", (run,)).validate()
+
+
+def test_samples_that_lack_a_reading_are_left_out_and_told(caplog: pytest.LogCaptureFixture) -> None:
+    run = program.recording_of(samples_with({"position": [3], "pressure": [3, 7]}), TRIPOD, "a", "s")
+    RecordingSet("tripod", (run,)).validate()
+    assert run.position is not None and run.pressure_meas is not None
+    np.testing.assert_array_equal(run.time, 0.01 * np.delete(np.arange(20), [3, 7]))
+    np.testing.assert_allclose(run.position[:, 1], run.pressure_cmd[:, 0] * 1e-6)
+    assert "2 of 20 samples lack a reading" in caplog.text
+
+
+def test_a_channel_that_is_seldom_measured_does_not_cost_the_others(caplog: pytest.LogCaptureFixture) -> None:
+    run = program.recording_of(samples_with({"pressure": list(range(5, 20))}), TRIPOD, "a", "s")
+    assert run.pressure_meas is None and len(run.time) == 20
+    assert "pressure_meas is measured in 5 of 20 samples" in caplog.text
+
+
+def test_a_position_counts_however_seldom_the_camera_looks() -> None:
+    run = program.recording_of(samples_with({"position": [k for k in range(20) if k % 4]}), TRIPOD, "a", "s")
+    assert run.position is not None and len(run.time) == 5
+
+
+def test_samples_without_a_command_are_an_error() -> None:
+    with pytest.raises(DriverError, match="0 of 20 samples have values in all channels"):
+        program.recording_of(samples_with({"commanded": []}), TRIPOD, "a", "s")

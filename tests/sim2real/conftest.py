@@ -65,6 +65,7 @@ class BenchDriver:
         self.seed = seed
         self.entries = 0
         self.connected = False
+        self.stale_s = 0.2
         self.samples: list[Sample] = []
         self.surface: Surface | None = None
 

@@ -125,6 +125,7 @@ class StubDriver:
     Attributes
     ----------
     samples : all that arrived since the last entry; they outlive a lost link
+    stale_s : device time for which a reading of the tip may be acted on, the watchdog's
     """
 
     def __init__(
@@ -147,7 +148,7 @@ class StubDriver:
                 f"driver.physics_rate_hz={physics_rate_hz:g} is no multiple of driver.rate_hz={rate_hz:g}"
             )
         self._robot, self._seed = robot, seed
-        self._rate_hz, self._vent_s = rate_hz, vent_s
+        self._rate_hz, self._vent_s, self.stale_s = rate_hz, vent_s, watchdog_s
         self._start_timeout_s, self._answer_timeout_s = start_timeout_s, answer_timeout_s
         chain = EffectChain(robot, tuple(hidden.values()))
         self._hardware = Hardware(body, chain, noise, rate_hz, physics_rate_hz, watchdog_s)
