@@ -53,10 +53,10 @@ def stub(robot: Robot) -> StubDriver:
 
 
 def rig(robot: Robot) -> WiredRig:
-    """Return such a rig behind a real transport, three times as fast as time; its own watchdog is tested elsewhere."""
+    """Return such a rig behind a real transport; its own watchdog is tested elsewhere."""
     return WiredRig(
         robot=robot, body=body_of(robot), hidden=HIDDEN, noise=NOISE, rate_hz=1.0 / PERIOD_S, physics_rate_hz=100.0,
-        watchdog_s=10.0, speed=3.0, start_timeout_s=120.0, seed=3,
+        watchdog_s=0.1, speed=1.0, start_timeout_s=120.0, seed=3,
     )  # fmt: skip
 
 

@@ -2,8 +2,10 @@
 
 import os
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from softrl.core.simulator import Simulator
 from softrl.effects.chain import chain_of
 from softrl.robots.robot import Robot
 from softrl.sim2real.drivers.ports import SerialDriver, UdpDriver
-from softrl.sim2real.drivers.protocol import PRESSURE_PA, Decoder, Frame, Kind, State, counts
+from softrl.sim2real.drivers.protocol import PRESSURE_PA, Decoder, Flag, Frame, Kind, State, Welcome, counts
 from softrl.sim2real.drivers.regulator import Regulator, WiredRig
 from softrl.sim2real.drivers.rig import Hardware, Noise
 from softrl.sim2real.drivers.transport import SerialTransport, Transport, UdpTransport
@@ -163,6 +165,73 @@ def test_another_robot_is_refused(line: Line, tripod: Robot) -> None:
     finger = Robot(**{**vars(tripod), "name": "finger", "chamber_angle_deg": (0.0,)})
     with pytest.raises(DriverError, match="3 chambers"), driver_on(line, finger):
         pass
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "watchdog_ms", "told"),
+    [(100, 0, "watchdog is 0 ms; expected above 0 and at most 100"), (100, 101, "watchdog is 101 ms"),
+     (0, 80, "sends 0 samples a second; expected 1 or more")],
+)  # fmt: skip
+def test_a_device_that_would_not_vent_by_itself_is_refused(
+    line: Line, tripod: Robot, rate_hz: int, watchdog_ms: int, told: str
+) -> None:
+    def boast(pieces: list[bytes]) -> list[bytes]:
+        frames = [frame for piece in pieces for frame in Decoder().feed(piece)]
+        welcome = Welcome(3, rate_hz, watchdog_ms, Flag(0)).encode()
+        answers = [replace(frame, payload=welcome) if frame.kind == Kind.WELCOME else frame for frame in frames]
+        return [frame.encode() for frame in answers]
+
+    line.down = boast
+    with pytest.raises(DriverError, match=told) as error, driver_on(line, tripod):
+        pass
+    assert "\n" not in str(error.value)
+
+
+def test_a_session_that_ends_vents_at_once_though_its_first_frame_is_lost(line: Line, tripod: Robot) -> None:
+    lost: list[bytes] = []
+
+    def lose_the_first_vent(pieces: list[bytes]) -> list[bytes]:
+        vents = [piece for piece in pieces if Decoder().feed(piece)[0].kind == Kind.VENT]
+        if vents and not lost:
+            lost.extend(vents)
+            return []
+        return pieces
+
+    with driver_on(line, tripod) as driver:
+        driver.command(LEVEL)
+        driver.advance(0.3)
+        line.up = lose_the_first_vent
+        before = len(line.states)
+    assert lost
+    fallen = [state.setpoint[0] for state in line.states[before:] if 0.0 < state.setpoint[0] < LEVEL[0]]
+    assert not fallen, f"it fell at the slew: {fallen} Pa"
+    assert not line.states[-1].setpoint.any()
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+@pytest.mark.parametrize("error", [RuntimeError, SystemExit])
+def test_whatever_ends_the_thread_is_told(line: Line, tripod: Robot, error: type[BaseException]) -> None:
+    def break_down(pieces: list[bytes]) -> list[bytes]:
+        raise error("odd")
+
+    told: list[BaseException] = []
+
+    def use() -> None:
+        try:
+            with driver_on(line, tripod) as driver:
+                driver.command(LEVEL)
+                driver.advance(0.2)
+                line.down = break_down
+                driver.advance(60.0)
+        except DriverError as found:
+            told.append(found)
+
+    user = threading.Thread(target=use, daemon=True)
+    user.start()
+    user.join(10.0)
+    assert not user.is_alive(), "it waits for ever"
+    assert len(told) == 1 and "lost the link" in str(told[0])
+    assert not line.device.tick() or not line.device._setpoint.sent.any()
 
 
 @pytest.fixture(scope="module")

@@ -33,9 +33,10 @@ STATE      82    clock u64 us, flags u16, sequence u32 of the last frame taken, 
 Flags: 1 vented by the watchdog, 2 emergency stop, 4 a setpoint was refused. All three last until the next HELLO, the
 second until RELEASE.
 
-Watchdog: a device under pressure that has taken no SETPOINT for its watchdog time, which must be less than 100 ms, vents
-by itself and takes no setpoint until the next HELLO. A driver repeats its setpoint on every STATE. Both keep the slew: after
-lost frames a setpoint may be far from the last one taken, and the device then moves by no more than its own limit a frame.
+Watchdog: a device under pressure that has taken no SETPOINT for its watchdog time vents by itself and takes no setpoint until
+the next HELLO. That time is above 0 and at most 100 ms, or a driver refuses the device. A driver repeats its setpoint on every
+STATE, and VENT once a session ends. Both keep the slew: after lost frames a setpoint may be far from the last one taken, and
+the device then moves by no more than its own limit a frame.
 """
 
 import binascii

@@ -25,6 +25,7 @@ from softrl.sim2real.drivers.transport import Transport
 log = logging.getLogger(__name__)
 HELLO_EVERY_S = 0.2
 VENT_REPEATS = 3
+WATCHDOG_MS = 100  # longest time without a setpoint in which a device may stay under pressure
 
 
 class WireDriver:
@@ -42,6 +43,7 @@ class WireDriver:
     Attributes
     ----------
     samples : all that arrived since the last entry; they outlive a lost link
+    stale_s : device time for which a reading of the tip may be acted on, as long as the link may be silent
     dropped : samples that were not newer than the one before, since the last entry
     """
 
@@ -53,7 +55,7 @@ class WireDriver:
             if value <= 0:
                 raise ConfigError(f"driver.{name}={value:g} must be positive")
         self._robot, self._connect = robot, connect
-        self._watchdog_s, self._link_timeout_s = watchdog_s, link_timeout_s
+        self._watchdog_s, self._link_timeout_s, self.stale_s = watchdog_s, link_timeout_s, link_timeout_s
         self._vent_s, self._start_timeout_s = vent_s, start_timeout_s
         self._entered = False
         self.samples: list[Sample] = []
@@ -130,6 +132,8 @@ class WireDriver:
             half_s = 0.5 * self._setpoint_period_s
             while self._clock_s < self._until_s - half_s:
                 self._raise_fault()
+                if not self._alive:
+                    raise DriverError(f"lost the link to {self._robot.name}: nothing listens to it any more")
                 self._fresh.wait(self._link_timeout_s)
             self._raise_fault()
             self._returned = len(self.samples)
@@ -179,6 +183,15 @@ class WireDriver:
             )
         if welcome.flags & Flag.STOPPED:
             raise DriverError("the device is in emergency stop; end it at the device, or with driver.release()")
+        if not 0 < welcome.watchdog_ms <= WATCHDOG_MS:
+            raise DriverError(
+                f"the device's own watchdog is {welcome.watchdog_ms} ms; expected above 0 and at most {WATCHDOG_MS} ms: set "
+                "it in the device, which has to vent by itself when its driver falls silent"
+            )
+        if welcome.rate_hz <= 0:
+            raise DriverError(
+                f"the device sends {welcome.rate_hz} samples a second; expected 1 or more: set the rate of STATE in the device"
+            )
         self._setpoint_period_s = 1.0 / welcome.rate_hz
         self._clock_s, self._returned = 0.0, 0
         self._pending.clear()
@@ -221,23 +234,27 @@ class WireDriver:
     # ---- the thread --------------------------------------------------------------------------------------------
 
     def _pump(self) -> None:
-        """Take samples, answer each by the setpoint, and watch, until the session ends or the line is dead."""
+        """Serve the device until the session ends or the line is dead; whatever else ends it vents and is told as well."""
+        try:
+            self._serve()
+        except DriverError as error:
+            fault = str(error)
+        except Exception as error:  # the caller would wait for ever
+            fault = f"lost the link to {self._robot.name}: {type(error).__name__}: {error}"
+        else:
+            return
+        with self._fresh:
+            self._fail(fault)
+
+    def _serve(self) -> None:
+        """Take samples, answer each by the setpoint, and watch, until the session ends."""
         while self._running:
-            try:
-                frames = self._decoder.feed(self._transport.receive())
-            except DriverError as error:
-                with self._fresh:
-                    self._fail(str(error))
-                return
+            frames = self._decoder.feed(self._transport.receive())
             with self._fresh:
                 fresh = sum(self._take(frame) for frame in frames)
                 self._watch()
-                try:
-                    # without a sample no time has passed, so the setpoint stays where it is
-                    self._repeat(move=fresh > 0)
-                except DriverError as error:
-                    self._fail(str(error))
-                    return
+                # without a sample no time has passed, so the setpoint stays where it is
+                self._repeat(move=fresh > 0)
                 self._fresh.notify_all()
 
     def _take(self, frame: Frame) -> bool:
@@ -280,8 +297,9 @@ class WireDriver:
             self._fail(f"the watchdog vented the robot: no command for more than {self._watchdog_s:g} s")
 
     def _repeat(self, move: bool) -> None:
-        """Send the setpoint, one period further if a sample has come."""
-        if self._fault is not None:
+        """Send the setpoint, one period further if a sample has come; once the session ends, vent until the line closes."""
+        # a VENT may be lost, and a setpoint of zero would be reached at the slew only
+        if self._fault is not None or not self._entered:
             self._send(Kind.VENT)
             return
         if move:
