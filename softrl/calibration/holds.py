@@ -13,6 +13,7 @@ from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
 COMMAND_TOLERANCE_PA = 1.0
+LOADED_SHARE = 0.05  # of the largest tip force: about what moves a tip by as much as a settled hold may drift
 AGAIN = "holds_again"  # the recording that visits the first one's pressures in another order
 
 
@@ -62,42 +63,58 @@ def record_holds(
     return RecordingSet(robot.name, tuple(recordings), {"program": f"{holds} random holds of {hold_s:g} s a run"})
 
 
-def settled_holds(recordings: RecordingSet, hold_min_s: float, average_s: float, drift_max_m: float) -> Holds:
+def loaded_from_n(robot: Robot) -> float:
+    """Return the force, N, above which a tip counts as loaded: no pressure alone brings it where it is."""
+    return LOADED_SHARE * robot.tip_force_max_n
+
+
+def settled_holds(
+    recordings: RecordingSet, hold_min_s: float, average_s: float, drift_max_m: float, loaded_n: float = np.inf
+) -> Holds:
     """Return the holds of at least ``hold_min_s`` whose tip drifts less than ``drift_max_m`` in the last ``average_s``.
+
+    Holds whose tip feels more than ``loaded_n`` meanwhile are left out.
 
     Raises
     ------
     RecordingError
         If fewer than four holds are left: a map cannot be fitted to that.
     """
-    found, unsettled = [], 0
+    found, unsettled, loaded = [], 0, 0
     for run, recording in enumerate(recordings.recordings):
         for first, last in _constant_stretches(recording, hold_min_s):
             position, drift = end_of_hold(recording, first, last, average_s)
+            felt_n = _felt_at_end(recording, first, last, average_s)
             unsettled += drift >= drift_max_m
-            if drift < drift_max_m:
+            loaded += drift < drift_max_m and felt_n > loaded_n
+            if drift < drift_max_m and felt_n <= loaded_n:
                 found.append((recording.pressure_cmd[last], position, run, last))
     if unsettled:
         log.info("%d holds still moved more than %g mm at their end and are left out", unsettled, 1e3 * drift_max_m)
+    if loaded:
+        log.warning("%d holds with more than %.3g N on the tip are left out: f_RS is a free tip's", loaded, loaded_n)
     if len(found) < 4:
         raise RecordingError(
             f"recordings of {recordings.robot_name} hold {len(found)} settled holds with tip positions "
-            f"({unsettled} still moving); expected at least 4 of {hold_min_s:g} s: "
-            "record constant pressures, or lower stage.hold_min_s"
+            f"({unsettled} still moving, {loaded} with a force on the tip); expected at least 4 of {hold_min_s:g} s: "
+            "record constant pressures with a free tip, or lower stage.hold_min_s"
         )
     pressure, position, run_of, last_row = zip(*found, strict=True)
     return Holds(np.array(pressure), np.array(position), np.array(run_of), np.array(last_row))
 
 
-def moving_rows(recordings: RecordingSet, runs: np.ndarray, settle_s: float, count: int) -> Holds | None:
+def moving_rows(
+    recordings: RecordingSet, runs: np.ndarray, settle_s: float, count: int, loaded_n: float = np.inf
+) -> Holds | None:
     """Return at most ``count`` rows, evenly over ``runs``, less than ``settle_s`` after a change of the command.
 
-    None if the command never changes. There valves, chambers and body are on their way to where the command leads.
+    None if the command never changes. There valves, chambers and body are on their way to where the command leads. Rows
+    whose tip feels more than ``loaded_n`` do not count.
     """
     found = []
     for run in runs:
         recording = recordings.recordings[int(run)]
-        for row in np.flatnonzero(_since_change(recording) < settle_s):
+        for row in np.flatnonzero((_since_change(recording) < settle_s) & (_felt(recording) <= loaded_n)):
             found.append((recording.pressure_cmd[row], recording.position[row], run, row))
     if not found:
         return None
@@ -147,7 +164,25 @@ def _constant_stretches(recording: Recording, hold_min_s: float) -> list[tuple[i
 
 def end_of_hold(recording: Recording, first: int, last: int, average_s: float) -> tuple[np.ndarray, float]:
     """Return the mean tip (3,) m over the last ``average_s`` and how far its second half lies from the first, m."""
-    rows = np.arange(first, last + 1)
-    end = recording.position[rows[recording.time[rows] > recording.time[last] - average_s]]
+    end = recording.position[_end_rows(recording, first, last, average_s)]
     half = max(len(end) // 2, 1)
     return end.mean(axis=0), float(np.linalg.norm(end[-half:].mean(axis=0) - end[:half].mean(axis=0)))
+
+
+def _end_rows(recording: Recording, first: int, last: int, average_s: float) -> np.ndarray:
+    rows = np.arange(first, last + 1)
+    return rows[recording.time[rows] > recording.time[last] - average_s]
+
+
+def _felt_at_end(recording: Recording, first: int, last: int, average_s: float) -> float:
+    """Return the size, N, of the mean force on the tip over the last ``average_s``; 0 where none was recorded."""
+    if recording.tip_force is None:
+        return 0.0
+    return float(np.linalg.norm(recording.tip_force[_end_rows(recording, first, last, average_s)].mean(axis=0)))
+
+
+def _felt(recording: Recording) -> np.ndarray:
+    """Return the size (steps,) N of the force on the tip; 0 where none was recorded."""
+    if recording.tip_force is None:
+        return np.zeros(len(recording.time))
+    return np.asarray(np.linalg.norm(recording.tip_force, axis=1))

@@ -21,9 +21,8 @@ MARGIN = 0.25
 
 
 def has_exact_inverse(simulator: Simulator, robot: Robot) -> TypeGuard[RomSimulator]:
-    """Return whether the reduced model answers at once: three chambers for three directions, nothing retuned."""
-    retuned = any(value != 1.0 for value in simulator.parameters.values())
-    return isinstance(simulator, RomSimulator) and robot.chambers == 3 and not retuned
+    """Return whether the reduced model answers at once: three chambers for three directions."""
+    return isinstance(simulator, RomSimulator) and robot.chambers == 3
 
 
 def pressure_by_reduced_model(simulator: RomSimulator, robot: Robot, tip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -34,10 +33,13 @@ def pressure_by_reduced_model(simulator: RomSimulator, robot: Robot, tip: np.nda
         pressure_min_pa=robot.pressure_min_pa - margin,
         pressure_max_pa=robot.pressure_max_pa + margin,
     )
-    pressure, miss = pressure_for_tip(wide, tip, np.array(robot.gravity_m_s2))
+    # with the simulator's scales: a retuned body rests elsewhere than its model
+    gravity = np.array(robot.gravity_m_s2)
+    tables = tables_of(wide, gravity, **simulator.parameters, layer_scales=simulator.layer_scales)
+    pressure, miss = pressure_for_tip(wide, tip, tables=tables)
     clipped = (pressure <= wide.pressure_min_pa) | (pressure >= wide.pressure_max_pa)
     # beyond its samples the model is a wall: there a tip tells nothing about the pressure
-    point, failed = static_points(tables_of(wide, np.array(robot.gravity_m_s2)), np.pad(pressure, ((0, 0), (0, 3))))
+    point, failed = static_points(tables, np.pad(pressure, ((0, 0), (0, 3))))
     outside = failed | (np.linalg.norm(point, axis=1) > 1.0)
     return pressure, np.where(clipped.any(axis=1) | outside, np.inf, miss)
 

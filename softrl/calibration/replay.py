@@ -23,13 +23,15 @@ SMALLEST_SPAN = 1e-9  # in SI; less than that is rounding
 def replay(plant: Plant, recordings: Sequence[Recording], pressure_of: PressureOf) -> list[Motion]:
     """Return the motions at the recordings' times under ``pressure_of`` the commands, each row held until its time.
 
+    A recorded force on the tip acts on the simulated one too.
     Recordings that follow each other on one clock are one motion of the robot: what an earlier one left in valves and walls
     is there in the next.
     """
     motions: list[Motion] = []
     for chain in _follow_ups(recordings):
         time = np.concatenate([recording.time for recording in chain])
-        whole = _replayed(plant, time, pressure_of(np.concatenate([recording.pressure_cmd for recording in chain])))
+        pressure = pressure_of(np.concatenate([recording.pressure_cmd for recording in chain]))
+        whole = _replayed(plant, time, pressure, _forces(chain))
         ends = np.cumsum([len(recording.time) for recording in chain])[:-1]
         parts = [np.split(values, ends) for values in (whole.time, whole.position, whole.quaternion, whole.pressure)]
         motions += [Motion(*part) for part in zip(*parts, strict=True)]
@@ -50,11 +52,19 @@ def _follow_ups(recordings: Sequence[Recording]) -> list[list[Recording]]:
     return chains
 
 
-def _replayed(plant: Plant, time: np.ndarray, pressure: np.ndarray) -> Motion:
+def _forces(recordings: Sequence[Recording]) -> np.ndarray | None:
+    """Return the forces (steps, 3) N on the tip over ``recordings``, zero in those without; None if none has any."""
+    if all(recording.tip_force is None for recording in recordings):
+        return None
+    return np.concatenate([np.zeros((len(r.time), 3)) if r.tip_force is None else r.tip_force for r in recordings])
+
+
+def _replayed(plant: Plant, time: np.ndarray, pressure: np.ndarray, tip_force: np.ndarray | None) -> Motion:
     dt_s = float(np.median(np.diff(time)))
     uniform = np.arange(time[0], time[-1] + 0.5 * dt_s, dt_s)
     row = np.clip(np.searchsorted(time, uniform - 1e-9), 0, len(pressure) - 1)
-    motion = plant.simulate(uniform - uniform[0] + dt_s, pressure[row])
+    force = None if tip_force is None else tip_force[row]
+    motion = plant.simulate(uniform - uniform[0] + dt_s, pressure[row], force)
     nearest = np.clip(np.round((time - uniform[0]) / dt_s).astype(int), 0, len(uniform) - 1)
     return Motion(time, motion.position[nearest], motion.quaternion[nearest], motion.pressure[nearest])
 

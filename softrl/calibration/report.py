@@ -6,7 +6,7 @@ import numpy as np
 
 from softrl.artifacts.calibration import Calibration
 from softrl.calibration.figures import draw_pressure_map
-from softrl.calibration.holds import Holds, moving_rows, revisited
+from softrl.calibration.holds import Holds, loaded_from_n, moving_rows, revisited
 from softrl.calibration.inversion import has_exact_inverse, pressure_by_reduced_model
 from softrl.calibration.pressure_map import PressureMap
 from softrl.calibration.replay import replay_errors
@@ -70,7 +70,8 @@ def report_moving(
     simulator, robot = plant.simulator, plant.chain.robot
     if plant.chain.effects or not has_exact_inverse(simulator, robot):
         return
-    moving = moving_rows(recordings, np.unique(holds.run[calibration.heldout]), hold_min_s, MOVING_ROWS)
+    judged = np.unique(holds.run[calibration.heldout])
+    moving = moving_rows(recordings, judged, hold_min_s, MOVING_ROWS, loaded_from_n(robot))
     if moving is None:
         return
     pressure, miss = pressure_by_reduced_model(simulator, robot, moving.position)

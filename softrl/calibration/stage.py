@@ -3,12 +3,13 @@
 import logging
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from softrl.artifacts.calibration import Calibration
 from softrl.calibration.figures import draw_tensile
-from softrl.calibration.holds import AGAIN, Holds, record_holds, settled_holds, split_holds
+from softrl.calibration.holds import AGAIN, Holds, loaded_from_n, record_holds, settled_holds, split_holds
 from softrl.calibration.inversion import has_exact_inverse, pressure_by_reduced_model, pressure_by_simulator
 from softrl.calibration.material_fit import as_record, best_fit, fit_materials, held_out, in_words
 from softrl.calibration.mlp import Ensemble, EnsembleSettings, fit_ensemble
@@ -21,6 +22,7 @@ from softrl.core.errors import ConfigError, RecordingError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
 from softrl.effects.chain import EffectChain, Plant
+from softrl.recordings.marked import DISTURBED, OUTSIDE, without
 from softrl.recordings.recording import RecordingSet
 from softrl.robots.robot import Robot
 
@@ -110,7 +112,8 @@ def run(
     """Return the material's law and f_RS with its held-out errors logged beside identity and affine baselines.
 
     With ``effects`` (those that a diagnosis found) f_RS maps what the simulator with them leaves: valves and walls with a
-    memory are theirs, and no static map could do it.
+    memory are theirs, and no static map could do it. Recordings that were disturbed or are out of distribution are left out,
+    and so are holds with a force on the tip.
     """
     rng = np.random.default_rng(config.seed)
     material = _fit_material(config, tracker) if config.material_curve else {}
@@ -118,18 +121,21 @@ def run(
         recordings = record_holds(
             driver, robot, config.runs, config.holds_per_run, config.hold_s, config.dt_s, rng, config.visit_again
         )
-    every = settled_holds(recordings, config.hold_min_s, config.average_s, 1e-3 * config.drift_max_mm)
+    recordings = _fit_for_training(recordings)
+    drift_max_m = 1e-3 * config.drift_max_mm
+    every = settled_holds(recordings, config.hold_min_s, config.average_s, drift_max_m, loaded_from_n(robot))
     plant = Plant(simulator, effects)
-    holds, pressure_sim = _invert(config, plant, recordings, every)
+    rest = _resting(config, plant, every)
+    holds, rest, pressure_sim = _invert(config, plant, recordings, every, rest)
     inverted_by = "reduced model" if has_exact_inverse(simulator, robot) else "simulator"
     report_reach(holds, every, pressure_sim, tracker)
     first = holds.run < len(recordings.recordings) - (recordings.recordings[-1].name == AGAIN)
-    holds, pressure_sim = holds.where(first), pressure_sim[first]
+    holds, rest, pressure_sim = holds.where(first), rest.where(first), pressure_sim[first]
     heldout = split_holds(holds, config.heldout_share, rng)
     ensemble = _train(config, holds.pressure[~heldout], pressure_sim[~heldout])
     calibration = _assemble(plant, ensemble, holds, pressure_sim, heldout, material, inverted_by, every.position)
     for _ in range(REFINEMENTS if effects.effects else 0):
-        pressure_sim = _refined(config, plant, recordings, holds, calibration)
+        pressure_sim = _refined(config, plant, recordings, holds, rest, calibration)
         ensemble = _train(config, holds.pressure[~heldout], pressure_sim[~heldout])
         calibration = _assemble(plant, ensemble, holds, pressure_sim, heldout, material, inverted_by, every.position)
     tracker.metric("train/weight_decay", ensemble.weight_decay)
@@ -138,6 +144,26 @@ def run(
     report_moving(calibration, plant, recordings, holds, config.hold_min_s, residual_max_m, tracker)
     report_replay(calibration, plant, recordings, holds, tracker)
     return calibration
+
+
+class Rest(NamedTuple):
+    """Where the body alone rests at holds' tips: pressures (holds, n) Pa, and the distances left (holds,) m."""
+
+    pressure: np.ndarray
+    miss: np.ndarray
+
+    def where(self, keep: np.ndarray) -> "Rest":
+        """Return what belongs to the holds at which ``keep`` (holds,) bool is true."""
+        return Rest(self.pressure[keep], self.miss[keep])
+
+
+def _fit_for_training(recordings: RecordingSet) -> RecordingSet:
+    """Return the recordings but those that their dataset marks as disturbed or as out of distribution."""
+    left = without(recordings, DISTURBED, OUTSIDE)
+    out = [run.name for run in recordings.recordings if run.name not in {kept.name for kept in left.recordings}]
+    if out:
+        log.warning("left out as disturbed or out of distribution: %s", ", ".join(out))
+    return left
 
 
 def _fit_material(config: Config, tracker: Tracker) -> dict[str, object]:
@@ -156,12 +182,13 @@ def _fit_material(config: Config, tracker: Tracker) -> dict[str, object]:
     return as_record(fits) | {"sentence": sentence}
 
 
-def _invert(config: Config, plant: Plant, recordings: RecordingSet, holds: Holds) -> tuple[Holds, np.ndarray]:
-    """Return the holds that the simulator can reach, and P_S (holds, n) Pa there."""
+def _invert(
+    config: Config, plant: Plant, recordings: RecordingSet, holds: Holds, rest: Rest
+) -> tuple[Holds, Rest, np.ndarray]:
+    """Return the holds that the simulator can reach, where it rests there, and P_S (holds, n) Pa there."""
+    pressure, miss = rest
     if plant.chain.effects:
-        pressure, miss = _led(config, plant, recordings, holds, lambda pressure: pressure)
-    else:
-        pressure, miss = _resting(config, plant, holds)
+        pressure, miss = _led(config, plant, recordings, holds, rest, lambda pressure: pressure)
     reached = np.isfinite(pressure).all(axis=1) & (miss < 1e-3 * config.residual_max_mm)
     if reached.sum() < 4:
         raise RecordingError(
@@ -173,39 +200,38 @@ def _invert(config: Config, plant: Plant, recordings: RecordingSet, holds: Holds
         log.warning(
             "%d of %d recorded tips are out of the simulator's reach and left out", (~reached).sum(), len(holds)
         )
-    return holds.where(reached), pressure[reached]
+    return holds.where(reached), rest.where(reached), pressure[reached]
 
 
 def _refined(
-    config: Config, plant: Plant, recordings: RecordingSet, holds: Holds, calibration: Calibration
+    config: Config, plant: Plant, recordings: RecordingSet, holds: Holds, rest: Rest, calibration: Calibration
 ) -> np.ndarray:
     """Return P_S (holds, n) Pa anew, from where the simulator comes with the f_RS found so far.
 
     A wall that creeps is stiffer at first than the body at rest by which a distance is told in Pa.
     """
-    pressure, miss = _led(config, plant, recordings, holds, PressureMap(calibration).real_to_sim)
+    pressure, miss = _led(config, plant, recordings, holds, rest, PressureMap(calibration).real_to_sim)
     return np.where((miss < 1e-3 * config.residual_max_mm)[:, None], pressure, calibration.pressure_sim)
 
 
 def _led(
-    config: Config, plant: Plant, recordings: RecordingSet, holds: Holds, pressure_of: PressureOf
+    config: Config, plant: Plant, recordings: RecordingSet, holds: Holds, rest: Rest, pressure_of: PressureOf
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the pressures (holds, n) Pa that lead a simulator with effects to the holds' tips, and the distances left, m.
 
     Effects have a past: the pressures are ``pressure_of`` the commanded ones, with which the recordings are replayed, and
-    what leads the body alone from where that came to where the robot is.
+    what leads the body alone from where that came to where the robot is (``rest``, the same whatever the pressures).
     """
-    own = simulated_holds(plant, recordings, holds, pressure_of, config.average_s)
-    (there, miss), (here, missed) = (_resting(config, plant, found) for found in (holds, own))
-    return pressure_of(holds.pressure) + there - here, np.maximum(miss, missed)
+    here = _resting(config, plant, simulated_holds(plant, recordings, holds, pressure_of, config.average_s))
+    return pressure_of(holds.pressure) + rest.pressure - here.pressure, np.maximum(rest.miss, here.miss)
 
 
-def _resting(config: Config, plant: Plant, holds: Holds) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pressures (holds, n) Pa at which the body alone rests at the holds' tips, and the distances left, m."""
+def _resting(config: Config, plant: Plant, holds: Holds) -> Rest:
+    """Return where the body alone rests at the holds' tips."""
     simulator, robot = plant.simulator, plant.chain.robot
     if has_exact_inverse(simulator, robot):
-        return pressure_by_reduced_model(simulator, robot, holds.position)
-    return pressure_by_simulator(simulator, holds.position, holds.pressure, config.settle_s, config.dt_s)
+        return Rest(*pressure_by_reduced_model(simulator, robot, holds.position))
+    return Rest(*pressure_by_simulator(simulator, holds.position, holds.pressure, config.settle_s, config.dt_s))
 
 
 def _train(config: Config, pressure_real: np.ndarray, pressure_sim: np.ndarray) -> Ensemble:

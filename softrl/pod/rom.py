@@ -89,14 +89,14 @@ def tip_poses(
 
 
 def pressure_for_tip(
-    model: ReducedModel, tip: np.ndarray, gravity_m_s2: np.ndarray | None = None
+    model: ReducedModel, tip: np.ndarray, gravity_m_s2: np.ndarray | None = None, tables: Tables | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the pressures (S, n) Pa that bring the tip nearest to ``tip`` (S, 3) m, and the distance left (S,) m.
 
     Pressures stay within the robot's limits. Gauss-Newton on the distance, along the compliance of each equilibrium;
-    the model's own gravity acts unless another is given.
+    the model's own gravity acts unless another is given, or ``tables`` of a retuned body.
     """
-    tables = tables_of(model, gravity_m_s2)
+    tables = tables_of(model, gravity_m_s2) if tables is None else tables
     limits = np.array([model.pressure_min_pa, model.pressure_max_pa])
     goal = np.ascontiguousarray(tip, dtype=float) - model.rest_tip
     pressure, distance = np.empty((len(goal), model.chambers)), np.empty(len(goal))
