@@ -114,9 +114,19 @@ class Store:
             return Path(url2pathname(urlparse(uri).path)) / name
         cached = self._cache / run.info.run_id / name
         if not cached.exists():
-            cached.parent.mkdir(parents=True, exist_ok=True)
-            self.client.download_artifacts(run.info.run_id, name, str(cached.parent))
+            self._download(run.info.run_id, name, cached)
         return cached
+
+    def _download(self, run_id: str, name: str, place: Path) -> None:
+        """Download the artifact ``name`` to ``place`` through a sibling, so that what is broken off is never taken for whole."""
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f"{place.name}.", suffix=".part", dir=place.parent) as part:
+            whole = Path(self.client.download_artifacts(run_id, name, part))
+            try:
+                whole.rename(place)
+            except OSError:
+                if not place.exists():  # else another process was faster
+                    raise
 
     def copy(self, run_id: str, folder: Path) -> None:
         """Copy all files of a run to ``folder``."""

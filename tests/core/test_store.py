@@ -1,0 +1,58 @@
+"""What is fetched from a tracking server is there whole or not at all."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from softrl.core.store import Store
+
+RUN: Any = SimpleNamespace(info=SimpleNamespace(run_id="a1", artifact_uri="mlflow-artifacts:/1/a1/artifacts"))
+
+
+class Server:
+    """A client of a server whose line breaks after the first of two files, as often as it is told to."""
+
+    def __init__(self, breaks: int) -> None:
+        self.breaks, self.downloads = breaks, 0
+
+    def download_artifacts(self, run_id: str, path: str, dst_path: str) -> str:
+        self.downloads += 1
+        folder = Path(dst_path) / path
+        folder.mkdir(parents=True)
+        (folder / "meta.json").write_text("{}")
+        if self.downloads <= self.breaks:
+            raise ConnectionError("cable")
+        (folder / "arrays.npz").write_bytes(b"all")
+        return str(folder)
+
+
+def store_of(server: Server, folder: Path) -> Store:
+    store = object.__new__(Store)
+    store._cache, store.client = folder / "mlcache", server  # type: ignore[assignment]
+    return store
+
+
+def test_a_download_that_was_broken_off_is_not_taken_for_whole(tmp_path: Path) -> None:
+    server = Server(breaks=1)
+    store = store_of(server, tmp_path)
+    with pytest.raises(ConnectionError):
+        store.folder(RUN, "snapshots")
+    found = store.folder(RUN, "snapshots")
+    assert sorted(file.name for file in found.iterdir()) == ["arrays.npz", "meta.json"]
+    assert store.folder(RUN, "snapshots") == found and server.downloads == 2, "what is whole is not fetched again"
+    assert list(found.parent.iterdir()) == [found]
+
+
+def test_two_that_fetch_at_once_do_not_meet(tmp_path: Path) -> None:
+    class Slow(Server):
+        def download_artifacts(self, run_id: str, path: str, dst_path: str) -> str:
+            made = super().download_artifacts(run_id, path, dst_path)
+            if self.downloads == 1:
+                store.folder(RUN, path)  # another process is faster
+            return made
+
+    store = store_of(Slow(breaks=0), tmp_path)
+    found = store.folder(RUN, "snapshots")
+    assert (found / "arrays.npz").is_file() and list(found.parent.iterdir()) == [found]
