@@ -1,6 +1,8 @@
 """Millions of samples: random runs in chunks on disk, worked off in parallel, resumed after a kill, read window by window."""
 
+import contextlib
 import logging
+import os
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -120,7 +122,13 @@ def _make_files(kept: Kept, recipe: Recipe, runs: int) -> None:
     shapes = {
         ROWS: (runs, recipe.steps + recipe.window - 2, 2 * states + loads), RATES: (runs, recipe.steps - 1, states)
     }  # fmt: skip
-    kept.folder.mkdir(parents=True, exist_ok=True)
+    kept.use()
     for name, shape in shapes.items():
-        if not (kept.folder / name).is_file():
-            np.lib.format.open_memmap(kept.folder / name, mode="w+", dtype=np.float32, shape=shape)
+        if (kept.folder / name).is_file():
+            continue
+        part = kept.folder / f"{name}.{os.getpid()}.part"
+        np.lib.format.open_memmap(part, mode="w+", dtype=np.float32, shape=shape)
+        # never over a file that another process has made meanwhile, and may have written to
+        with contextlib.suppress(FileExistsError):
+            os.link(part, kept.folder / name)
+        part.unlink()
