@@ -1,12 +1,14 @@
 """Where compiled kernels are kept: a folder for each state of the code.
 
 Numba compiles a kernel anew when its own file changes, but not when a kernel that it calls from another file does: after
-an update the old machine code would answer. Here any change of a file with kernels leaves all caches behind.
+an update the old machine code would answer. Here any change of a file with kernels, or of one whose constants are compiled
+into them, leaves all caches behind.
 """
 
 import contextlib
 import hashlib
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -15,6 +17,8 @@ from pathlib import Path
 
 PREFIX = "kernels-"
 FORGET_AFTER_S = 14 * 86400.0  # since the last import that used them
+KERNELS = re.compile(rb"\bnumba\b|\bcore\.compiled\b")
+CONSTANT = re.compile(r"\b[A-Z_][A-Z0-9_]*\b")
 
 
 def keep_by_code(package: Path) -> None:
@@ -49,10 +53,27 @@ def _forget(base: Path) -> None:
 
 
 def mark_of(package: Path) -> str:
-    """Return a hash over the files of ``package`` that hold kernels, and their names."""
+    """Return a hash over the files of ``package`` that machine code is made of, and their names."""
     digest = hashlib.sha256()
-    for path in sorted(package.rglob("*.py")):
-        source = path.read_bytes()
-        if b"numba" in source:
-            digest.update(str(path.relative_to(package)).encode() + source)
+    for path, source in sorted(compiled_sources(package).items()):
+        digest.update(path.encode() + source)
     return digest.hexdigest()[:16]
+
+
+def compiled_sources(package: Path) -> dict[str, bytes]:
+    """Return by their paths in ``package`` the files that hold kernels, and those whose constants they are compiled with."""
+    sources = {path.relative_to(package).as_posix(): path.read_bytes() for path in package.rglob("*.py")}
+    waiting = [path for path, source in sources.items() if KERNELS.search(source)]
+    found: dict[str, bytes] = {}
+    while waiting:
+        path = waiting.pop()
+        if path in sources and path not in found:
+            found[path] = sources[path]
+            waiting += _constants_from(package.name, sources[path])
+    return found
+
+
+def _constants_from(package: str, source: bytes) -> list[str]:
+    """Return the paths of the modules of ``package`` from which ``source`` imports names in capitals."""
+    imports = re.findall(rf"^from {package}\.([\w.]+) import (\([^)]*\)|.*)$", source.decode(), re.MULTILINE)
+    return [f"{module.replace('.', '/')}.py" for module, names in imports if CONSTANT.search(names)]
