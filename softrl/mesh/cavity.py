@@ -1,5 +1,6 @@
 """Cavities of a solid: shells of its boundary that enclose negative volume, one for each chamber."""
 
+import logging
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +10,9 @@ from softrl.mesh.surface import Surface, enclosed_volume, label_shells
 from softrl.mesh.tetrahedra import Tetrahedra
 from softrl.robots.robot import Robot
 
+log = logging.getLogger(__name__)
 CM3 = 1e6
+TURNED_DEG = 5.0  # from here on a cavity is told to lie beside its chamber
 
 
 class Cavities(NamedTuple):
@@ -91,14 +94,24 @@ def match_chambers(centre: np.ndarray, robot: Robot, name: str) -> list[int]:
         return [0]
     angle = np.rad2deg(np.arctan2(centre[:, 1], centre[:, 0]))
     wanted = np.array(robot.chamber_angle_deg)
-    apart = np.abs((angle[None, :] - wanted[:, None] + 180.0) % 360.0 - 180.0)  # (chambers, cavities)
-    nearest = apart.argmin(axis=1)
+    apart = degrees_apart(wanted, angle)
+    nearest, off = apart.argmin(axis=1), apart.min(axis=1)
     # half of what separates two chambers, with a margin: nearer to its own chamber than to any other
     allowed = 0.4 * 360.0 / robot.chambers
-    if len(set(nearest.tolist())) < robot.chambers or apart.min(axis=1).max() > allowed:
-        found = ", ".join(f"{a:.0f}" for a in angle)
+    found, asked = ", ".join(f"{a:.0f}" for a in angle), ", ".join(f"{a:g}" for a in wanted)
+    advice = "turn the mesh, or set robot.chamber_angle_deg"
+    if len(set(nearest.tolist())) < robot.chambers or off.max() > allowed:
         raise MeshError(
-            f"{name} has its cavities at {found} deg around z, but robot {robot.name} has its chambers at "
-            f"{', '.join(f'{a:g}' for a in wanted)} deg; turn the mesh, or set robot.chamber_angle_deg"
+            f"{name} has its cavities at {found} deg around z, but robot {robot.name} has its chambers at {asked} deg; {advice}"
         )
+    if off.max() >= TURNED_DEG:
+        log.warning(
+            "%s has its cavities at %s deg around z, up to %.0f deg from the chambers of robot %s at %s deg: it bends where its "
+            "cavities are; if they should agree, %s", name, found, off.max(), robot.name, asked, advice,
+        )  # fmt: skip
     return [int(i) for i in nearest]
+
+
+def degrees_apart(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the angles (k, m) in 0 .. 180 deg between directions ``first`` (k,) and ``second`` (m,) deg around an axis."""
+    return np.asarray(np.abs((first[:, None] - second[None, :] + 180.0) % 360.0 - 180.0))

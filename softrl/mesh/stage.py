@@ -31,8 +31,8 @@ class Config:
 
     Attributes
     ----------
-    source : ``sample`` (a committed coarse tripod), ``generate`` (the tripod by ``geometry``), or the path of
-        a volume mesh or closed surface in a format of meshio
+    source : ``sample`` (a committed coarse mesh of the tripod, refused for other robots), ``generate`` (the tripod by
+        ``geometry``), or the path of a volume mesh or closed surface in a format of meshio
     unit_m : length in m of one unit in the files of ``source`` and ``cavity_surfaces``
     cavity_surfaces : files with the surfaces of single cavities, if ``source`` shows the outside only
     min_dihedral_deg : a mesh with a flatter element is refused
@@ -75,7 +75,7 @@ def run(config: Config, robot: Robot, *, tracker: Tracker) -> Mesh:
 
 def _solid(config: Config, robot: Robot, name: str) -> Tetrahedra:
     if config.source == SAMPLE:
-        return read_sample(config.geometry, config.tetrahedra)
+        return read_sample(config.geometry, config.tetrahedra, robot)
     body = build_tripod(config.geometry, robot) if config.source == GENERATE else _read_own(config, robot)
     if isinstance(body, Tetrahedra):
         return body

@@ -72,6 +72,15 @@ def test_cavities_at_other_angles_are_refused(cubes, block, robot) -> None:
         find_cavities(cubes(hollow(block, (5, 9), (2, 3), (8, 3))), robot, "block")
 
 
+def test_cavities_beside_their_chambers_are_told(cubes, block, robot, caplog) -> None:
+    solid = cubes(hollow(block, *THREE))
+    find_cavities(solid, robot, "block")  # up to 4 deg off
+    assert not caplog.records
+    find_cavities(solid, dataclasses.replace(robot, chamber_angle_deg=(-84.0, -210.0, -330.0)), "block")
+    (told,) = caplog.messages
+    assert "block has its cavities at" in told and "up to 6 deg from the chambers of robot tripod" in told
+
+
 def test_two_bodies_are_refused(cubes, block, robot) -> None:
     cells = hollow(block, *THREE)
     cells[:, 4, :] = False

@@ -58,9 +58,9 @@ def test_mesh_is_symmetric_and_its_images_meet_face_to_face(surface, sector, con
     find_cavities(whole, robot, "mesh")
 
 
-def test_samples_are_symmetric(sector, configure) -> None:
+def test_samples_are_symmetric(sector, configure, robot) -> None:
     for config in (configure(), configure(profile="tiny")):
-        points = read_sample(config.geometry, config.tetrahedra).points
+        points = read_sample(config.geometry, config.tetrahedra, robot).points
         assert max(image_error(points, image) for image in sector.images) < 1e-6
 
 

@@ -3,12 +3,16 @@ import dataclasses
 import meshio
 import numpy as np
 import pytest
+from omegaconf import OmegaConf
 from scipy.spatial import cKDTree
 
 from softrl.artifacts.mesh import Mesh
+from softrl.core.config import build
 from softrl.core.errors import ConfigError, MeshError
 from softrl.core.tracking import NullTracker
 from softrl.mesh.stage import run
+from softrl.robots.robot import Robot
+from tests.mesh.conftest import CONF
 
 CM3 = 1e6
 
@@ -68,10 +72,35 @@ def test_changed_measure_is_not_without_effect(configure, robot) -> None:
         run(configure("geometry.wall_m=0.004"), robot, tracker=NullTracker())
 
 
-def test_sample_of_another_robot_is_refused(configure, robot) -> None:
-    turned = dataclasses.replace(robot, chamber_angle_deg=(90.0, -30.0, -150.0))
-    with pytest.raises(MeshError, match="turn the mesh"):
-        run(configure(), turned, tracker=NullTracker())
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"chamber_angle_deg": (90.0, -30.0, -150.0)}, r"angle_deg=\[90\.0, -30\.0, -150\.0\] where it has \[-90"),
+        ({"chamber_angle_deg": (-87.0, -210.0, -330.0)}, r"robot\.chamber_angle_deg=\[-87\.0"),
+        ({"chamber_angle_deg": (-90.0, -210.0)}, r"robot\.chamber_angle_deg"),
+        ({"chamber_radius_m": 0.02}, r"another robot: robot\.chamber_radius_m=0\.02 where it has 0\.05;"),
+        ({"length_m": 0.2}, r"another robot: robot\.length_m=0\.2 where it has 0\.1765;"),
+    ],
+)
+def test_sample_of_another_robot_is_refused(configure, robot, changes, told) -> None:
+    other = dataclasses.replace(robot, name="other", **changes)
+    for profile in ("", "tiny"):
+        with pytest.raises(ConfigError, match=f"{told}.*robot other, stage.source=<mesh>") as refused:
+            run(configure(profile=profile), other, tracker=NullTracker())
+        assert "\n" not in str(refused.value)
+
+
+def test_the_shipped_segment_is_no_tripod(configure) -> None:
+    node = OmegaConf.to_container(OmegaConf.load(CONF / "robot" / "three_chamber_segment.yaml"))
+    with pytest.raises(ConfigError, match=r"chamber_angle_deg.*chamber_radius_m=0\.02 .*length_m=0\.1845 "):
+        run(configure(), build(node, Robot, "robot"), tracker=NullTracker())
+
+
+def test_the_samples_chambers_may_have_another_order(sample, configure, robot) -> None:
+    renamed = dataclasses.replace(robot, chamber_angle_deg=(30.5, -90.0, 149.0))
+    mesh = run(configure(), renamed, tracker=NullTracker())
+    first = mesh.cavity_triangles[mesh.cavity_of_triangle == 1]
+    assert np.array_equal(first, sample.cavity_triangles[sample.cavity_of_triangle == 0])
 
 
 def test_own_volume_mesh_gives_the_same_artifact(sample, configure, robot, tmp_path) -> None:
