@@ -26,4 +26,4 @@ class ReducedBody:
 
     def quaternion(self, z: np.ndarray) -> np.ndarray:
         """Return orientations (B, 4) w x y z of the tip at ``z`` (B, n + 3)."""
-        return tip_poses(self._model, z)[1]
+        return tip_poses(self._model, z, self._gravity)[1]

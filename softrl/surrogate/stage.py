@@ -157,7 +157,7 @@ def model_poses(reduced_model: ReducedModel, loads: np.ndarray, gravity_m_s2: np
     """Return the poses of the reduced model at equilibrium under ``loads`` (S, n + 3) Pa and N."""
     z = static_coordinates(reduced_model, loads, gravity_m_s2)
     radius = np.linalg.norm(np.linalg.solve(reduced_model.frame, z.T), axis=0)
-    return Poses(*tip_poses(reduced_model, z), radius < SAMPLED_RADIUS)
+    return Poses(*tip_poses(reduced_model, z, gravity_m_s2), radius < SAMPLED_RADIUS)
 
 
 def build_surrogate(
