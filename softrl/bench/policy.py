@@ -40,7 +40,7 @@ class PolicyBench:
         """Return the metrics; the tip is read with a millimetre of noise."""
         rng, space = np.random.default_rng(seed), Workspace(self.surrogate)
         shape = CURVES["figure_eight"](self.decisions)
-        target = space.centre + RADIUS_SHARE * space.largest(shape, space.centre) * shape
+        target = space.fitted(shape, space.centre, RADIUS_SHARE, "figure_eight")
         tips = target + 1e-3 * rng.standard_normal(target.shape)
         controller = PolicyController(self.policy, self.surrogate, self.calibration, Course.free("circle", target))
 

@@ -11,6 +11,7 @@ from softrl.surrogate.twin import Twin
 
 TOLERANCE_M = 3e-4  # a point is reached if pressures within their range bring the tip this near
 BISECTIONS = 12
+SMALLEST_SHARE = 0.05  # of the scale: curves must have this size, and a slope must leave it to move in
 
 
 class Workspace:
@@ -64,13 +65,21 @@ class Workspace:
             )
 
     def fitted(self, shape: np.ndarray, centre: np.ndarray, share: float, name: str) -> np.ndarray:
-        """Return the points (points, 3) m of ``shape`` about ``centre`` (3,) m, at a share of the largest reachable size."""
-        size = self.largest(shape, centre)
-        if size == 0.0:
+        """Return the points (points, 3) m of ``shape`` about ``centre`` (3,) m, at a share of the largest reachable size.
+
+        Raises
+        ------
+        ConfigError
+            If that size is nothing beside the workspace's: a tip that moves on a surface or a line comes within the
+            tolerance of a curve as small as the tolerance, and a policy would be judged on that.
+        """
+        size, least = self.largest(shape, centre), SMALLEST_SHARE * self.scale
+        if size < least:
             raise ConfigError(
-                f"trajectory {name}: in no size are its points about {np.round(1e3 * centre, 1).tolist()} mm within reach of "
-                f"robot {self.surrogate.robot_name}; expected some: move it, or rerun stage=surrogate if its joints are kept "
-                "from moving"
+                f"trajectory {name}: about {np.round(1e3 * centre, 1).tolist()} mm the tip of robot {self.surrogate.robot_name} "
+                f"reaches its points up to a size of {1e3 * size:.2g} mm; expected {1e3 * least:.2g} mm or more: the tasks "
+                "need a tip that moves in three directions; move the trajectory, or rerun stage=surrogate if its joints are "
+                "kept from moving"
             )
         return centre + share * size * shape
 

@@ -33,6 +33,8 @@ from softrl.surrogate.urdf import write_urdf
 log = logging.getLogger(__name__)
 SAMPLED_RADIUS = 0.97  # of the ball that holds the reduced model's samples; beyond it extrapolates, and yields less
 WORST_FIT = 0.1  # of the tips' spread: a chain that cannot follow the body is no surrogate of it
+STILL_SHARE = 1e-3  # of what the joint that moves the tip most does: a joint that does less has no range
+JOINTS = ("theta_x", "theta_y", "d")
 
 
 @dataclass(frozen=True)
@@ -172,7 +174,7 @@ def build_surrogate(
     dimensions = dimensions_of(robot, mesh, tip_height, config.links)
     chain = chain_from(dimensions.joint_height, dimensions.plane_height, dimensions.tip_height)
     samples = _sample(config, robot, dimensions, chain, pose_of, rng)
-    low, high = _limits(config, samples)
+    low, high = _limits(config, robot, dimensions, samples)
     springs, judged = _springs(config, samples, chain, pose_of, low, high, rest_turn)
     surrogate = _assemble(config, robot, dimensions, samples, springs)
     return report(surrogate, judged, config.compared_fits, config.parity_samples, tracker)
@@ -221,11 +223,26 @@ def _sample(
     return Samples(pressure, tip, quaternion, sampled, fit.theta, fit.residual, heldout)
 
 
-def _limits(config: Config, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
+def _limits(config: Config, robot: Robot, dimensions: Dimensions, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
     """Return the range of motion (3,) of the grouped command, with its margin; the chain's rest at zero is in it."""
     low, high = samples.joints.min(axis=0), samples.joints.max(axis=0)
+    _check_moves(robot, dimensions, high - low)
     margin = config.limit_margin_share * (high - low)
     return np.minimum(low - margin, 0.0), np.maximum(high + margin, 0.0)
+
+
+def _check_moves(robot: Robot, dimensions: Dimensions, span: np.ndarray) -> None:
+    """Refuse a joint without a ``span`` (3,) rad, rad, m: commands are told as shares of it, and springs are fitted over it."""
+    half = 0.5 * dimensions.tip_height
+    moves = len(dimensions.plane_height) * span * [half, half, 1.0]  # m, about what each takes the tip along
+    still = np.flatnonzero(~(moves > STILL_SHARE * moves.max()))
+    if len(still):
+        names = " and ".join(JOINTS[i] for i in still)
+        raise ConfigError(
+            f"robot {robot.name}: over its pressures joint {names} moves the tip by {1e3 * moves[still].max():.2g} mm, the "
+            f"others by up to {1e3 * moves.max():.3g} mm; surrogate, rl and sim2real need a tip that moves in three directions, "
+            "as by three chambers around the backbone; the other stages do without"
+        )
 
 
 def _springs(

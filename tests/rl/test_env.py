@@ -14,6 +14,7 @@ from stable_baselines3.common.env_checker import check_env as check_env_sb3
 from softrl.artifacts.surrogate import Surrogate
 from softrl.core.config import build_target
 from softrl.core.errors import ArtifactError, ConfigError
+from softrl.core.tracking import NullTracker
 from softrl.rl.batch import Batch
 from softrl.rl.env import ENVIRONMENTS
 from softrl.rl.evaluate import evaluate, expert, open_loop, rest
@@ -24,6 +25,9 @@ from softrl.rl.tasks.curves import CURVES, random_fourier
 from softrl.rl.tasks.task import Task
 from softrl.rl.vector_env import TwinVecEnv
 from softrl.rl.workspace import Workspace
+from softrl.robots.robot import Robot
+from softrl.surrogate.stage import build_surrogate
+from tests.surrogate.conftest import lumped_body, tiny_config
 
 TASKS = tuple(ENVIRONMENTS)
 CONF = Path(__file__).parents[2] / "conf" / "task"
@@ -184,6 +188,15 @@ def test_what_is_out_of_reach_is_refused(space: Workspace) -> None:
     with pytest.raises(ConfigError, match="trajectory far: 1 of 2 points are out of reach, the first \\(number 1\\)"):
         space.require(space.centre + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]]), "far")
     task_of("hybrid").require_reach(space)
+
+
+def test_a_curve_no_larger_than_the_tolerance_is_refused(robot: Robot) -> None:
+    two = replace(robot, name="two", chamber_angle_deg=(0.0, 90.0))  # its tip moves on a surface
+    space = Workspace(build_surrogate(tiny_config(), two, None, lumped_body(two), two.length_m, NullTracker()))
+    there, shape = space.tip_at_share(np.full((1, 2), 0.5))[0], CURVES["circle"](40)
+    assert 0.0 < space.largest(shape, there) < 0.05 * space.scale
+    with pytest.raises(ConfigError, match=r"trajectory circle: .* robot two reaches .* \d\.\d+ mm; .*three directions"):
+        space.fitted(shape, there, 0.8, "circle")
 
 
 def test_a_slope_that_leaves_no_room_is_refused(space: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,13 +8,12 @@ import numpy as np
 
 from softrl.core.errors import ConfigError
 from softrl.rl.tasks.task import TARGET_SEEN, TIP_SEEN, Seen, Task
-from softrl.rl.workspace import Workspace
+from softrl.rl.workspace import SMALLEST_SHARE, Workspace
 from softrl.surrogate.twin import Plane
 
 EXPERT_ITERATIONS = 12
 GROUND_SEED, GROUND_CURVES, GROUND_EVERY, PATCHES = 0, 4, 8, 12  # where the expert weighs position against force
 WANTED, ASKED = 18, 49  # and the forces that it tries there
-SMALLEST_SHARE = 0.05  # of the workspace's size: what a slope must leave to move in
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,36 @@
+"""What the stage asks of a body: a tip that moves in three directions, told under the weight that acts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softrl.core.errors import ConfigError
+from softrl.core.tracking import NullTracker
+from softrl.robots.robot import Robot
+from softrl.surrogate.stage import build_surrogate, model_poses
+from tests.pod.conftest import fitted
+from tests.surrogate.conftest import lumped_body, tiny_config
+
+
+@pytest.mark.parametrize(
+    ("angles", "joint"), [((0.0, 180.0), "theta_x"), ((90.0, 270.0), "theta_y"), ((180.0,), "theta_x")]
+)
+def test_a_tip_in_a_plane_is_refused_by_the_joint_that_stands_still(
+    robot: Robot, angles: tuple[float, ...], joint: str
+) -> None:
+    flat = replace(robot, name="flat", chamber_angle_deg=angles)
+    with pytest.raises(ConfigError, match=f"robot flat: .* joint {joint} moves the tip by .*three directions"):
+        build_surrogate(tiny_config(), flat, None, lumped_body(flat), flat.length_m, NullTracker())
+
+
+def test_poses_without_weight_are_those_of_a_model_without() -> None:
+    model = fitted(3)[2]
+    give_rotation = np.zeros_like(model.give_rotation)
+    give_rotation[:, 0] = 1e-3 * np.arange(1.0, 10.0)  # rad s^2/m
+    heavy = replace(model, give_rotation=give_rotation)
+    loads = np.array([[0.0] * 6, [1e4, 0.0, -5e3, 0.1, 0.0, 0.2]])
+    found = model_poses(heavy, loads, np.zeros(3))
+    expected = model_poses(replace(heavy, gravity_m_s2=np.zeros(3)), loads)
+    np.testing.assert_allclose(found.tip, expected.tip, atol=1e-12)
+    np.testing.assert_allclose(found.quaternion, expected.quaternion, atol=1e-12)
