@@ -25,7 +25,8 @@ class Diagnosis(Artifact):
         nothing), evidence (one sentence with numbers)
     simulator_parameters : tunable parameter -> identified value, in the unit of its name
     retuned : tunable parameter -> {nominal, value, plausible}: the competitor that changes parameters only
-    rivals : {name, score_gap, low, high, equivalent}, score gaps in mm of held-out error, best first
+    rivals : {name, score_gap, low, high, equivalent, effect (as in effects, its parameters plain numbers), replaces}, score
+        gaps in mm of held-out error, best first
     located : {site, channel, chamber, region, effect_size, p_value}, p-values corrected for their number
     errors_mm : train, heldout and, where the dataset marks such runs, ood (out of distribution) -> competitor
         -> rms error, mm; of an angle-only robot arc length times angle

@@ -5,9 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import median_filter, percentile_filter
 
+from softrl.core.identity import Same
 from softrl.diagnosis.gaps import rows
 from softrl.diagnosis.strayed import strayed
-from softrl.effects.hold import reading_period
+from softrl.effects.hold import reading_period, reading_phase
 from softrl.recordings.recording import Recording
 
 LONGEST = 7  # samples: what lasts longer may be real
@@ -26,7 +27,7 @@ def without_spikes(runs: Sequence[Recording]) -> tuple[tuple[Recording, ...], li
         for values in (run.position, run.bend_angle):
             if values is not None:
                 seen = values.reshape(len(values), -1)
-                first, reading = _readings(run.time, seen)
+                first, reading = _readings(run, seen)
                 wrong |= spikes(seen[first], run.pressure_cmd[first])[reading]
                 if len(first) == len(seen):  # the few readings of a slow sensor all jump
                     wrong |= strayed(run.time, seen, _pressures(run))
@@ -44,14 +45,16 @@ def _pressures(run: Recording) -> np.ndarray:
     return run.pressure_cmd if run.pressure_meas is None else np.hstack([run.pressure_cmd, run.pressure_meas])
 
 
-def _readings(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _readings(run: Recording, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the first sample (readings,) of every reading of a slow sensor, and the reading (steps,) of every sample.
 
     A sensor that repeats its last value moves by jumps, at the turn of a motion away and back. Where none repeats, every
     sample is a reading.
     """
-    period = reading_period([(time, values)])
-    count = np.arange(len(time)) if period is None else np.floor((time - time[0]) / period + 1e-6)
+    count, period = np.arange(len(run.time), dtype=float), reading_period([(run.time, values)])
+    if period is not None:
+        phase = reading_phase(Same(run), period).latest_s
+        count = np.floor((run.time - run.time[0] - phase) / period + 1e-6)
     _, first, reading = np.unique(count, return_index=True, return_inverse=True)
     return first, reading
 

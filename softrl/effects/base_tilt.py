@@ -1,6 +1,5 @@
 """A base that leans over before a camera that stays where it is."""
 
-import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -42,9 +41,9 @@ class BaseTilt(Effect):
     def parts(self) -> tuple[Effect, ...]:
         """Return the tilt that the body feels and the turn that the camera sees."""
         seen = Rotation.from_euler("xy", [self.about_x_rad, self.about_y_rad]).inv().as_rotvec()
-        gate = {field.name: getattr(self, field.name) for field in self.gate_fields()}
-        felt = MountTilt(self.about_x_rad, self.about_y_rad, **gate)
-        return felt, dataclasses.replace(Frame.neutral(**gate), turn_x_rad=seen[0], turn_y_rad=seen[1], turn_z_rad=seen[2])
+        felt = MountTilt(self.about_x_rad, self.about_y_rad, since_s=self.since_s, begun_s=self.begun_s)
+        turned = Frame(seen[0], seen[1], seen[2], 0.0, 0.0, 0.0, since_s=self.since_s, begun_s=self.begun_s)
+        return felt, turned
 
     def pack(self, robot: Robot) -> np.ndarray:
         """Return the two angles."""

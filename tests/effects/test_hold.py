@@ -89,7 +89,9 @@ def test_readings_that_keep_pace_with_the_rows_fall_on_the_row_that_shows_them(p
 def test_nothing_is_read_off_a_quick_sensor_nor_where_nothing_was_measured() -> None:
     time = ROWS_S * np.arange(1500)
     step = np.repeat(np.random.default_rng(5).uniform(size=(30, 3)), 50, axis=0)  # a command every second
-    slow = np.array([step[max(k - 100, 0) : k + 1][::-1].T @ np.exp(-np.arange(min(k, 100) + 1) / 4.0) for k in range(1500)])
+    slow = np.array(
+        [step[max(k - 100, 0) : k + 1][::-1].T @ np.exp(-np.arange(min(k, 100) + 1) / 4.0) for k in range(1500)]
+    )
     for seen in (moved(time), slow / 4.0):
         noisy = seen + NOISE_M * np.random.default_rng(1).standard_normal(seen.shape)
         quick = Recording("run", "day", time, step, position=noisy)
