@@ -17,7 +17,7 @@ from pathlib import Path
 
 PREFIX = "kernels-"
 FORGET_AFTER_S = 14 * 86400.0  # since the last import that used them
-KERNELS = re.compile(rb"\bnumba\b|\bcore\.compiled\b")
+KERNELS = (b"numba", b"core.compiled")  # a file with kernels names one of them
 CONSTANT = re.compile(r"\b[A-Z_][A-Z0-9_]*\b")
 
 
@@ -63,7 +63,7 @@ def mark_of(package: Path) -> str:
 def compiled_sources(package: Path) -> dict[str, bytes]:
     """Return by their paths in ``package`` the files that hold kernels, and those whose constants they are compiled with."""
     sources = {path.relative_to(package).as_posix(): path.read_bytes() for path in package.rglob("*.py")}
-    waiting = [path for path, source in sources.items() if KERNELS.search(source)]
+    waiting = [path for path, source in sources.items() if any(word in source for word in KERNELS)]
     found: dict[str, bytes] = {}
     while waiting:
         path = waiting.pop()
