@@ -14,6 +14,7 @@ from softrl.diagnosis.quality import torn, unusable
 from softrl.diagnosis.spikes import without_spikes
 from softrl.recordings.check import DataCheck, check, driven
 from softrl.recordings.gone import in_order
+from softrl.recordings.marked import DISTURBED, OUTSIDE, named, without
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.split import split
 from softrl.robots.robot import Robot
@@ -102,7 +103,7 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: 
     channel = "bend_angle" if robot.output == "bend_angle" else "position"
     seen, copies = _without_copies(_seen_undisturbed(recordings, channel), channel)
     usable, spiked = without_spikes(seen)
-    marked = set(recordings.notes.get("out_of_distribution", ()))
+    marked = named(recordings, OUTSIDE)
     outside = tuple(r for r in usable if marked & {r.name, r.session})
     usable = tuple(r for r in usable if not marked & {r.name, r.session})
     parts, mended = mend_all([*usable, *outside], found)
@@ -139,14 +140,8 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: 
 
 def _seen_undisturbed(recordings: RecordingSet, channel: str) -> list[Recording]:
     """Return the runs that are long enough, show ``channel``, and in which nobody interfered with the robot."""
-    disturbed = set(recordings.notes.get("disturbed", ()))
-    return [
-        run
-        for run in recordings.recordings
-        if np.ptp(run.time) >= MIN_RUN_S
-        and getattr(run, channel) is not None
-        and not disturbed & {run.name, run.session}
-    ]
+    runs = without(recordings, DISTURBED).recordings
+    return [run for run in runs if np.ptp(run.time) >= MIN_RUN_S and getattr(run, channel) is not None]
 
 
 def _without_copies(runs: Sequence[Recording], channel: str) -> tuple[list[Recording], list[str]]:

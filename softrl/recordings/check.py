@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softrl.recordings.frame import axis_vector
+from softrl.recordings.marked import DISTURBED, OUTSIDE, without
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.robots.robot import Robot
 
@@ -181,8 +182,7 @@ def _repeatability(recordings: RecordingSet) -> dict[str, float]:
     not. Runs that nothing is fitted to do not count.
     """
     squares: dict[str, list[float]] = {}
-    apart = {*recordings.notes.get("disturbed", ()), *recordings.notes.get("out_of_distribution", ())}
-    runs = [run for run in recordings.recordings if not apart & {run.name, run.session}]
+    runs = without(recordings, DISTURBED, OUTSIDE).recordings
     for i, one in enumerate(runs):
         for other in [run for run in runs[i + 1 :] if run.session == one.session]:
             count = min(len(one.time), len(other.time))

@@ -24,6 +24,9 @@ AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 EPOCH_S = 1e8  # a later time counts from an epoch, as Unix time does: no session goes on for three years
 
 
+NAMING = ("disturbed", "out_of_distribution")  # notes that hold names of runs or sessions, as they are written
+
+
 @dataclass(frozen=True)
 class Session:
     """One entry of ``sessions`` in dataset.yaml: its runs, the backbone's direction, and free notes."""
@@ -68,6 +71,7 @@ def _dataset(folder: Path) -> tuple[dict[str, Any], list[Session]]:
     if not isinstance(names, dict) or not isinstance(names.get("robot"), str):
         raise RecordingError(f"{path}: key 'robot' is missing; expected the name of the robot, as in conf/robot")
     notes = {key: value for key, value in typed.items() if key not in ("robot", "sessions", "units", "frame")}
+    notes |= {key: names[key] for key in NAMING if key in notes}
     return {"robot": names["robot"], "notes": notes}, _sessions(names.get("sessions"), folder)
 
 

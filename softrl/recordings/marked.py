@@ -8,10 +8,15 @@ DISTURBED = "disturbed"
 OUTSIDE = "out_of_distribution"
 
 
+def named(recordings: RecordingSet, *notes: str) -> set[str]:
+    """Return the runs and sessions that the ``notes``, such as ``DISTURBED``, name."""
+    return {name for note in notes for name in _names(recordings.notes.get(note))}
+
+
 def without(recordings: RecordingSet, *notes: str) -> RecordingSet:
     """Return the recordings but those that the ``notes``, such as ``DISTURBED``, name by their run or their session."""
-    named = {name for note in notes for name in _names(recordings.notes.get(note))}
-    left = tuple(run for run in recordings.recordings if not named & {run.name, run.session})
+    apart = named(recordings, *notes)
+    left = tuple(run for run in recordings.recordings if not apart & {run.name, run.session})
     return replace(recordings, recordings=left)
 
 
@@ -19,4 +24,4 @@ def _names(entry: object) -> tuple[str, ...]:
     """Return the names in a note, which may be one name alone."""
     if isinstance(entry, list | tuple):
         return tuple(str(name) for name in entry)
-    return () if entry is None else (str(entry),)
+    return () if entry in (None, "") else (str(entry),)

@@ -2,8 +2,11 @@
 
 from pathlib import Path
 
+from softrl.core.errors import RecordingError
 from softrl.recordings.load import load_runs
+from softrl.recordings.marked import DISTURBED, OUTSIDE, named
 from softrl.recordings.recording import RecordingSet
+from softrl.recordings.store import DATASET
 from softrl.robots.robot import Robot
 
 
@@ -34,4 +37,12 @@ def read(folder: Path | str, robot: Robot | None) -> RecordingSet:
     backbone between two sessions remains, and is what the ``frame`` effect (or a registration by session)
     describes.
     """
-    return RecordingSet(*load_runs(folder, robot))
+    recordings = RecordingSet(*load_runs(folder, robot))
+    known = {file.stem for file in Path(folder).glob("*.csv")} | set(recordings.sessions())
+    for note in (DISTURBED, OUTSIDE):
+        for name in sorted(named(recordings, note) - known):
+            raise RecordingError(
+                f"{Path(folder) / DATASET}: {note} names '{name}', which is no run and no session; found "
+                f"{', '.join(sorted(known))}"
+            )
+    return recordings

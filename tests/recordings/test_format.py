@@ -202,6 +202,7 @@ def test_bad_file_is_refused_in_one_line(
         ("robot: tripod\nsessions: {s: {runs: [a]}, t: {runs: [a]}}\n", ["run 'a'", "2 times"]),
         ("robot: tripod\nsessions: {s: {runs: [a], axis: up}}\n", ["axis 'up'", "+z"]),
         ("robot: tripod\nsessions: [a]\n", ["sessions must map"]),
+        ("robot: tripod\ndisturbed: [bumpd]\n", ["disturbed names 'bumpd'", "found a"]),
     ],
 )
 def test_bad_dataset_is_refused_in_one_line(
