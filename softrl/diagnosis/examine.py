@@ -309,7 +309,8 @@ def _rivals(
     for trial in (*race.finished, *race.beaten):
         gap = judge.gap(trial.squares, final.squares)
         freer = len(trial.fit.point) > len(final.fit.point) and trial.everywhere.mean() > final.everywhere.mean()
-        alike = not both.tells(trial.everywhere, final.everywhere)
+        unnoticed = gap.low <= 0.0 and judge.removed(trial.squares, final.squares) < judge.material
+        alike = unnoticed or not both.tells(trial.everywhere, final.everywhere)
         better = overtakes(judge, both, trial, final)
         if better and choice.pinned:  # the rival has all its parameters: so must what it is better than
             whole = whole or fit_trials(part.problem, judge.problem, [in_full(final, choice)], search)

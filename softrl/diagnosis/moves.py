@@ -83,6 +83,7 @@ def swap(fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice]
         less = path.fit(fitting, [(trial.hypothesis.without(old), drop(trial, old))], search) if old else []
         if old is None or not less:
             continue
+        log.info("%s is put to the test: does another do as well in its place?", old.label())
         others_too = [*choices, *where_it_acts(trial, old, choices)]
         instead = addition(fitting, judge, less[0], others_too, search, path, against=trial)
         if instead is None:

@@ -37,10 +37,17 @@ class Columns:
     ----------
     channels : channel -> {component index: (column number, factor to SI)}; a marker's channel is its name
     markers : names of the marker channels
+    others : columns that are nothing of ours
     """
 
     channels: dict[str, dict[int, tuple[int, float]]] = field(default_factory=dict)
     markers: list[str] = field(default_factory=list)
+    others: list[str] = field(default_factory=list)
+
+    @property
+    def used(self) -> list[int]:
+        """Numbers of the columns that are read."""
+        return sorted(number for place in self.channels.values() for number, _ in place.values())
 
 
 def match_columns(header: list[str], robot: Robot | None, path: Path) -> Columns:
@@ -49,11 +56,15 @@ def match_columns(header: list[str], robot: Robot | None, path: Path) -> Columns
     Raises
     ------
     RecordingError
-        If a column is unknown, named twice, in a unit of another quantity, or if a channel is incomplete.
+        If a column is nearly one of ours, named twice, in a unit of another quantity, or if a channel is incomplete.
     """
     found = Columns()
     for number, name in enumerate(header):
-        channel, component, factor = _match(name, number, robot, path)
+        hit = _match(name, number, robot, path)
+        if hit is None:
+            found.others.append(name)
+            continue
+        channel, component, factor = hit
         if channel.startswith("marker") and channel not in found.markers:
             found.markers.append(channel)
         place = found.channels.setdefault(channel, {})
@@ -64,7 +75,8 @@ def match_columns(header: list[str], robot: Robot | None, path: Path) -> Columns
     return found
 
 
-def _match(name: str, number: int, robot: Robot | None, path: Path) -> tuple[str, int, float]:
+def _match(name: str, number: int, robot: Robot | None, path: Path) -> tuple[str, int, float] | None:
+    """Return channel, component and factor to SI of a column; None if its name is like none of ours."""
     for pattern, channel, unit in _PATTERNS:
         hit = re.fullmatch(pattern, name)
         if hit is None:
@@ -83,6 +95,8 @@ def _match(name: str, number: int, robot: Robot | None, path: Path) -> tuple[str
     near = [n for n in usual if n.startswith(f"{name.lower()}_")] or difflib.get_close_matches(name.lower(), usual, n=1)
     if not hint and near:
         hint = f"; did you mean '{near[0]}'?"
+    if not hint:
+        return None
     raise RecordingError(f"{path}, line 1, column {number + 1}: unknown column '{name}'; expected {EXPECTED}{hint}")
 
 

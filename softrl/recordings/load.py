@@ -115,8 +115,11 @@ def _session(name: str, value: Any, path: Path) -> Session:
 
 
 def _read_run(path: Path, name: str, session: Session, robot: Robot | None) -> Recording:
-    header, table = _table(path)
+    header, lines = _table(path)
     columns = match_columns(header, robot, path)
+    if columns.others:
+        log.warning("%s: columns of other names are left out: %s", path, ", ".join(columns.others))
+    table = _values(path, header, lines, columns.used)
     require_values(path, header, table, columns, robot)
     arrays = {channel: _channel(table, place) for channel, place in columns.channels.items()}
     arrays = _in_base_frame(arrays, session.axis, robot.axis if robot is not None else "+z")
@@ -151,7 +154,8 @@ def _text(path: Path) -> str:
         ) from error
 
 
-def _table(path: Path) -> tuple[list[str], np.ndarray]:
+def _table(path: Path) -> tuple[list[str], list[str]]:
+    """Return the header, and all lines with it, of as many cells each."""
     lines = _text(path).splitlines()
     if not lines or not lines[0].strip():
         raise RecordingError(f"{path} is empty; expected a header line and one line a sample")
@@ -161,10 +165,18 @@ def _table(path: Path) -> tuple[list[str], np.ndarray]:
     if samples < 2:
         raise RecordingError(f"{path} holds {samples} samples; expected at least 2")
     _require_equal_width(path, header, lines)
+    return header, lines
+
+
+def _values(path: Path, header: list[str], lines: list[str], used: list[int]) -> np.ndarray:
+    """Return the table (samples, columns) of which the ``used`` columns are read; zero elsewhere."""
     try:
-        return header, np.loadtxt(lines[1:], delimiter=",", ndmin=2, comments=None)
+        read = np.loadtxt(lines[1:], delimiter=",", ndmin=2, comments=None, usecols=used)
     except ValueError as error:
-        raise RecordingError(_bad_cell(path, header, lines)) from error
+        raise RecordingError(_bad_cell(path, header, lines, used)) from error
+    table = np.zeros((len(read), len(header)))
+    table[:, used] = read
+    return table
 
 
 def _require_commas(path: Path, lines: list[str]) -> None:
@@ -191,10 +203,12 @@ def _require_equal_width(path: Path, header: list[str], lines: list[str]) -> Non
         )
 
 
-def _bad_cell(path: Path, header: list[str], lines: list[str]) -> str:
-    """Return the message for the first cell that is no number."""
+def _bad_cell(path: Path, header: list[str], lines: list[str], used: list[int]) -> str:
+    """Return the message for the first cell of the ``used`` columns that is no number."""
     for number, line in enumerate(lines[1:], start=2):
-        for column, cell in zip(header, line.split(","), strict=False):
+        for place, (column, cell) in enumerate(zip(header, line.split(","), strict=False)):
+            if place not in used or not line.strip():
+                continue
             try:
                 float(cell)
             except ValueError:

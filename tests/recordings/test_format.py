@@ -218,6 +218,17 @@ def test_bad_dataset_is_refused_in_one_line(
         assert part in str(caught.value), str(caught.value)
 
 
+def test_columns_of_other_names_are_left_out_and_told(tripod: Robot, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "dataset.yaml").write_text("robot: tripod\n")
+    (tmp_path / "a.csv").write_text(GOOD + ROWS)
+    plain = read(tmp_path, tripod)
+    lines = (GOOD + ROWS).splitlines()
+    more = [f"operator,{line},flow_slpm" if k == 0 else f"anna,{line},0.5" for k, line in enumerate(lines)]
+    (tmp_path / "a.csv").write_text("\n".join(more) + "\n")
+    assert_same(read(tmp_path, tripod), plain)
+    assert "left out: operator, flow_slpm" in caplog.text
+
+
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-8"])
 def test_a_byte_order_mark_and_quoted_names_change_nothing(encoding: str, tripod: Robot, tmp_path: Path) -> None:
     (tmp_path / "dataset.yaml").write_text("robot: tripod\n", encoding=encoding)
