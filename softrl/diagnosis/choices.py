@@ -80,8 +80,10 @@ def that_last(choices: Sequence[Choice], training: Sequence[str], heldout: Seque
     for choice in able:
         if several and len(sessions) > 1 and choice.chamber < 0:
             found.append(choice._replace(lasting="session"))
-        # of the last session nothing tells what lasts for ever from what lasts until its end
-        found += [choice._replace(lasting="session", session=s) for s in several if s in heldout and s != sessions[-1]]
+        # of the last session nothing tells what lasts for ever from what lasts until its end; a wall that is another on one
+        # day is another stiffness there
+        if effect_class(choice.name).site == "chamber":
+            found += [choice._replace(lasting="session", session=s) for s in several if s in heldout and s != sessions[-1]]
     return found
 
 
