@@ -46,7 +46,7 @@ def understood(monkeypatch: pytest.MonkeyPatch, robot: Robot, time: np.ndarray, 
         return [Recording(r.name, r.session, r.time, r.pressure_cmd, pressure_meas=evenly(r.time, time, true)) for r in runs]
 
     monkeypatch.setattr(parts, "_supplied", supplied)
-    space = SimpleNamespace(effects=lambda _: (LAG,), late=lambda _: 0.0)
+    space = SimpleNamespace(effects=lambda *_: (LAG,), late=lambda _: 0.0)
     problem = SimpleNamespace(robot=robot, space=lambda _: space)
     final = SimpleNamespace(hypothesis=None, fit=SimpleNamespace(point=None))
     return SimpleNamespace(final=final, part=SimpleNamespace(problem=problem))
