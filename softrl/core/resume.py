@@ -17,9 +17,8 @@ if sys.platform != "win32":
 log = logging.getLogger(__name__)
 HOME = Path(".softrl")  # under the working directory; whatever is in it may be deleted at any time
 ATTEMPTS = 100  # to use a folder while others come and go
-_used: dict[
-    Path, int | None
-] = {}  # folders that this process uses, open under a shared lock, which ends with the process
+# folders that this process uses, open under a shared lock, which ends with the process
+_used: dict[Path, int | None] = {}
 
 
 class Kept:

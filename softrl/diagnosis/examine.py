@@ -213,6 +213,18 @@ def _extended(rival: Rival) -> bool:
     return effect_class(named.name).extends == other.name and named.chamber == other.chamber
 
 
+def as_good(judge: Judge, both: Judge, rival: Trial, final: Trial) -> bool:
+    """Return whether ``rival`` does as well as ``final``: it may be better held out, or all runs left out cannot tell.
+
+    A rival that may be better, and is worse by what nobody would notice, is as good: where a body is not quite the robot's, all
+    runs together tell apart what no run to come does.
+    """
+    unnoticed = judge.removed(rival.squares, final.squares) < judge.material
+    if unnoticed and judge.gap(rival.squares, final.squares).low <= 0.0:
+        return True
+    return not both.tells(rival.everywhere, final.everywhere)
+
+
 def overtakes(judge: Judge, both: Judge, rival: Trial, final: Trial) -> bool:
     """Return whether ``rival`` is better than ``final`` for sure on held-out runs, and on all runs left out of fits.
 
@@ -309,8 +321,7 @@ def _rivals(
     for trial in (*race.finished, *race.beaten):
         gap = judge.gap(trial.squares, final.squares)
         freer = len(trial.fit.point) > len(final.fit.point) and trial.everywhere.mean() > final.everywhere.mean()
-        unnoticed = gap.low <= 0.0 and judge.removed(trial.squares, final.squares) < judge.material
-        alike = unnoticed or not both.tells(trial.everywhere, final.everywhere)
+        alike = as_good(judge, both, trial, final)
         better = overtakes(judge, both, trial, final)
         if better and choice.pinned:  # the rival has all its parameters: so must what it is better than
             whole = whole or fit_trials(part.problem, judge.problem, [in_full(final, choice)], search)

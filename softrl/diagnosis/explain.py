@@ -23,6 +23,7 @@ from softrl.effects.library import effect_class
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
+COUNTED = {"session": "counts from the session's first run", "ever": "counts from the first run of all"}
 PIECE_SHARE = 0.2  # of the wrong bending: a piece of the body with less goes without saying
 UNTOLD = "more than white noise; it was not found to be physics"
 TOLD = 0.02  # logarithm of a retuned parameter over its nominal value: less goes without saying
@@ -84,7 +85,7 @@ def where(choice: Choice) -> str:
         places = {"valve": "all valves", "load": "tip", "sensor": "pose sensor", "chamber": "all chambers"}
         place = "one layer" if effect_class(choice.name).layered else places.get(choice.site, "whole body")
     place += f", {GATES[choice.gate.field]}" if choice.gate else ""
-    place += f", {LASTING[choice.lasting]}" if choice.lasting else ""
+    place += f", {LASTING[choice.lasting]} (its time {COUNTED[choice.lasting]})" if choice.lasting else ""
     place += f", session {choice.session} only" if choice.session else ""
     return f"{place}, {choice.gauge}" if choice.gauge else place
 

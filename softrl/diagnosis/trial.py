@@ -10,7 +10,6 @@ import numpy as np
 
 from softrl.core.errors import ConfigError, SolverError
 from softrl.core.progress import quiet
-from softrl.diagnosis.handed import packed, unpacked
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes
 from softrl.diagnosis.least_squares import left_out
 from softrl.diagnosis.problem import Problem, Registration
@@ -287,11 +286,11 @@ def parallel(task: Callable[..., Any], jobs: Sequence[tuple[Any, ...]], workers:
     """Return ``task(*job)`` of every job, in order, in ``workers`` processes."""
     if workers == 1 or len(jobs) < 2:
         return [task(*job) for job in jobs]
-    pool = joblib.Parallel(n_jobs=workers, inner_max_num_threads=1, batch_size=1)
-    return list(pool(joblib.delayed(_quietly)(task, packed(job)) for job in jobs))
+    pool = joblib.Parallel(n_jobs=workers, inner_max_num_threads=1)
+    return list(pool(joblib.delayed(_quietly)(task, job) for job in jobs))
 
 
-def _quietly(task: Callable[..., Any], job: bytes) -> Any:
-    """Return ``task`` of a job in a process that has no log of its own: its warnings would go to the terminal as they are."""
+def _quietly(task: Callable[..., Any], job: tuple[Any, ...]) -> Any:
+    """Return ``task(*job)`` in a process that has no log of its own: its warnings would go to the terminal as they are."""
     with quiet():
-        return task(*unpacked(job))
+        return task(*job)

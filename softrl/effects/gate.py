@@ -22,6 +22,7 @@ from softrl.effects.effect import (
 )
 from softrl.robots.robot import Robot
 
+GATES = {"above_share": "above a pressure", "since_s": "from a time on"}  # the fields of an effect, in words
 BAND = 0.05  # of the largest pressure: from nothing to all
 RAMP_S = 1.0
 LONG_S = 1e3  # a step as long as this finds an equilibrium, for which no time passes

@@ -5,11 +5,10 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from softrl.effects.effect import Effect
+from softrl.effects.gate import GATES
 from softrl.effects.library import effect_class
 
-# the words that a diagnosis has for them in its labels
-FLAGS = {"before_gauge": "before the gauge", "behind_gauge": "behind the gauge"}
-GATES = {"above_share": "above a pressure", "since_s": "from a time on"}
+FLAGS = {"before_gauge": "before the gauge", "behind_gauge": "behind the gauge"}  # as labels say it
 
 
 @dataclass(frozen=True)

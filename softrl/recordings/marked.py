@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
+from softrl.recordings.load import NAMING
 from softrl.recordings.recording import RecordingSet
 
-DISTURBED = "disturbed"
-OUTSIDE = "out_of_distribution"
+DISTURBED, OUTSIDE = NAMING
 
 
 def named(recordings: RecordingSet, *notes: str) -> set[str]:

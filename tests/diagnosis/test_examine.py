@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softrl.diagnosis.examine import Rival, _better, in_full, overtakes, plainer, stand_in
+from softrl.diagnosis.examine import Rival, _better, as_good, in_full, overtakes, plainer, stand_in
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, starts
 from softrl.diagnosis.judge import Gap, Judge
 from softrl.diagnosis.problem import Problem
@@ -64,6 +64,17 @@ def test_a_rival_is_better_where_all_runs_agree(
 ) -> None:
     final = trial(judges, "mount_tilt", 5.0, 5.0)
     assert overtakes(*judges, trial(judges, name, inside, heldout), final) == taken
+
+
+@pytest.mark.parametrize(
+    ("inside", "heldout", "alike"),
+    [(5.0, 5.0, True), (9.0, 5.0, True), (9.0, 9.0, False)],  # the second is worse where fits see it alone
+)
+def test_a_rival_that_may_be_better_held_out_is_as_good(
+    judges: tuple[Judge, Judge], inside: float, heldout: float, alike: bool
+) -> None:
+    final = trial(judges, "frame", 5.0, 5.0)
+    assert as_good(*judges, trial(judges, "base_tilt", inside, heldout), final) == alike
 
 
 def test_another_chamber_contests_what_is_named_of_one(judges: tuple[Judge, Judge]) -> None:

@@ -492,6 +492,21 @@ def test_mount_tilt_turns_gravity_and_keeps_its_size() -> None:
         np.testing.assert_allclose(port[GRAVITY], 9.81 * np.array(expected), atol=1e-12)
 
 
+@pytest.mark.parametrize("law", [PowerCreep, Viscoelasticity])
+def test_the_wall_of_one_chamber_creeps_by_its_own_spring(law: type[Effect]) -> None:
+    """What holds a chamber in its place is in part other walls' pressure, which does not creep with its own."""
+    added = []
+    for elastic in (0.0, 4e3):
+        effect = law.neutral(chamber=1)
+        effect = replace(effect, **{f.name: f.metadata["typical"] for f in law.parameter_fields()})
+        port = np.zeros((BODY_PORT_ROWS, 3))
+        port[STRAIN], port[REST], port[ELASTIC], port[ELASTIC_SLOPE] = 0.05, STIFFNESS, elastic, STIFFNESS
+        law.kernel(effect.pack(ROBOT), effect.reset(ROBOT), port, DT, True)
+        added.append(port[ADDED].copy())
+    np.testing.assert_array_equal(*added)
+    assert added[0][1] > 0.0 and added[0][0] == added[0][2] == 0.0
+
+
 def test_a_tilted_base_before_a_standing_camera_is_felt_and_seen() -> None:
     """The body moves as on a tilted mount, and a camera that stands still sees that motion turned by as much."""
     time = DT * np.arange(1, 201)
