@@ -19,8 +19,8 @@ class Diagnosis(Artifact):
     simulator_name : class of the body that was diagnosed
     verdict : one of ``VERDICTS``
     sentences : the finding in plain words, the verdict first
-    effects : one entry a named effect: name, site, where, chamber (-1 all), session (the only one in which it acts, or
-        empty), past (whether another session came after it), lasting ("session" or "ever" if its time goes on from run to
+    effects : one entry a named effect: name, site, where, chamber (-1 all), sessions (in which alone it acts, or
+        empty), past (whether another session came after them), lasting ("session" or "ever" if its time goes on from run to
         run), parameters ({value, low, high, unit, at_bound}), pinned (parameters held at the value at which they do
         nothing), evidence (one sentence with numbers)
     simulator_parameters : tunable parameter -> identified value, in the unit of its name
@@ -82,7 +82,7 @@ class Diagnosis(Artifact):
     def named(self) -> list[dict[str, Any]]:
         """Return {name, chamber, parameters (name -> value)} of every named effect, as effects are built from.
 
-        What acted in one session only, but not in the last, is history, and left out.
+        What acted in some sessions only, but not in the last, is history, and left out.
         """
         return [
             {
@@ -92,7 +92,7 @@ class Diagnosis(Artifact):
                 | {name: entry["value"] for name, entry in effect["parameters"].items()},
             }
             for effect in self.effects
-            if not effect.get("past", bool(effect.get("session")))
+            if not effect.get("past", False)
         ]
 
     def document(self) -> dict[str, Any]:

@@ -45,24 +45,52 @@ def candidates(
     return found
 
 
-def in_one_session(names: Sequence[str], training: Sequence[str], heldout: Sequence[str]) -> list[Choice]:
-    """Return the effects out of ``names`` that may act in one session alone, for every session that can show them.
+def in_some_sessions(
+    names: Sequence[str], training: Sequence[str], heldout: Sequence[str], order: Sequence[str]
+) -> list[Choice]:
+    """Return the effects out of ``names`` that may act in some sessions alone, for all periods that can show them.
 
-    What retuning does shows as a difference between sessions only: of the last one it is told by the others.
+    Of periods that act in the same fitted runs the longest is offered; see ``alike`` for the others.
 
     Parameters
     ----------
-    training, heldout : session of every run; only a session with two runs to fit and one to judge can show such an effect
+    training, heldout : session of every run; only a period with two runs to fit and one to judge can show such an effect,
+        beside two to fit in which it does not act
+    order : sessions in the order of recording
     """
-    sessions = list(dict.fromkeys(training))
-    shown = [s for s in sessions if training.count(s) > 1 and s in heldout]
-    return [
-        Choice(name, session=s)
-        for name in names
-        if name in BY_SESSION
-        for s in shown
-        if s != sessions[-1] or not effect_class(name).retunes
-    ]
+    found: dict[tuple[str, frozenset[str]], Choice] = {}
+    for name in names:
+        for period in _periods_of(name, order) if name in BY_SESSION else []:
+            inside = sum(session in period for session in training)
+            if 1 < inside < len(training) - 1 and any(session in period for session in heldout):
+                found.setdefault((name, frozenset(training) & set(period)), Choice(name, sessions=period))
+    return list(found.values())
+
+
+def alike(choice: Choice, training: Sequence[str], order: Sequence[str]) -> list[Choice]:
+    """Return the forms of ``choice`` that act in the same of the sessions in ``training``, in others or not."""
+    acts = [session in choice.sessions for session in training]
+    same = [p for p in _periods_of(choice.name, order) if [session in p for session in training] == acts]
+    return [choice._replace(sessions=period) for period in same] if choice.sessions and not choice.lasting else [choice]
+
+
+def periods(order: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return the periods out of ``order`` in which something may have been otherwise: from a session on, up to one, or one.
+
+    The longest come first.
+    """
+    each = range(1, len(order))
+    found = [tuple(order[k:]) for k in each] + [tuple(order[:k]) for k in each] + [(s,) for s in order if each]
+    return sorted(dict.fromkeys(found), key=lambda period: -len(period))
+
+
+def _periods_of(name: str, order: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return the periods in which the effect may act.
+
+    What retuning does shows as a difference between sessions only: of what goes on to the last one the others tell.
+    """
+    retunes = effect_class(name).retunes
+    return [period for period in periods(order) if not (retunes and period[-1] == order[-1])]
 
 
 def that_last(choices: Sequence[Choice], training: Sequence[str], heldout: Sequence[str]) -> list[Choice]:
@@ -83,7 +111,7 @@ def that_last(choices: Sequence[Choice], training: Sequence[str], heldout: Seque
         # of the last session nothing tells what lasts for ever from what lasts until its end; a wall that is another on one
         # day is another stiffness there
         if effect_class(choice.name).site == "chamber":
-            found += [choice._replace(lasting="session", session=s) for s in several if s in heldout and s != sessions[-1]]
+            found += [choice._replace(lasting="session", sessions=(s,)) for s in several if s in heldout and s != sessions[-1]]
     return found
 
 

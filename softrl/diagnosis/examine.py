@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrl.core.errors import SolverError
+from softrl.diagnosis.choices import alike
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes, neutral
 from softrl.diagnosis.hypothesise import forward
 from softrl.diagnosis.intervals import Interval, by_effect, intervals
@@ -17,6 +18,7 @@ from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem, Residual
 from softrl.diagnosis.trial import Search, Trial, columns_of, drop, fit_trials, from_nominal, join, raced
 from softrl.effects.library import effect_class
+from softrl.recordings.gone import sessions_in_order
 from softrl.recordings.recording import Recording
 
 log = logging.getLogger(__name__)
@@ -130,6 +132,9 @@ def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Fi
     path = forward(part.problem, inside, part.problem.tuned, part.choices, search, lambda line: log.info("%s", line))
     judge = part.judge(part.heldout, thresholds, seed)
     base, final = (_on_heldout(judge, trial) for trial in (path.retuned, path.best))
+    final = _dated(part, judge, final)
+    for old, new in zip(path.best.hypothesis.effects, final.hypothesis.effects, strict=True):
+        path.tried[new] = path.tried.pop(old, [])
     finding = _judged(part, judge, path, base, final, search)
     for _ in range(SWITCHES):
         better = _better(finding)
@@ -253,6 +258,20 @@ def _on_heldout(judge: Judge, trial: Trial) -> Trial:
     return trial._replace(squares=heldout_residual(judge, trial).squares)
 
 
+def _dated(part: Part, judge: Judge, trial: Trial) -> Trial:
+    """Return the trial with what acts in some sessions acting in those that held-out runs favour.
+
+    Fits see no difference between periods that differ by sessions held out.
+    """
+    training, order = [run.session for run in part.problem.runs], sessions_in_order((*part.problem.runs, *part.heldout))
+    for old in trial.hypothesis.effects:
+        forms = [new for new in alike(old, training, order) if new != old]
+        tasks = [tuple(new if effect == old else effect for effect in trial.hypothesis.effects) for new in forms]
+        others = [trial._replace(hypothesis=Hypothesis(effects, trial.hypothesis.tuned)) for effects in tasks]
+        trial = min((trial, *_that_run(judge, others)), key=lambda one: one.mean_square)
+    return trial
+
+
 def _confirm(
     part: Part, judge: Judge, path: Path, base: Trial, final: Trial, search: Search
 ) -> tuple[Trial, list[Named], dict[Choice, Trial]]:
@@ -318,7 +337,7 @@ def _rivals(
     ]
     race = raced(part.problem, judge.problem, tasks, search, final, patient=True)
     found, both, whole = [], judge.on((*part.problem.runs, *part.heldout)), None
-    for trial in (*race.finished, *race.beaten):
+    for trial in (_dated(part, judge, one) for one in (*race.finished, *race.beaten)):
         gap = judge.gap(trial.squares, final.squares)
         freer = len(trial.fit.point) > len(final.fit.point) and trial.everywhere.mean() > final.everywhere.mean()
         alike = as_good(judge, both, trial, final)

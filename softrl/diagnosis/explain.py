@@ -77,8 +77,8 @@ def _last(part: Part) -> Recording:
 
 def where(choice: Choice) -> str:
     """Return in words where an effect acts."""
-    if choice.session and choice.chamber < 0:
-        return f"session {choice.session} only"
+    if choice.sessions and choice.chamber < 0:
+        return f"{choice.period} only"
     if has_chamber(choice.name):
         place = "all chambers" if choice.chamber < 0 else f"chamber {choice.chamber + 1}"
     else:
@@ -86,7 +86,7 @@ def where(choice: Choice) -> str:
         place = "one layer" if effect_class(choice.name).layered else places.get(choice.site, "whole body")
     place += f", {GATES[choice.gate.field]}" if choice.gate else ""
     place += f", {LASTING[choice.lasting]} (its time {COUNTED[choice.lasting]})" if choice.lasting else ""
-    place += f", session {choice.session} only" if choice.session else ""
+    place += f", {choice.period} only" if choice.sessions else ""
     return f"{place}, {choice.gauge}" if choice.gauge else place
 
 
@@ -132,8 +132,8 @@ def _form(part: Part, choice: Choice) -> dict[str, Any]:
     return {
         "name": choice.name,
         "chamber": choice.chamber,
-        "session": choice.session,
-        "past": choice.session not in ("", _last(part).session),
+        "sessions": list(choice.sessions),
+        "past": bool(choice.sessions) and _last(part).session not in choice.sessions,
         "lasting": choice.lasting,
         "pinned": pinned_values(choice) | flags | ({"begun_s": _ended(part)} if choice.lasting == "ever" else {}),
     }

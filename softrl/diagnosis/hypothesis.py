@@ -32,7 +32,7 @@ class Choice(NamedTuple):
     """One effect of the library; ``chamber`` is -1 for all chambers, or where the effect knows none.
 
     ``pinned`` names the parameters that are held at their neutral values; ``gate`` says above which pressure or from when on
-    alone it acts, ``session`` in which session alone, if anywhere; ``before_gauge`` that gauges show it,
+    alone it acts, ``sessions`` in which of them alone, if not in all; ``before_gauge`` that gauges show it,
     ``behind_gauge`` that they do not. ``lasting`` says that its clock goes on from run to run, through its "session" or for
     "ever"; else it begins anew with every run.
     """
@@ -41,18 +41,24 @@ class Choice(NamedTuple):
     chamber: int = -1
     pinned: tuple[str, ...] = ()
     gate: Gate | None = None
-    session: str = ""
+    sessions: tuple[str, ...] = ()
     before_gauge: bool = False
     behind_gauge: bool = False
     lasting: str = ""
 
     def label(self) -> str:
-        """Return the name, with the chamber (counted from 1), the gate and the session where it acts there alone."""
-        where = [f"chamber {self.chamber + 1}"] * (self.chamber >= 0) + [f"session {self.session}"] * bool(self.session)
+        """Return the name, with the chamber (counted from 1), the gate and the sessions where it acts there alone."""
+        where = [f"chamber {self.chamber + 1}"] * (self.chamber >= 0) + [self.period] * bool(self.sessions)
         where += [GATES[self.gate.field]] if self.gate else []
         where += [self.gauge] if self.gauge else []
         where += [LASTING[self.lasting]] if self.lasting else []
         return f"{self.name} ({', '.join(where)})" if where else self.name
+
+    @property
+    def period(self) -> str:
+        """In words in which sessions it acts, where not in all; else empty."""
+        first, last, count = *(self.sessions[:1] or ("",)), *(self.sessions[-1:] or ("",)), len(self.sessions)
+        return ("", f"session {first}", f"sessions {first} and {last}", f"sessions {first} to {last}")[min(count, 3)]
 
     @property
     def gauge(self) -> str:
@@ -76,7 +82,7 @@ class Choice(NamedTuple):
 
     @property
     def _everywhere(self) -> bool:
-        return self.chamber < 0 and not (self.gate or self.session)
+        return self.chamber < 0 and not (self.gate or self.sessions)
 
 
 class Axis(NamedTuple):
@@ -193,7 +199,7 @@ class Space:
         values, made = iter(self.values(point)), []
         for choice in self.hypothesis.effects:
             mine = [next(values) for _ in effect_axes(choice)]
-            if choice.session in ("", session):
+            if not choice.sessions or session in choice.sessions:
                 made.append(build_effect(choice, mine, gone[choice.lasting]))
         return tuple(made)
 

@@ -10,6 +10,7 @@ from softrl.diagnosis.flexible import pressures
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, neutral
 from softrl.diagnosis.judge import SHOWN, Judge
 from softrl.diagnosis.moves import addition, not_taken, pays, prune, swap
+from softrl.diagnosis.onset import for_good
 from softrl.diagnosis.pairs import best_pairs
 from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem
@@ -98,14 +99,15 @@ def _narrow(
     plain = (SOME if before.hypothesis.effects else PLAIN) * judge.material
     if judge.excess(before.mean_square) < plain:
         return False
-    forms = _gated([c for c in choices if not (c.session or c.lasting)], fitting)
+    everywhere = [c for c in choices if not (c.sessions or c.lasting)]
+    forms = _gated(everywhere, fitting) + for_good(fitting, before, not_taken(everywhere, before), search)
     beside = rank(fitting, before, not_taken(forms, before), search)
     promising = {lead.choice for lead in beside if lead.gain >= BESIDE * _least_share(judge, before)}
     for name in before.hypothesis.names:
         old = path.best.hypothesis.named(name)  # what was put in another's place may have changed its form
         if old is not None and judge.excess(path.best.mean_square) >= plain:
             in_place = [form for form in forms if form.name == old.name or form in promising]
-            _replace(fitting, judge, old, in_place, search, path)
+            _replace(fitting, judge, old, in_place, [c for c in everywhere if c.name == old.name], search, path)
     if len(before.hypothesis.effects) < search.max_effects and judge.excess(path.best.mean_square) >= plain:
         added = addition(fitting, judge, path.best, forms, search, path, beside if path.best is before else None)
         if added is not None and pays(judge, path.best, added):
@@ -126,7 +128,7 @@ def _behind_a_map(
     if bare.hypothesis.effects or not maps or judge.excess(bare.mean_square) < PLAIN * judge.material:
         return False
     behind = path.fit(fitting, [(bare.hypothesis.with_effect(maps[0]), join(bare, neutral(maps[0])))], search)
-    forms = _gated([c for c in choices if not (c.session or c.lasting)], fitting)
+    forms = _gated([c for c in choices if not (c.sessions or c.lasting)], fitting)
     added = addition(fitting, judge, behind[0], forms, search, path) if behind else None
     if added is None or not all(judge.pays(less.squares, added.squares) for less in (bare, behind[0])):
         return False
@@ -151,7 +153,7 @@ def _without_map(
         less = _as_it_was(fitting, mapped, the_map)
     except SolverError:  # the body as it was retuned beside the map does not run without it
         return
-    physics = [c for c in not_taken(choices, less) if c != the_map and not c.session]
+    physics = [c for c in not_taken(choices, less) if c != the_map and not c.sessions]
     pairs = best_pairs(fitting.rough_about(less.hypothesis, less.fit.point), less, physics, search)
     trials = raced(fitting, None, [(pair.hypothesis, [pair.point]) for pair in pairs], search, mapped).finished
     best = judge.simplest(trials) if trials else mapped
@@ -192,14 +194,16 @@ def _least_share(judge: Judge, trial: Trial) -> float:
 
 
 def _replace(
-    fitting: Problem, judge: Judge, old: Choice, choices: Sequence[Choice], search: Search, path: Path
+    fitting: Problem, judge: Judge, old: Choice, choices: Sequence[Choice], own: Sequence[Choice], search: Search, path: Path
 ) -> None:
-    """Put the best of ``choices`` in the place of ``old``, one of the effects of the best hypothesis, if it shows."""
+    """Put the best of ``choices`` in the place of ``old``, one of the effects of the best hypothesis, if it shows.
+
+    So may its ``own`` forms, as they act everywhere, from some moment on.
+    """
     trial = path.best
-    if not choices:
-        return
     less = path.fit(fitting, [(trial.hypothesis.without(old), drop(trial, old))], search)
-    instead = addition(fitting, judge, less[0], choices, search, path) if less else None
+    forms = [*choices, *for_good(fitting, less[0], own, search)] if less else []
+    instead = addition(fitting, judge, less[0], forms, search, path) if forms else None
     if instead is not None and judge.shows(trial.squares, instead.squares):
         path.best = slim(fitting, judge, instead, search, path)
 

@@ -16,7 +16,9 @@ from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.trial import Trial
 
 AT_BOUND = 1e-3  # share of a range at whose ends a parameter is said to be at a bound
+NEAR = 0.02  # scaled, at most: the first minute is not the beginning of ten hours
 WIDER, WORSE = 0.02 * 2.0 ** np.arange(10), 1.02  # steps, scaled, from where nothing changes; times the cost that is a change
+ALONE = 0.98  # of the squared derivatives by a parameter: told by one fold
 FORM_SHARE = 0.05  # of the residual; found on single hidden effects, each fitted by its own law
 
 
@@ -49,7 +51,8 @@ def intervals(problem: Problem, trial: Trial, thresholds: Thresholds) -> list[In
         ends = sorted((axis.physical(float(low)), axis.physical(float(high))))
         value = axis.physical(u)
         low, high = min(ends[0], value), max(ends[1], value)
-        at_bound = bool(min(u - bounds[0][k], bounds[1][k] - u) < AT_BOUND * (bounds[1][k] - bounds[0][k]))
+        near = min(AT_BOUND * (bounds[1][k] - bounds[0][k]), NEAR)
+        at_bound = bool(min(u - bounds[0][k], bounds[1][k] - u) < near)
         found.append(Interval(axis.owner, axis.name, axis.unit, value, low, high, at_bound))
     return found
 
@@ -96,10 +99,17 @@ def _reach(problem: Problem, jacobian: np.ndarray, residual: np.ndarray, thresho
     blocks = _independent(problem, residual.reshape(-1, rows), jacobian.shape[1], thresholds)
     spread = np.sqrt(np.diag(sandwich(jacobian, residual, np.repeat(blocks, rows))))
     freedom = max(int(blocks.max()) + 1 - len(spread), 1)
-    apart = jackknife(jacobian, residual, np.repeat(problem.folds, rows))
+    folds = np.repeat(problem.folds, rows)
+    apart = np.where(_of_one_fold(jacobian, folds), 0.0, jackknife(jacobian, residual, folds))
     between = float(stats.t.ppf(thresholds.confidence, int(problem.folds.max()))) * apart
     reach = np.maximum(float(stats.t.ppf(thresholds.confidence, freedom)) * spread, between)
     return np.asarray(np.hypot(reach, _form_error(jacobian, residual)))
+
+
+def _of_one_fold(jacobian: np.ndarray, folds: np.ndarray) -> np.ndarray:
+    """Return which parameters (p,) nearly one fold alone tells, such as when something began: no other could contradict it."""
+    size = np.stack([np.sum(jacobian[folds == fold] ** 2, axis=0) for fold in np.unique(folds)])
+    return np.asarray(size.max(axis=0) > ALONE * size.sum(axis=0))
 
 
 def _with_pinned(

@@ -174,4 +174,4 @@ def _extended(trial: Any) -> int:
 
 
 def _alone(trial: Any) -> int:
-    return sum(choice.chamber >= 0 or bool(choice.session or choice.lasting) for choice in trial.hypothesis.effects)
+    return sum(choice.chamber >= 0 or bool(choice.sessions or choice.lasting) for choice in trial.hypothesis.effects)

@@ -109,8 +109,8 @@ def where_it_acts(trial: Trial, old: Choice, choices: Sequence[Choice]) -> list[
         return []
     begin = effect_axes(old)[-1].physical(float(trial.fit.point[columns_of(trial, old)[-1]]))
     gate = Gate(old.gate.field, begin)
-    others = [c for c in choices if c.name != old.name and c.chamber == old.chamber and not c.session]
-    return [old, *(c._replace(gate=gate) for c in others if gate.field in may_be_gated(c))]
+    others = [c for c in choices if c.name != old.name and c.chamber == old.chamber and not c.sessions]
+    return [old, *(c._replace(gate=gate, lasting=old.lasting or c.lasting) for c in others if gate.field in may_be_gated(c))]
 
 
 def _otherwise(fitting: Problem, trials: Sequence[Trial], search: Search, path: Path) -> list[Trial]:

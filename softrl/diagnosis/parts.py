@@ -7,7 +7,7 @@ import numpy as np
 
 from softrl.core.simulator import Layered
 from softrl.diagnosis.blocks import correlation_time
-from softrl.diagnosis.choices import candidates, in_one_session, that_last
+from softrl.diagnosis.choices import candidates, in_some_sessions, that_last
 from softrl.diagnosis.data import Data, within
 from softrl.diagnosis.examine import Finding, Named, Part
 from softrl.diagnosis.hypothesis import LATE
@@ -18,6 +18,7 @@ from softrl.diagnosis.trial import Trial, columns_of
 from softrl.effects.chain import chain_of
 from softrl.effects.effect import SITES
 from softrl.effects.replay import Supply
+from softrl.recordings.gone import sessions_in_order
 from softrl.recordings.recording import Recording
 
 PLACED = ("frame", "base_tilt")  # no news where every session is placed by itself
@@ -112,7 +113,8 @@ def _motion_part(problem: Problem, data: Data, title: str, effects: list[str], s
     sessions = [[run.session for run in side] for side in (data.training, data.heldout)]
     layers = isinstance(problem.simulator, Layered)
     everywhere = candidates(wanted, sites, problem.robot, data.check.excited, layers, data.varied)
-    choices = in_one_session(wanted, *sessions) + everywhere + that_last(everywhere, *sessions)
+    order = sessions_in_order((*data.training, *data.heldout))
+    choices = in_some_sessions(wanted, *sessions, order) + everywhere + that_last(everywhere, *sessions)
     turned = ORIENTATION_LEVER * problem.robot.length_m * data.turn_noise if problem.orientation else 0.0
     floor = floor_in_bin(float(np.hypot(data.noise, turned)), data, problem)
     return Part(title, problem.on(data.training), data.heldout, floor, data.travel, tuple(choices))

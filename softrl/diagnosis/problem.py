@@ -226,7 +226,7 @@ class Problem:
     def _replayed(self, hypothesis: Hypothesis, point: np.ndarray, channels: tuple[str, ...]) -> list[Recording]:
         space = self.space(hypothesis)
         body = StillBody() if self.target == "pressure" else _tuned(Same(self.simulator), *space.tuned(point).items())
-        apart = {choice.session for choice in hypothesis.effects}  # all other sessions share what acts everywhere
+        apart = {s for choice in hypothesis.effects for s in choice.sessions}  # all others share what acts everywhere
         lasts = any(choice.lasting for choice in hypothesis.effects)
         times = [
             (run.session if run.session in apart else "", run.gone_s if lasts else (run.gone_s[0], 0.0, 0.0))

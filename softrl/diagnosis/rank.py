@@ -8,6 +8,7 @@ import numpy as np
 from softrl.core.errors import SolverError
 from softrl.diagnosis.hypothesis import Choice, effect_axes, neutral, starts
 from softrl.diagnosis.look import MIN_AMPLITUDE, Base, Begin, Look, bases_of, hidden_by_retuning, is_bent, look_at
+from softrl.diagnosis.periods import likely
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.search import NEAR, Fit, comes_to, refine
 from softrl.diagnosis.trial import Search, Trial, join, parallel, squares_left_out
@@ -55,6 +56,7 @@ def rank(fitting: Problem, current: Trial, choices: Sequence[Choice], search: Se
     """
     seen, fitting = fitting.seen, fitting.rough_about(current.hypothesis, current.fit.point)
     bases = bases_of(fitting, current)
+    choices = likely(fitting, bases[0], choices)
     for_all = [choice for choice in choices if choice.chamber < 0]
     tasks = [(c, starts(c, seen.get((c.name, c.lasting), ()))) for c in for_all]
     all_over = _leads(fitting, bases, tasks, Best(0.0, np.inf), search, set(seen))
@@ -74,9 +76,9 @@ def _begins_alone(choice: Choice, seen: Mapping[tuple[str, str], Sequence[dict[s
     return starts(choice, seen.get((choice.name, choice.lasting), ())) if choice.lasting else starts(choice)[:1]
 
 
-def _form(choice: Choice) -> tuple[str, tuple[str, ...], str, str, str]:
+def _form(choice: Choice) -> tuple[str, tuple[str, ...], str, str, tuple[str, ...]]:
     """Return what choices with the same parameters have in common."""
-    return choice.name, choice.pinned, choice.gate.field if choice.gate else "", choice.lasting, choice.session
+    return choice.name, choice.pinned, choice.gate.field if choice.gate else "", choice.lasting, choice.sessions
 
 
 def _leads(

@@ -40,10 +40,15 @@ def slim(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Pat
 def pinned(trial: Trial, choice: Choice, name: str) -> tuple[Hypothesis, np.ndarray, int]:
     """Return (hypothesis, point, place of the effect) with one more parameter of ``choice`` held at neutral, or no gate."""
     place = trial.hypothesis.effects.index(choice)
-    less = choice._replace(gate=None) if name in GATES else choice._replace(pinned=(*choice.pinned, name))
+    less = without_gate(choice) if name in GATES else choice._replace(pinned=(*choice.pinned, name))
     effects = tuple(less if effect == choice else effect for effect in trial.hypothesis.effects)
     column = columns_of(trial, choice)[[axis.name for axis in effect_axes(choice)].index(name)]
     return Hypothesis(effects, trial.hypothesis.tuned), np.delete(trial.fit.point, column), place
+
+
+def without_gate(choice: Choice) -> Choice:
+    """Return ``choice`` as it acts always and everywhere; a clock that counted for the gate goes with it."""
+    return choice._replace(gate=None, lasting="" if choice.gate and choice.gate.field == "since_s" else choice.lasting)
 
 
 def _influence(fitting: Problem, trial: Trial) -> np.ndarray:

@@ -154,7 +154,7 @@ class Effect:
     layered: ClassVar[bool] = False
 
     above_share: float = dataclasses.field(default=EVERYWHERE, kw_only=True, metadata=_gate("1", EVERYWHERE, 1.0, 0.3))
-    since_s: float = dataclasses.field(default=0.0, kw_only=True, metadata=_gate("s", 0.0, 600.0, 10.0))
+    since_s: float = dataclasses.field(default=0.0, kw_only=True, metadata=_gate("s", 0.0, 3.6e4, 10.0))
     begun_s: float = dataclasses.field(default=0.0, kw_only=True)
     before_gauge: bool = dataclasses.field(default=False, kw_only=True)
     behind_gauge: bool = dataclasses.field(default=False, kw_only=True)

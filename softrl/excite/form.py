@@ -18,14 +18,14 @@ class Form:
     Attributes
     ----------
     name, chamber : of the effect, and -1 for all chambers or where it knows none
-    session : the only one in which it acts, or empty
+    sessions : in which alone it acts, or empty
     past : whether that is over, so that it does nothing to what is recorded from now on
     values : field -> what was fitted, pinned or is known of its clock and gauge; what is missing is typical
     """
 
     name: str
     chamber: int
-    session: str
+    sessions: tuple[str, ...]
     past: bool
     values: Mapping[str, Any]
 
@@ -44,7 +44,7 @@ class Form:
     def same_as(self, other: "Form") -> bool:
         """Return whether both are the same effect at the same place."""
         sides = [[form.values.get(flag, False) for flag in FLAGS] for form in (self, other)]
-        return (self.name, self.chamber, self.session, sides[0]) == (other.name, other.chamber, other.session, sides[1])
+        return (self.name, self.chamber, self.sessions, sides[0]) == (other.name, other.chamber, other.sessions, sides[1])
 
     def build(self) -> Effect:
         """Return the effect."""
@@ -57,10 +57,8 @@ class Form:
 def form_of(entry: Mapping[str, Any]) -> Form:
     """Return the form of an entry of a diagnosis: of a named effect, or of what a rival is and replaces."""
     values = {n: p["value"] if isinstance(p, Mapping) else p for n, p in entry.get("parameters", {}).items()}
-    session = entry.get("session", "")
-    return Form(
-        entry["name"], entry["chamber"], session, entry.get("past", bool(session)), entry.get("pinned", {}) | values
-    )
+    sessions = tuple(entry.get("sessions", ()))
+    return Form(entry["name"], entry["chamber"], sessions, entry.get("past", False), entry.get("pinned", {}) | values)
 
 
 def form_of_label(label: str) -> Form:
@@ -69,7 +67,7 @@ def form_of_label(label: str) -> Form:
     What was fitted is not told, and becomes typical.
     """
     name, _, where = label.partition(" (")
-    chamber, session = -1, ""
+    chamber, sessions = -1, tuple[str, ...]()
     values: dict[str, Any] = {}
     known = {field.name: field.metadata["typical"] for field in effect_class(name).gate_fields()}
     told = {words: field for field, words in (GATES | FLAGS).items()}
@@ -77,7 +75,7 @@ def form_of_label(label: str) -> Form:
         if words.startswith("chamber "):
             chamber = int(words.removeprefix("chamber ")) - 1
         elif words.startswith("session "):
-            session = words.removeprefix("session ")
+            sessions = (words.removeprefix("session "),)
         elif words in told:
             values[told[words]] = known.get(told[words], True)
-    return Form(name, chamber, session, bool(session), values)
+    return Form(name, chamber, sessions, bool(sessions), values)

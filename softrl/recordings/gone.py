@@ -6,6 +6,11 @@ from dataclasses import replace
 from softrl.recordings.run import Recording
 
 
+def sessions_in_order(runs: Iterable[Recording]) -> list[str]:
+    """Return the sessions of ``runs``, out of ``in_order``, as they were recorded one after another."""
+    return list(dict.fromkeys(run.session for run in sorted(runs, key=lambda run: run.gone_s[-1])))
+
+
 def in_order(runs: Iterable[Recording]) -> tuple[Recording, ...]:
     """Return ``runs``, in the order in which they were recorded, each with how long its session and all had gone on.
 

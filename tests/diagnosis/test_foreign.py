@@ -67,5 +67,5 @@ def test_another_arm_seen_by_a_turned_camera(tmp_path: Path) -> None:
 
 def test_another_arm_that_is_softer_on_another_day(tmp_path: Path) -> None:
     found = diagnosed(foreign.write(tmp_path, SEED, day=1.2))
-    assert [(effect["name"], effect["session"]) for effect in found.effects] == [("stiffness_scale", "day0")]
+    assert [(effect["name"], effect["sessions"]) for effect in found.effects] == [("stiffness_scale", ["day0"])]
     assert found.effects[0]["parameters"]["scale"]["value"] == pytest.approx(1.2, rel=0.03)

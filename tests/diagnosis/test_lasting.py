@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from softrl.core.tracking import NullTracker
 from softrl.diagnosis.choices import that_last
@@ -11,11 +12,14 @@ from softrl.diagnosis.stage import run
 from softrl.effects.drift import Drift
 from softrl.effects.effect import Effect
 from softrl.effects.failure import Failure
+from softrl.effects.frame import Frame
+from softrl.effects.leak import Leak
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.gone import in_order
 from softrl.recordings.recording import Recording, RecordingSet
 from tests.diagnosis.conftest import configured, made
 
+TURNED = replace(Frame.neutral(), turn_y_rad=0.06)
 FEW = {"candidates": ["failure", "drift", "gain", "stiffness_scale", "lag"], "search": {"keep": 3}}
 
 
@@ -46,7 +50,7 @@ def test_what_no_later_run_shows_is_not_offered() -> None:
     choice = [Choice("failure", 1), Choice("lag")]
     assert that_last(choice, ["a"], ["b"]) == []
     assert that_last(choice, ["a", "a"], ["a"]) == [Choice("failure", 1, lasting="ever")]
-    both = [Choice("failure", 1, lasting="ever"), Choice("failure", 1, lasting="session", session="a")]
+    both = [Choice("failure", 1, lasting="ever"), Choice("failure", 1, lasting="session", sessions=("a",))]
     assert that_last(choice, ["a", "a", "b", "b"], ["a", "b"]) == both
 
 
@@ -59,8 +63,8 @@ def test_a_clock_goes_on_where_something_lasts(body: PccSimulator) -> None:
 def test_a_chamber_that_fails_and_stays_so_that_day(body: PccSimulator) -> None:
     recordings = days(body, Failure(0.4, onset_s=14.0, chamber=1), until="session")
     found = run(configured(**FEW), body.robot, recordings, body, tracker=NullTracker())
-    assert [(e["name"], e["chamber"], e["session"], e["lasting"]) for e in found.effects] == [
-        ("failure", 1, "first", "session")
+    assert [(e["name"], e["chamber"], e["sessions"], e["lasting"]) for e in found.effects] == [
+        ("failure", 1, ["first"], "session")
     ], found.sentences
     told = found.effects[0]["parameters"]
     assert abs(told["onset_s"]["value"] - 14.0) < 0.5 and abs(told["loss"]["value"] - 0.4) < 0.02, told
@@ -76,3 +80,25 @@ def test_a_wall_that_ages_for_ever_and_where_it_is_now(body: PccSimulator) -> No
     assert abs(told["value"] - 0.002) < 2e-4, told
     whole = sum(float(np.ptp(r.time)) for r in recordings.recordings)
     assert abs(found.named()[0]["parameters"]["begun_s"] - whole) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("effect", "among", "moment_s"),
+    [
+        (Leak(0.3, 2.0, chamber=1), ["failure", "drift", "leak", "gain"], 35.0),
+        pytest.param(TURNED, ["frame", "mount_tilt", "lag", "leak"], 82.0, marks=pytest.mark.slow),
+    ],
+)
+def test_what_began_at_some_moment_and_stayed_so(body: PccSimulator, effect: Effect, among: list[str], moment_s: float) -> None:
+    """It began in a run that fits see; the runs after it show it from their first sample on."""
+    recordings = days(body, replace(effect, since_s=moment_s), until="ever")
+    few = {"candidates": among, "search": {"keep": 3}}
+    found = run(configured(**few), body.robot, recordings, body, tracker=NullTracker())
+    assert found.verdict == "named", found.sentences
+    assert [(e["name"], e["chamber"], e["lasting"]) for e in found.effects] == [
+        (effect.name(), getattr(effect, "chamber", -1), "ever")
+    ], found.sentences
+    told = found.effects[0]["parameters"]["since_s"]
+    assert abs(told["value"] - moment_s) < 0.5 and told["high"] - told["low"] < 5.0 and not told["at_bound"], told
+    pinned = found.effects[0]["pinned"]
+    assert pinned["begun_s"] > moment_s, "what is recorded from now on shows it from the first sample on"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softrl.core.tracking import NullTracker
-from softrl.diagnosis.choices import in_one_session
+from softrl.diagnosis.choices import in_some_sessions
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, Space
 from softrl.diagnosis.stage import run
 from softrl.effects.library import effect_class
@@ -28,7 +28,7 @@ def two_days(body: PccSimulator, *, changed: bool) -> RecordingSet:
 
 
 def test_an_effect_of_one_session_acts_there_only(body: PccSimulator) -> None:
-    hypothesis = Hypothesis((Choice("lag"), Choice("stiffness_scale", session="first")), ())
+    hypothesis = Hypothesis((Choice("lag"), Choice("stiffness_scale", sessions=("first",))), ())
     space = Space(hypothesis, body, 4.0)
     point = np.zeros(len(space.axes))
     assert [e.name() for e in space.effects(point, "first")] == ["lag", "stiffness_scale"]
@@ -36,12 +36,12 @@ def test_an_effect_of_one_session_acts_there_only(body: PccSimulator) -> None:
 
 
 def test_only_a_session_that_is_fitted_and_judged_can_show_such_an_effect() -> None:
-    names = ["stiffness_scale", "lag"]
-    assert in_one_session(names, ["a", "a", "b", "b"], ["a", "b"]) == [Choice("stiffness_scale", session="a")]
-    assert in_one_session(names, ["a", "b", "b"], ["a", "b"]) == []
-    assert in_one_session(names, ["a", "a", "b", "b"], ["c"]) == []
-    seen = [Choice("frame", session=s) for s in ("a", "b")]  # the simulator knows where the camera should stand
-    assert in_one_session(["frame"], ["a", "a", "b", "b"], ["a", "b"]) == seen
+    names, days = ["stiffness_scale", "lag"], ["a", "b"]
+    assert in_some_sessions(names, ["a", "a", "b", "b"], days, days) == [Choice("stiffness_scale", sessions=("a",))]
+    assert in_some_sessions(names, ["a", "b", "b"], days, days) == []
+    assert in_some_sessions(names, ["a", "a", "b", "b"], ["c"], [*days, "c"]) == []  # of what goes on the others tell
+    seen = [Choice("frame", sessions=(s,)) for s in ("b", "a")]  # the simulator knows where the camera should stand
+    assert in_some_sessions(["frame"], ["a", "a", "b", "b"], days, days) == seen
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,7 @@ def test_what_came_between_two_days_is_told_of_the_second(body: PccSimulator, na
     runs += [replace(r, session="second", name=f"later_{r.name}") for r in second.recordings]
     few = FEW | {"candidates": ["stiffness_scale", "payload", "mount_tilt", "base_tilt", "frame", "marker_offset"]}
     found = run(configured(**few), body.robot, replace(first, recordings=tuple(runs)), body, tracker=NullTracker())
-    assert [(e["name"], e["session"]) for e in found.effects] == [(name, "second")], found.sentences
+    assert [(e["name"], e["sessions"]) for e in found.effects] == [(name, ["second"])], found.sentences
     assert [e["name"] for e in found.named()] == [name]  # it is so still
     told = found.effects[0]["parameters"]
     for key, value in hidden.items():
@@ -69,7 +69,7 @@ def test_what_came_between_two_days_is_told_of_the_second(body: PccSimulator, na
 
 def test_a_body_stiffer_on_one_day_is_told_with_the_day(body: PccSimulator) -> None:
     found = run(configured(**FEW), body.robot, two_days(body, changed=True), body, tracker=NullTracker())
-    assert [(e["name"], e["session"]) for e in found.effects] == [("stiffness_scale", "first")], found.sentences
+    assert [(e["name"], e["sessions"]) for e in found.effects] == [("stiffness_scale", ["first"])], found.sentences
     scale = found.effects[0]["parameters"]["scale"]
     assert scale["low"] <= 1.3 <= scale["high"] or abs(scale["value"] - 1.3) < 0.02
     assert "session first only" in found.sentences[0]

@@ -17,7 +17,7 @@ from tests.excite.test_plan import body, robot
 
 def entry(name: str, chamber: int = -1, parameters: dict[str, float] | None = None, **further: Any) -> dict[str, Any]:
     told = {n: {"value": v, "low": v, "high": v, "unit": "1"} for n, v in (parameters or {}).items()}
-    return {"name": name, "chamber": chamber, "session": "", "past": False, "pinned": {}, "parameters": told} | further
+    return {"name": name, "chamber": chamber, "sessions": [], "past": False, "pinned": {}, "parameters": told} | further
 
 
 def acting(name: str, chamber: int = -1, parameters: dict[str, float] | None = None, **further: Any) -> dict[str, Any]:
@@ -59,7 +59,7 @@ def test_rivals_before_a_gauge_and_behind_a_gate_are_planned_for_as_they_were_fi
 
 
 def test_what_is_history_does_nothing_to_the_planned_program() -> None:
-    past = {"session": "monday", "past": True}
+    past = {"sessions": ["monday"], "past": True}
     always, monday = acting("payload"), acting("payload", **past)
     open_now = effects(found([entry("payload", parameters={"mass": 0.1})],
                              [row("payload (session monday)", "payload", effect=monday, replaces=always)]))  # fmt: skip
