@@ -26,7 +26,7 @@ paper: $(READY)  ## the paper's tables beside ours: five seeds at full size, man
 	$(RUN) -m softrl stage=paper profile=paper stage.keep=experiments/paper.json
 
 test: $(READY)  ## tests of laws and of the command line, about 13 minutes
-	$(RUN) -m pytest -n 2 --dist loadfile
+	$(RUN) -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 test-slow: $(READY)  ## what takes longer, and what needs real recordings
 	$(RUN) -m pytest -n 2 --dist loadfile -m slow

@@ -185,20 +185,15 @@ def test_bad_values_name_the_key(key: str, value: float, told: str) -> None:
 
 
 def test_stage_runs_on_a_fitted_reduced_model_whose_motions_leave_no_residual() -> None:
-    """The whole stage, twice the same, on the torch twin; rotation and volumes included."""
+    """The whole stage on the torch twin; rotation and volumes included."""
     robot, snapshots, model = fitted(3)
-    first, second = NullTracker(), NullTracker()
-    plain = config(weight=False)  # as the synthetic trajectories are
-    made = [run(plain, robot, model, snapshots, tracker=tracker) for tracker in (first, second)]
-    assert first.metrics == second.metrics
-    np.testing.assert_array_equal(made[0].forward.weights["linear"], made[1].forward.weights["linear"])
-    assert first.metrics["full_model/rom_position_onestep_mm"] < first.metrics["full_model/arx_position_onestep_mm"]
+    tracker, plain = NullTracker(), config(weight=False)  # as the synthetic trajectories are
+    forward = run(plain, robot, model, snapshots, tracker=tracker).forward
+    assert tracker.metrics["full_model/rom_position_onestep_mm"] < tracker.metrics["full_model/arx_position_onestep_mm"]
     body = ReducedBody(model, np.zeros(3))
-    sets = generate(config(), robot, body, made[0].forward.load_low, made[0].forward.load_high)
+    sets = generate(config(), robot, body, forward.load_low, forward.load_high)
     windows = Windows(sets.heldout, config().window)
-    physics = PhysicsResidual.fit(
-        body, forward_net(made[0].forward), Windows(sets.train, config().window), 0.01, 200, 0
-    )
+    physics = PhysicsResidual.fit(body, forward_net(forward), Windows(sets.train, config().window), 0.01, 200, 0)
     rows, rate = windows.take(torch.arange(len(windows)))
     with torch.no_grad():
         true, wrong = (float(physics(rows, r).pow(2).mean().sqrt()) for r in (rate, 1.05 * rate))
