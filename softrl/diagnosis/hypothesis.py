@@ -18,7 +18,7 @@ LASTING = {"session": "lasting through a session", "ever": "lasting"}
 LATE = "late_s"  # how late a log has it that rows act, tuned with the simulator's parameters
 LATE_SCALE = 12.0  # sampling intervals that are one scaled unit: what a log may be late counts as no far retuning
 AT_END = 0.97  # a retuned parameter this close to the end of its range (in logarithms) is not plausible
-FULL_TURN_RAD = 6.0  # a parameter in rad with a wider range than this is a direction: several starts
+FULL_TURN_RAD = 6.0  # a parameter in rad with a wider range than this is a direction
 
 
 class Gate(NamedTuple):
@@ -96,6 +96,11 @@ class Axis(NamedTuple):
     zero: float
     scale: float
     log: bool
+
+    @property
+    def is_direction(self) -> bool:
+        """Whether it is an angle that has no end: searches begin in several directions, and may pass a full turn."""
+        return self.unit == "rad" and self.high - self.low > FULL_TURN_RAD
 
     def scaled(self, value: float) -> float:
         """Return u of a physical value."""
@@ -286,8 +291,8 @@ def starts(choice: Choice, seen: Sequence[dict[str, float]] = ()) -> list[np.nda
         typical[-1] = axes[-1].scaled(choice.gate.begin)
     found = [typical]
     for k, (axis, field) in enumerate(zip(axes, fields_, strict=True)):
-        wide = axis.unit == "rad" and axis.high - axis.low > FULL_TURN_RAD
-        shifts: tuple[float, ...] = (-1.4, 1.4) if axis.log else (-2.1 / axis.scale, 2.1 / axis.scale) if wide else ()
+        turned = (-2.1 / axis.scale, 2.1 / axis.scale) if axis.is_direction else ()
+        shifts: tuple[float, ...] = (-1.4, 1.4) if axis.log else turned
         if axis.log and field.metadata["neutral"] in (axis.low, axis.high):
             shifts = (-1.0,)
         for shift in shifts:

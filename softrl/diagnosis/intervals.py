@@ -51,6 +51,8 @@ def intervals(problem: Problem, trial: Trial, thresholds: Thresholds) -> list[In
         ends = sorted((axis.physical(float(low)), axis.physical(float(high))))
         value = axis.physical(u)
         low, high = min(ends[0], value), max(ends[1], value)
+        if axis.is_direction:
+            low, value, high = np.array([low, value, high]) - 2.0 * np.pi * round(value / (2.0 * np.pi))
         near = min(AT_BOUND * (bounds[1][k] - bounds[0][k]), NEAR)
         at_bound = bool(min(u - bounds[0][k], bounds[1][k] - u) < near)
         found.append(Interval(axis.owner, axis.name, axis.unit, value, low, high, at_bound))

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numba as nb
 import numpy as np
 
-from softrl.effects.effect import FORCE, FORCE_SLOPE, PORT_KERNEL, TIP, Effect, parameter
+from softrl.effects.effect import FORCE, FORCE_SLOPE, PORT_KERNEL, TIP, TURN, Effect, parameter
 from softrl.robots.robot import Robot
 
 
@@ -42,7 +42,7 @@ class Contact(Effect):
     kernel: ClassVar = contact_kernel
 
     distance: float = parameter("1", 0.0, 2.0, 2.0, typical=0.1, of="length")
-    azimuth_rad: float = parameter("rad", -math.pi, math.pi, 0.0, typical=0.0)
+    azimuth_rad: float = parameter("rad", -TURN, TURN, 0.0, typical=0.0)
     stiffness_n_per_m: float = parameter("N/m", 10.0, 1e5, 500.0, typical=500.0, log=True)
     elevation_rad: float = 0.0
 

@@ -16,16 +16,17 @@ from softrl.robots.robot import Robot
 def dead_time_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
     """Delay the command, then let what arrives lag twice; the state is the history, and the pressures behind each lag.
 
-    Before the start it was zero.
+    Before the start it was zero. A lag in steps is late by less than its time constant: what both are late by is taken off.
     """
     n = len(value)
     first, second = state[len(state) - 2 * n : len(state) - n], state[len(state) - n :]
     push(state, value, False)
     delay, lag, chamber = parameters[0], parameters[1], int(parameters[2])
     share = 1.0 if lag <= 0.0 else -math.expm1(-dt / lag)
+    steps = max(delay / dt - 2.0 * (1.0 - share) / share, 0.0)
     for i in range(n):
         if chamber < 0 or chamber == i:
-            first[i] = (1.0 - share) * first[i] + share * look_back(state, n, i, delay / dt)
+            first[i] = (1.0 - share) * first[i] + share * look_back(state, n, i, steps)
             second[i] = (1.0 - share) * second[i] + share * first[i]
             value[i] = second[i]
 
@@ -52,10 +53,9 @@ class DeadTime(Effect):
     chamber: int = -1
 
     def pack(self, robot: Robot) -> np.ndarray:
-        """Return (delay before the lags s, time constant of each s, chamber)."""
+        """Return (mean time of arrival s, time constant of each lag s, chamber)."""
         delay, dispersion, chamber = super().pack(robot)
-        lag = math.sqrt(0.5 * dispersion) * delay
-        return np.array([delay - 2.0 * lag, lag, chamber])
+        return np.array([delay, math.sqrt(0.5 * dispersion) * delay, chamber])
 
     def reset(self, robot: Robot) -> np.ndarray:
         """Return an empty history, and no pressure behind the lags."""

@@ -11,6 +11,7 @@ Two kinds of kernel, both numba functions without the interpreter in the loop:
 """
 
 import dataclasses
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
@@ -30,6 +31,7 @@ SIGNAL_KERNEL = nb.void(_vector, _vector, _vector, nb.float64)
 PORT_KERNEL = nb.void(_vector, _vector, _matrix, nb.float64, nb.boolean)
 
 EVERYWHERE = -1.0  # as ``above_share``: no pressure is below it
+TURN = 2.0 * math.pi  # rad, either way: bounds of a direction, so that a search may pass where it would jump
 
 # rows of a body port (8, chambers): one column per chamber
 STRAIN, RATE, ELASTIC, ELASTIC_SLOPE, PRESSURE, REST, ADDED, ADDED_SLOPE = range(8)

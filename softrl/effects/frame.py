@@ -7,7 +7,7 @@ import numba as nb
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
+from softrl.effects.effect import SIGNAL_KERNEL, TURN, Effect, parameter
 from softrl.robots.robot import Robot
 
 
@@ -39,7 +39,7 @@ class Frame(Effect):
 
     turn_x_rad: float = parameter("rad", -0.8, 0.8, 0.0, typical=0.1)
     turn_y_rad: float = parameter("rad", -0.8, 0.8, 0.0, typical=0.1)
-    turn_z_rad: float = parameter("rad", -3.1416, 3.1416, 0.0, typical=0.2)
+    turn_z_rad: float = parameter("rad", -TURN, TURN, 0.0, typical=0.2)
     shift_x: float = parameter("1", -0.8, 0.8, 0.0, typical=0.02, of="length")
     shift_y: float = parameter("1", -0.8, 0.8, 0.0, typical=0.02, of="length")
     shift_z: float = parameter("1", -0.8, 0.8, 0.0, typical=0.02, of="length")

@@ -68,7 +68,7 @@ def test_shares_are_told_in_units_of_the_robot(name: str, parameter: str, unit: 
 def test_alternatives_are_told_as_they_were_fitted_so_that_a_program_can_be_planned(body: PccSimulator) -> None:
     named = Choice("gain", 1)
     gated = Choice("knee", 1, ("slope",), Gate("since_s", 5.0), before_gauge=True)
-    lasting = Choice("failure", 2, session="monday", lasting="ever")
+    lasting = Choice("failure", 2, sessions=("monday",), lasting="ever")
     runs = [SimpleNamespace(session=day, gone_s=(0.0, 0.0, gone), time=np.array([0.0, 30.0]))
             for day, gone in (("monday", 0.0), ("tuesday", 30.0))]  # fmt: skip
     problem = SimpleNamespace(target="pressure", runs=runs[:1], space=lambda hypothesis: Space(hypothesis, body, 4.0))

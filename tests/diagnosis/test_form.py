@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from softrl.diagnosis.form import pinned_jacobian, taken_up, weight_error
-from softrl.diagnosis.hypothesis import Choice, Hypothesis
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes
 from softrl.diagnosis.intervals import intervals
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.trial import Trial, fit_trials
+from softrl.effects.contact import Contact
 from softrl.effects.library import effect_class
 from softrl.pcc.simulator import PccSimulator
 from tests.diagnosis.conftest import configured, made
@@ -65,3 +66,18 @@ def test_moves_take_up_a_change_as_far_as_the_parameters_can() -> None:
     np.testing.assert_allclose(taken_up(jacobian, -jacobian @ wanted), wanted, rtol=1e-9)
     jacobian[:, 1] = 0.0
     assert taken_up(jacobian, rng.standard_normal((50, 2)))[1].tolist() == [0.0, 0.0]
+
+
+def test_a_direction_is_followed_past_half_a_turn_and_told_within_it(body: PccSimulator) -> None:
+    config, choice = configured(), Choice("contact")
+    wall = Contact(distance=0.05, azimuth_rad=-2.9, stiffness_n_per_m=100.0)
+    problem = Problem(
+        body.robot, body, made(body, (wall,), sessions=3).recordings, config.numerics, "motion", "command", False, False
+    )
+    axes = effect_axes(choice)
+    told = {axis.name: getattr(wall, axis.name) for axis in axes} | {"azimuth_rad": 2.8}
+    start = np.array([axis.scaled(told[axis.name]) for axis in axes])
+    trial = fit_trials(problem, None, [(Hypothesis((choice,), ()), [start])], config.search)[0]
+    turned = next(i for i in intervals(problem, trial, config.thresholds) if i.name == "azimuth_rad")
+    assert turned.low <= -2.9 + 0.02 and turned.high >= -2.9 - 0.02 and -np.pi <= turned.value <= np.pi, turned
+    assert abs(turned.value + 2.9) < 0.02 and not turned.at_bound

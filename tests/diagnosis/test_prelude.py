@@ -83,7 +83,7 @@ def test_a_lag_is_named_wherever_runs_begin(body: PccSimulator, first: int) -> N
 
 def test_retuning_has_no_second_name() -> None:
     assert Choice("stiffness_scale").retunes
-    assert not Choice("stiffness_scale", 1).retunes and not Choice("stiffness_scale", session="day").retunes
+    assert not Choice("stiffness_scale", 1).retunes and not Choice("stiffness_scale", sessions=("day",)).retunes
     assert not Hypothesis((Choice("lag"),), ()).effects[0].retunes
 
 

@@ -142,6 +142,14 @@ def test_a_dispersed_dead_time_is_second_order_after_its_delay_and_as_late_on_av
     np.testing.assert_allclose(weight @ (arrival - weight @ arrival) ** 2, 0.03125 * 0.4**2, rtol=0.03)
 
 
+@pytest.mark.parametrize("dispersion", [0.0, 0.002, 0.03, 0.125])
+@pytest.mark.parametrize("dt_s", [0.02, 0.01, 0.001])
+def test_what_disperses_arrives_no_later_on_average_whatever_the_step(dispersion: float, dt_s: float) -> None:
+    """Else a fit in long steps would rather do without dispersion."""
+    supplied = signal(DeadTime(delay_s=0.06, dispersion=dispersion), step_to(1e4, round(2.0 / dt_s)), dt_s)[:, 0] / 1e4
+    assert dt_s * np.sum(1.0 - supplied) == pytest.approx(0.06, abs=1e-9)
+
+
 def test_deadband_is_a_play_whose_width_is_free_of_rate() -> None:
     band = 0.05
     for steps in (100, 1000):
