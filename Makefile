@@ -25,7 +25,7 @@ run: $(READY)  ## the whole loop with the quick profile: from a robot to a diagn
 paper: $(READY)  ## the paper's tables beside ours: five seeds at full size, many hours; stop and start it as you like
 	$(RUN) -m softrl stage=paper profile=paper stage.keep=experiments/paper.json
 
-test: $(READY)  ## tests of laws and of the command line, about 13 minutes
+test: $(READY)  ## tests of laws and of the command line, about 12 minutes
 	$(RUN) -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 test-slow: $(READY)  ## what takes longer, and what needs real recordings
