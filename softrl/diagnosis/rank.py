@@ -207,13 +207,15 @@ def _rough_fit(
 ) -> Lead:
     """Return one effect, fitted in few steps; ``begun`` is where the first lead from the best begin.
 
-    What is far behind the ``best`` cost of any effect by then, and never promised more, stays there. Else the derivatives are
-    found once more where the first steps led, and the other begins are followed, unless they come to the same place.
+    What is far behind the ``best`` cost of any effect by then, and never promised more, stays there, unless it did not move at
+    all: where a derivative is flat nothing is told. Else the derivatives are found once more where the first steps led, and the
+    other begins are followed, unless they come to the same place.
     """
     current, own = bases[0].trial, _own(bases, choice)
     found: list[Fit] = [begun] if begun else []
     promised = 0.5 * (1.0 - begins[0].share) * float(np.sum(bases[0].left ** 2))
-    if begun is None or min(begun.cost, promised) <= FAR_BEHIND * best:
+    stuck = begun is not None and np.abs(begun.point[own] - begins[0].point).max() < NEAR
+    if begun is None or stuck or min(begun.cost, promised) <= FAR_BEHIND * best:
         for begin in begins:
             fit = begun if begin is begins[0] else _first_steps(fitting, bases, choice, begin, steps)
             least = min(found, key=lambda one: one.cost, default=None)

@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
+from softrl.diagnosis import rank as ranking
 from softrl.diagnosis.hypothesis import Choice, Hypothesis
-from softrl.diagnosis.look import Begin, Look
+from softrl.diagnosis.look import Base, Begin, Look
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.rank import _begun, rank
+from softrl.diagnosis.search import Fit
 from softrl.diagnosis.stage import Config
-from softrl.diagnosis.trial import fit_trials
+from softrl.diagnosis.trial import Trial, fit_trials
 from softrl.effects.stiffness_scale import StiffnessScale
 from softrl.pcc.simulator import PccSimulator
 from tests.diagnosis.conftest import configured, made
@@ -30,3 +32,24 @@ def test_a_wall_that_is_stiffer_or_softer_by_little_or_much_is_seen(body: PccSim
 def test_an_effect_that_promises_nothing_has_a_begin_all_the_same() -> None:
     look = Look([Begin(0, np.zeros(1), -0.2), Begin(0, np.ones(1), -0.5)], [{}])
     assert [begin.share for begin in _begun(look, bent=False)] == [-0.2]
+
+
+def test_where_the_first_begin_leads_nowhere_another_is_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A line that disperses less than a rough step shows has no slope there; what is left there tells nothing of the line."""
+
+    def ended(point: np.ndarray, cost: float) -> Fit:
+        return Fit(point, np.ones(4), np.zeros((4, 2)), cost, 0)
+
+    bare = Fit(np.zeros(0), np.ones(4), np.zeros((4, 0)), 2.0, 0)
+    base = Base(Trial(Hypothesis((), ()), bare, {}, np.ones(2), np.ones(2)), np.zeros((4, 0)))
+    flat, other, there = np.array([0.25, 0.25]), np.array([0.08, 0.0]), np.array([0.36, 0.0])
+    begins = [Begin(0, flat, 0.6), Begin(0, other, 0.6)]
+    monkeypatch.setattr(ranking, "_first_steps", lambda *_: ended(there, 0.1))
+    monkeypatch.setattr(ranking, "_stepped", lambda *_: None)
+    monkeypatch.setattr(ranking, "_gain", lambda *_: 1.0)
+    leads = [
+        ranking._rough_fit(None, [base], Choice("dead_time"), begins, 4, begun, best=0.05)
+        for begun in (ended(flat, 1.9), ended(flat + 1.0, 1.9))
+    ]
+    np.testing.assert_array_equal(leads[0].point, there)
+    np.testing.assert_array_equal(leads[1].point, flat + 1.0)  # it moved, and is far behind the best: not followed further
