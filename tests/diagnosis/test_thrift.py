@@ -35,7 +35,7 @@ def problem_of(robot: Robot, body: PccSimulator) -> Problem:
 def test_shared_effects_and_kept_bodies_replay_as_those_made_for_every_run(tripod: Robot, body: PccSimulator) -> None:
     problem = problem_of(tripod, body)
     tuned = tuple(body.parameters)
-    alone = Choice("payload", session=problem.runs[1].session)
+    alone = Choice("payload", sessions=(problem.runs[1].session,))
     hypothesis = Hypothesis((Choice("lag"), alone), tuned)
     point = np.concatenate([starts(Choice("lag"))[0], starts(alone)[0], np.full(len(tuned), 0.1)])
     space = problem.space(hypothesis)
