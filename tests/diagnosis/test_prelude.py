@@ -72,7 +72,7 @@ def test_the_valve_too_stood_under_what_was_before(body: PccSimulator) -> None:
     assert np.abs(settled.position - straight.position).max() < 2e-4  # gravity had five seconds to act
 
 
-@pytest.mark.parametrize("first", [SENT_OFF, MIDWAY])
+@pytest.mark.parametrize("first", [SENT_OFF, pytest.param(MIDWAY, marks=pytest.mark.slow)])
 def test_a_lag_is_named_wherever_runs_begin(body: PccSimulator, first: int) -> None:
     recordings = lagging(body.with_parameters(axial_stiffness_scale=1.15), first, 4)
     config = configured(candidates=["lag", "viscoelasticity", "delay", "payload"])
