@@ -71,7 +71,8 @@ def test_a_lag_behind_such_a_log_is_no_tube(body: PccSimulator, measured: bool, 
 
 
 @pytest.mark.parametrize(
-    ("effect", "measured", "process"), [pytest.param(VALVE, False, ahead, marks=pytest.mark.slow), (LOAD, False, ahead), (LOAD, True, seen_late)]
+    ("effect", "measured", "process"),
+    [pytest.param(VALVE, False, ahead, marks=pytest.mark.slow), (LOAD, False, ahead), (LOAD, True, seen_late)],
 )
 def test_the_corrected_simulator_is_as_late_as_the_log(
     body: PccSimulator, effect: Effect, measured: bool, process: Callable[[Recording], Recording]
