@@ -57,8 +57,10 @@ class Choice(NamedTuple):
     @property
     def period(self) -> str:
         """In words in which sessions it acts, where not in all; else empty."""
-        first, last, count = *(self.sessions[:1] or ("",)), *(self.sessions[-1:] or ("",)), len(self.sessions)
-        return ("", f"session {first}", f"sessions {first} and {last}", f"sessions {first} to {last}")[min(count, 3)]
+        if len(self.sessions) <= 1:
+            return "".join(f"session {session}" for session in self.sessions)
+        between = "and" if len(self.sessions) == 2 else "to"
+        return f"sessions {self.sessions[0]} {between} {self.sessions[-1]}"
 
     @property
     def gauge(self) -> str:

@@ -39,7 +39,7 @@ def for_good(fitting: Problem, current: Trial, choices: Sequence[Choice], search
 
 
 def _moments(fitting: Problem) -> np.ndarray:
-    """Return the time (bins,) of each bin, s, all runs recorded one after another."""
+    """Return about when each bin (bins,) was recorded, s, all runs one after another: pauses in a run do not count."""
     within = [np.arange(int(bins[-1]) + 1) * fitting.numerics.bin_s for bins in fitting.bins]
     return np.concatenate([run.gone_s[-1] + bins for run, bins in zip(fitting.runs, within, strict=True)])
 
