@@ -10,6 +10,7 @@ BEGINS = (0.3, 0.6)  # shares of the run and of its highest pressure at which se
 BEGIN_ALONE = (0.45,)  # the same for one chamber alone, of which there are many
 # what may change from one day to the next: warmth, rest and age of the wall; what it carries; how it is mounted, and how seen
 BY_SESSION = ("stiffness_scale", "strain_softening", "payload", "mount_tilt", "base_tilt", "frame", "marker_offset")
+ALONE_BY_SESSION = ("gain",)  # the same of one chamber: another hose, a leak, a torn layer
 
 
 def candidates(
@@ -46,11 +47,16 @@ def candidates(
 
 
 def in_some_sessions(
-    names: Sequence[str], training: Sequence[str], heldout: Sequence[str], order: Sequence[str]
+    names: Sequence[str],
+    training: Sequence[str],
+    heldout: Sequence[str],
+    order: Sequence[str],
+    excited: Sequence[int] = (),
 ) -> list[Choice]:
     """Return the effects out of ``names`` that may act in some sessions alone, for all periods that can show them.
 
-    Of periods that act in the same fitted runs the longest is offered; see ``alike`` for the others.
+    Of periods that act in the same fitted runs the longest is offered; see ``alike`` for the others. What acts in one chamber is
+    offered for each that was ``excited``, if there are several.
 
     Parameters
     ----------
@@ -58,19 +64,22 @@ def in_some_sessions(
         beside two to fit in which it does not act
     order : sessions in the order of recording
     """
-    found: dict[tuple[str, frozenset[str]], Choice] = {}
-    for name in names:
-        for period in _periods_of(name, order) if name in BY_SESSION else []:
+    forms = [Choice(name) for name in names if name in BY_SESSION]
+    if len(excited) > 1:
+        forms += [Choice(name, chamber) for name in names if name in ALONE_BY_SESSION for chamber in excited]
+    found: dict[tuple[Choice, frozenset[str]], Choice] = {}
+    for form in forms:
+        for period in _periods_of(form, order):
             inside = sum(session in period for session in training)
             if 1 < inside < len(training) - 1 and any(session in period for session in heldout):
-                found.setdefault((name, frozenset(training) & set(period)), Choice(name, sessions=period))
+                found.setdefault((form, frozenset(training) & set(period)), form._replace(sessions=period))
     return list(found.values())
 
 
 def alike(choice: Choice, training: Sequence[str], order: Sequence[str]) -> list[Choice]:
     """Return the forms of ``choice`` that act in the same of the sessions in ``training``, in others or not."""
     acts = [session in choice.sessions for session in training]
-    same = [p for p in _periods_of(choice.name, order) if [session in p for session in training] == acts]
+    same = [p for p in _periods_of(choice, order) if [session in p for session in training] == acts]
     return [choice._replace(sessions=period) for period in same] if choice.sessions and not choice.lasting else [choice]
 
 
@@ -84,12 +93,12 @@ def periods(order: Sequence[str]) -> list[tuple[str, ...]]:
     return sorted(dict.fromkeys(found), key=lambda period: -len(period))
 
 
-def _periods_of(name: str, order: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return the periods in which the effect may act.
+def _periods_of(choice: Choice, order: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return the periods in which the effect may act, in all chambers or in one.
 
     What retuning does shows as a difference between sessions only: of what goes on to the last one the others tell.
     """
-    retunes = effect_class(name).retunes
+    retunes = effect_class(choice.name).retunes and choice.chamber < 0
     return [period for period in periods(order) if not (retunes and period[-1] == order[-1])]
 
 

@@ -18,6 +18,7 @@ from softrl.diagnosis.explain import (
     unexplained,
 )
 from softrl.diagnosis.problem import Problem
+from softrl.diagnosis.reach import of_other_length
 from softrl.diagnosis.response import step_responses
 from softrl.diagnosis.verdict import verdict_of
 
@@ -102,4 +103,6 @@ def _warnings(data: Data, whole: Problem) -> list[str]:
             "the recorded frame differs from the robot's base frame, or between sessions: every session is placed by "
             "the rigid motion that fits best, so that a tilt or an offset of the frame cannot be told"
         )
+    elif length := of_other_length(data.training, whole.robot):
+        lines.append(length)
     return lines

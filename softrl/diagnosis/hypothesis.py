@@ -270,7 +270,7 @@ def may_be_pinned(choice: Choice) -> list[str]:
     found = free_fields(choice)
     if len(found) < (3 if choice.gate else 2) or effect_class(choice.name).together:
         return []
-    return [f.name for f in found if f.name not in GATES
+    return [f.name for f in found if f.name not in (*GATES, effect_class(choice.name).essence)
             and not (f.metadata["log"] and f.metadata["low"] < f.metadata["neutral"] < f.metadata["high"])]  # fmt: skip
 
 

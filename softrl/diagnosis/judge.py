@@ -147,8 +147,8 @@ class Judge:
     def simplest(self, trials: Sequence[Any]) -> Any:
         """Return the best trial, or a simpler one from which the data cannot tell it.
 
-        One with fewer free parameters is simpler, and a law than one that extends it. A map of many parameters, which has no
-        physics, must pay against the best of the others.
+        One with fewer free parameters is simpler, and a law than one that extends it; then what may come about suddenly, where
+        something begins at a moment. A map of many parameters, which has no physics, must pay against the best of the others.
         """
         best = min(trials, key=lambda trial: trial.mean_square)
         physics = [trial for trial in trials if not _by_map(trial)]
@@ -156,7 +156,7 @@ class Judge:
             other = min(physics, key=lambda trial: trial.mean_square)
             best = best if self.pays(other.squares, best.squares) else other
         alike = [t for t in trials if not self.tells(t.squares, best.squares)]
-        return min(alike or [best], key=lambda t: (len(t.fit.point), _extended(t), _alone(t), t.mean_square))
+        return min(alike or [best], key=lambda t: (len(t.fit.point), _extended(t), _strange(t), _alone(t), t.mean_square))
 
     def _blocks(self, series: np.ndarray) -> np.ndarray:
         runs = self.problem.run_of_bin
@@ -171,6 +171,11 @@ def _by_map(trial: Any) -> bool:
 
 def _extended(trial: Any) -> int:
     return sum(bool(effect_class(choice.name).extends) for choice in trial.hypothesis.effects)
+
+
+def _strange(trial: Any) -> int:
+    begun = [choice.name for choice in trial.hypothesis.effects if choice.gate and choice.gate.field == "since_s"]
+    return sum(not effect_class(name).sudden for name in begun)
 
 
 def _alone(trial: Any) -> int:

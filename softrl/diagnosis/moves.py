@@ -1,7 +1,7 @@
 """The steps of a search: the best addition, another effect in one's place, one less."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 
 import numpy as np
 
@@ -10,7 +10,8 @@ from softrl.diagnosis.hypothesis import Choice, Gate, Hypothesis, effect_axes, s
 from softrl.diagnosis.judge import SHOWN, SHOWN_BESIDE, Judge
 from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem
-from softrl.diagnosis.rank import LEAD_SHARE, Lead, rank
+from softrl.diagnosis.rank import LEAD_SHARE, Lead, form_of, rank
+from softrl.diagnosis.slim import slim
 from softrl.diagnosis.trial import Search, Trial, as_nominal, columns_of, drop, join, raced
 from softrl.effects.library import effect_class
 
@@ -58,15 +59,40 @@ def addition(
     every = trials + _otherwise(fitting, trials, search, path)
     paying = [trial for trial in every if pays(judge, current, trial)]  # the simplest of all may be too simple to pay
     best = judge.simplest(paying or every)
+    slimmer = _as_few(fitting, judge, paying, best, search, path)
+    best = judge.simplest([best, *slimmer])
+    whole = [trial.hypothesis.effects[-1]._replace(pinned=()) for trial in slimmer]
+    trials = slimmer + [trial for trial in trials if trial.hypothesis.effects[-1] not in whole]
     for old, new in zip(current.hypothesis.effects, best.hypothesis.effects[:-1], strict=True):
         if old != new:
             path.tried[new] = path.tried.get(old, [])
     path.tried[best.hypothesis.effects[-1]] = _others(trials, best) + [
         (lead.choice, lead.point[: len(effect_axes(lead.choice))])
         for lead in leads
-        if lead.choice not in {t.hypothesis.effects[-1] for t in trials}
+        if lead.choice not in {*whole, *(t.hypothesis.effects[-1] for t in trials)}
     ]
     return best
+
+
+def _as_few(
+    fitting: Problem, judge: Judge, trials: Sequence[Trial], best: Trial, search: Search, path: Path
+) -> list[Trial]:
+    """Return, of the ``trials`` that the data cannot tell from ``best`` for all their parameters, the best with those that pay.
+
+    It is left out if these are more than ``best`` has. A camera that was turned needs six numbers, of which data may show two,
+    and a mount that tilts has no more than two.
+    """
+    mine = best.hypothesis.effects[-1]
+    freer = [
+        trial for trial in trials
+        if len(trial.fit.point) > len(best.fit.point) and not judge.tells(trial.squares, best.squares)
+        and not judge.tells(best.squares, trial.squares)
+        and not effect_class(trial.hypothesis.effects[-1].name).together
+        and effect_class(trial.hypothesis.effects[-1].name).extends != mine.name != trial.hypothesis.effects[-1].name
+    ]  # fmt: skip
+    nearest = sorted(freer, key=lambda trial: trial.mean_square)[:1]
+    slimmed = [slim(fitting, judge, trial, search, path, len(trial.hypothesis.effects) - 1) for trial in nearest]
+    return [trial for trial in slimmed if len(trial.fit.point) <= len(best.fit.point)]
 
 
 def swap(fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice], search: Search, path: Path) -> Trial:
@@ -156,31 +182,52 @@ def fit_leads(
 
     Those that are beaten early, by each other or by ``against``, are fitted roughly.
     """
-    tasks: list[tuple[Hypothesis, list[np.ndarray]]] = []
-    seen: dict[str, int] = {}
-    for lead in leads:
-        if len(tasks) == search.keep or lead.gain <= max(LEAD_SHARE * leads[0].gain, LEAD_GAIN):
-            break
-        seen[lead.choice.name] = seen.get(lead.choice.name, 0) + 1
-        if seen[lead.choice.name] <= SAME_NAME:
-            tasks.append((current.hypothesis.with_effect(lead.choice), starting_points(current, lead, search.starts)))
+    tasks = [
+        (current.hypothesis.with_effect(forms[0].choice), starting_points(current, forms, search.starts))
+        for forms in _contenders(leads, search.keep)
+    ]
     race = raced(fitting, None, tasks, search, against)
     return [*race.finished, *race.beaten]
 
 
-def starting_points(current: Trial, lead: Lead, count: int) -> list[np.ndarray]:
-    """Return starts of a fit: where the rough fit ended, and with the simulator's parameters at their nominal values.
+def _contenders(leads: Sequence[Lead], keep: int) -> list[list[Lead]]:
+    """Return the ``keep`` best effects of ``leads``, best first, each with the leads that differ by where its gate began only.
 
-    Parameters that were retuned in an effect's place lie far off once it acts.
+    Of one name ``SAME_NAME`` forms are among them. That for all chambers counts as much as the best of them: alone in one
+    chamber a fit is nearer to its end after few steps.
     """
-    own, before = len(effect_axes(lead.choice)), len(current.fit.point) - len(current.hypothesis.tuned)
-    mine, others = lead.point[:own], lead.point[own:]
-    points = [np.concatenate([others[:before], mine, others[before:]])]
+    least = max(LEAD_SHARE * leads[0].gain, LEAD_GAIN) if leads else 0.0
+    together: dict[str, list[Lead]] = {}
+    best: dict[Hashable, float] = {}
+    for lead in leads:
+        best.setdefault(form_of(lead.choice), lead.gain)
+        if lead.gain > least:
+            together.setdefault(lead.choice.label(), []).append(lead)
+
+    def promise(group: list[Lead]) -> float:
+        return best[form_of(group[0].choice)] if group[0].choice.chamber < 0 else group[0].gain
+
+    taken: list[list[Lead]] = []
+    for group in sorted(together.values(), key=promise, reverse=True):
+        same = sum(other[0].choice.name == group[0].choice.name for other in taken)
+        if same < SAME_NAME and len(taken) < keep:
+            taken.append(group)
+    return taken
+
+
+def starting_points(current: Trial, forms: Sequence[Lead], count: int) -> list[np.ndarray]:
+    """Return starts of a fit: where rough fits ended, and with the simulator's parameters at their nominal values.
+
+    Parameters that were retuned in an effect's place lie far off once it acts. ``forms`` are the leads of one effect.
+    """
+    own, before = len(effect_axes(forms[0].choice)), len(current.fit.point) - len(current.hypothesis.tuned)
+    ends = [np.r_[lead.point[own:][:before], lead.point[:own], lead.point[own:][before:]] for lead in forms]
+    points = ends[:1]
     if current.hypothesis.tuned and count > 1:
         points.append(as_nominal(points[0], current.hypothesis))
     if count > 2:
-        points += [join(current, start) for start in starts(lead.choice)[: count - 2]]
-    return points
+        points += [join(current, start) for start in starts(forms[0].choice)[: count - 2]]
+    return points + ends[1:]
 
 
 def prune(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Path) -> Trial:

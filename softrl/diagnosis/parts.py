@@ -114,7 +114,7 @@ def _motion_part(problem: Problem, data: Data, title: str, effects: list[str], s
     layers = isinstance(problem.simulator, Layered)
     everywhere = candidates(wanted, sites, problem.robot, data.check.excited, layers, data.varied)
     order = sessions_in_order((*data.training, *data.heldout))
-    choices = in_some_sessions(wanted, *sessions, order) + everywhere + that_last(everywhere, *sessions)
+    choices = in_some_sessions(wanted, *sessions, order, data.check.excited) + everywhere + that_last(everywhere, *sessions)
     turned = ORIENTATION_LEVER * problem.robot.length_m * data.turn_noise if problem.orientation else 0.0
     floor = floor_in_bin(float(np.hypot(data.noise, turned)), data, problem)
     return Part(title, problem.on(data.training), data.heldout, floor, data.travel, tuple(choices))

@@ -61,12 +61,12 @@ def rank(fitting: Problem, current: Trial, choices: Sequence[Choice], search: Se
     tasks = [(c, starts(c, seen.get((c.name, c.lasting), ()))) for c in for_all]
     all_over = _leads(fitting, bases, tasks, Best(0.0, np.inf), search, set(seen))
     leads = all_over.leads
-    shapes = {_form(lead.choice): lead.point[: len(effect_axes(lead.choice))] for lead in leads}
+    shapes = {form_of(lead.choice): lead.point[: len(effect_axes(lead.choice))] for lead in leads}
     least = PROMISING * max((lead.gain for lead in leads), default=0.0)
-    promising = {_form(lead.choice) for lead in leads if lead.gain >= max(least, 0.0)}
+    promising = {form_of(lead.choice) for lead in leads if lead.gain >= max(least, 0.0)}
     anyhow = (None, "since_s")
-    alone = [c for c in choices if c.chamber >= 0 and ((c.gate and c.gate.field) in anyhow or _form(c) in promising)]
-    tasks = [(c, [_plain(c, shapes.get(_form(c))), *_begins_alone(c, seen)]) for c in alone]
+    alone = [c for c in choices if c.chamber >= 0 and ((c.gate and c.gate.field) in anyhow or form_of(c) in promising)]
+    tasks = [(c, [_plain(c, shapes.get(form_of(c))), *_begins_alone(c, seen)]) for c in alone]
     leads = leads + _leads(fitting, bases, tasks, all_over.best, search).leads
     return sorted(leads, key=lambda lead: -lead.gain)
 
@@ -76,7 +76,7 @@ def _begins_alone(choice: Choice, seen: Mapping[tuple[str, str], Sequence[dict[s
     return starts(choice, seen.get((choice.name, choice.lasting), ())) if choice.lasting else starts(choice)[:1]
 
 
-def _form(choice: Choice) -> tuple[str, tuple[str, ...], str, str, tuple[str, ...]]:
+def form_of(choice: Choice) -> tuple[str, tuple[str, ...], str, str, tuple[str, ...]]:
     """Return what choices with the same parameters have in common."""
     return choice.name, choice.pinned, choice.gate.field if choice.gate else "", choice.lasting, choice.sessions
 

@@ -8,22 +8,24 @@ from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.search import jacobian_at
 from softrl.diagnosis.trial import Search, Trial, columns_of
+from softrl.effects.library import effect_class
 
 SILENT = 1e-6  # of the largest column: a parameter with less influence on the residual has none
 DIFFERENCE = 0.02  # scaled step of derivatives
 
 
-def slim(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Path) -> Trial:
+def slim(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Path, first: int = 0) -> Trial:
     """Return ``trial`` without the parameters that do not pay: each is pinned at its neutral value and the rest refitted.
 
-    A gate that opens below all pressures, or before anything moves, has no influence: it goes first.
+    A gate that opens below all pressures, or before anything moves, has no influence: it goes first. Effects before the
+    ``first``, counted from 0, stay as they are.
     """
-    if any(choice.gate for choice in trial.hypothesis.effects):
-        trial = _without_silent(fitting, trial, search, path)
+    if any(choice.gate for choice in trial.hypothesis.effects[first:]):
+        trial = _without_silent(fitting, trial, search, path, first)
     again = True
     while again:
         again = False
-        for choice in trial.hypothesis.effects:
+        for choice in trial.hypothesis.effects[first:]:
             forms = [pinned(trial, choice, name) for name in may_be_pinned(choice)]
             forms = [form for form in forms if effect_axes(form[0].effects[form[2]]) and not form[0].effects[form[2]].retunes]
             fitted = path.fit(fitting, [(hypothesis, point) for hypothesis, point, _ in forms], search, trial)
@@ -32,7 +34,7 @@ def slim(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Pat
                 slimmer = min(as_good, key=lambda t: t.mean_square)
                 place = trial.hypothesis.effects.index(choice)
                 path.tried[slimmer.hypothesis.effects[place]] = path.tried.pop(choice, [])
-                trial, again = _without_silent(fitting, slimmer, search, path), True
+                trial, again = _without_silent(fitting, slimmer, search, path, first), True
                 break
     return trial
 
@@ -62,15 +64,16 @@ def _influence(fitting: Problem, trial: Trial) -> np.ndarray:
     return np.asarray(np.linalg.norm(columns, axis=0))
 
 
-def _without_silent(fitting: Problem, trial: Trial, search: Search, path: Path) -> Trial:
-    """Return ``trial`` with the parameters of its effects pinned that have no influence any more."""
+def _without_silent(fitting: Problem, trial: Trial, search: Search, path: Path, first: int) -> Trial:
+    """Return ``trial`` with the parameters of its effects, from the ``first`` on, pinned that have no influence any more."""
     size = _influence(fitting, trial)
-    for choice in trial.hypothesis.effects:
+    for choice in trial.hypothesis.effects[first:]:
         columns = columns_of(trial, choice)
         for column, axis in zip(columns, effect_axes(choice), strict=True):
-            if size[column] <= SILENT * size.max() and len(columns) > 1:
+            essential = axis.name == effect_class(choice.name).essence
+            if size[column] <= SILENT * size.max() and len(columns) > 1 and not essential:
                 hypothesis, point, place = pinned(trial, choice, axis.name)
                 path.tried[hypothesis.effects[place]] = path.tried.pop(choice, [])
                 fitted = path.fit(fitting, [(hypothesis, point)], search)
-                return _without_silent(fitting, fitted[0], search, path) if fitted else trial
+                return _without_silent(fitting, fitted[0], search, path, first) if fitted else trial
     return trial

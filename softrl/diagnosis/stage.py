@@ -213,6 +213,8 @@ def _report(diagnosis: Diagnosis, evidence: Evidence | None, tracker: Tracker) -
     tracker.metric("effects_named_count", len(diagnosis.effects))
     for sentence in diagnosis.sentences:
         log.info("%s", sentence)
+    for line in diagnosis.data["warnings"]:
+        log.warning("%s", line)
     figures = draw_all(diagnosis, *evidence)
     tracker.text("report.html", page(diagnosis, figures))
     for name, figure in figures.items():

@@ -28,6 +28,7 @@ class BaseTilt(Effect):
     title: ClassVar[str] = "tilt of the base before a camera that stands still"
     kernel: ClassVar = mount_tilt_kernel
     exact: ClassVar[bool] = True
+    sudden: ClassVar[bool] = False
     extends: ClassVar[str] = "frame"
 
     about_x_rad: float = parameter("rad", -0.6, 0.6, 0.0, typical=0.15)

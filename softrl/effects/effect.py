@@ -124,6 +124,8 @@ class Effect:
     piped : whether a valve's effect may be that of the line from the gauge to the chamber as well, see ``behind_gauge``
     of_area : whether a chamber's effect is that of the area on which its pressure acts, after all that changes the pressure
     needs : channel of a recording whose course it follows, "temperature", without which it does nothing; or empty
+    essence : name of the parameter without which it is another effect, which is never held at its neutral value; or empty
+    sudden : whether it may begin from one moment to the next: a camera is knocked rather than a robot's mount
     layered : whether it changes the layers of the body itself, before anything moves: it has ``layers`` in place of a kernel,
         and no gate
     stores : whether its first parameter is a flow into a store of each chamber's, which stays when a gate stops the flow
@@ -153,6 +155,8 @@ class Effect:
     piped: ClassVar[bool] = False
     of_area: ClassVar[bool] = False
     needs: ClassVar[str] = ""
+    essence: ClassVar[str] = ""
+    sudden: ClassVar[bool] = True
     layered: ClassVar[bool] = False
 
     above_share: float = dataclasses.field(default=EVERYWHERE, kw_only=True, metadata=_gate("1", EVERYWHERE, 1.0, 0.3))

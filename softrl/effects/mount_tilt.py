@@ -40,6 +40,7 @@ class MountTilt(Effect):
     title: ClassVar[str] = "tilt of the mount against gravity"
     kernel: ClassVar = mount_tilt_kernel
     exact: ClassVar[bool] = True
+    sudden: ClassVar[bool] = False
 
     about_x_rad: float = parameter("rad", -0.6, 0.6, 0.0, typical=0.15)
     about_y_rad: float = parameter("rad", -0.6, 0.6, 0.0, typical=0.15)

@@ -20,7 +20,7 @@ from softrl.recordings.recording import RecordingSet
 from tests.diagnosis.conftest import configured, made
 
 DAYS = [f"day_{number}" for number in range(8)]
-FEW = {"candidates": ["stiffness_scale", "payload", "mount_tilt", "frame", "drift", "lag"], "search": {"keep": 3}}
+FEW = {"candidates": ["stiffness_scale", "payload", "mount_tilt", "frame", "drift", "lag", "gain", "failure"], "search": {"keep": 3}}
 
 
 def changed(body: PccSimulator, effect: Effect, days: list[str]) -> RecordingSet:
@@ -45,6 +45,14 @@ def test_two_runs_are_fitted_on_either_side_and_one_judges() -> None:
     assert {choice.sessions for choice in in_some_sessions(["stiffness_scale"], training, heldout, list("abcdef"))} == {
         ("a", "b", "c")
     }, "what retuning does is told of the sessions before"
+
+
+def test_one_chamber_alone_may_change_with_a_day() -> None:
+    training, heldout = ["a", "b", "d", "e"], ["c", "f"]
+    offered = in_some_sessions(["gain"], training, heldout, list("abcdef"), [0, 2])
+    assert {choice.chamber for choice in offered} == {0, 2}
+    assert {choice.sessions for choice in offered} == {("c", "d", "e", "f"), ("a", "b", "c")}, "to the last one, too"
+    assert in_some_sessions(["gain"], training, heldout, list("abcdef"), [1]) == [], "the only chamber is retuned"
 
 
 def test_what_straight_lines_favour_is_the_period_in_which_it_acts(body: PccSimulator) -> None:
@@ -73,6 +81,7 @@ def test_runs_do_not_know_of_each_other(body: PccSimulator) -> None:
         pytest.param("frame", {"turn_y_rad": 0.06, "shift_x": 0.03}, DAYS[3:], marks=pytest.mark.slow),
         ("payload", {"mass": 0.6}, DAYS[:4]),
         pytest.param("stiffness_scale", {"scale": 1.3}, DAYS[:4], marks=pytest.mark.slow),
+        pytest.param("gain", {"gain": 0.82, "chamber": 2}, DAYS[4:], marks=pytest.mark.slow),
     ],
 )
 def test_what_changed_between_two_of_many_days_is_told_with_them(
@@ -84,5 +93,8 @@ def test_what_changed_between_two_of_many_days_is_told_with_them(
     assert found.effects[0]["sessions"] == days, found.sentences
     assert len(found.named()) == (days[-1] == DAYS[-1]), "what is over stays out of the correction"
     for key, value in hidden.items():
+        if key == "chamber":
+            assert found.effects[0]["chamber"] == value
+            continue
         told = found.effects[0]["parameters"][key]
         assert told["low"] - 0.005 <= value <= told["high"] + 0.005, told

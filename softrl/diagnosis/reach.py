@@ -1,0 +1,45 @@
+"""How far the tip is from the base at rest, beside the length that the robot's file gives."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from softrl.recordings.check import EXCITED_SHARE
+from softrl.recordings.recording import Recording
+from softrl.robots.robot import Robot
+
+OTHER_LENGTH = 0.03  # of the length, by which the tip may be nearer or farther: weight and pressure left over do as much
+ALIKE = 0.02  # of the length: sessions that differ by more differ in something else
+AT_FIRST_S = 0.2
+
+
+def of_other_length(runs: Sequence[Recording], robot: Robot) -> str | None:
+    """Return in a sentence that the tip at rest is not where a robot of this length has it, or None.
+
+    By runs that begin without pressure, if they agree. A marker beyond the tip shows so, too: which of both it is no recording
+    of the tip can tell.
+    """
+    if robot.output == "bend_angle":
+        return None
+    reach = [_reach(run) for run in runs if _begins_empty(run, robot)]
+    if not reach or np.ptp(reach) > ALIKE * robot.length_m:
+        return None
+    found = float(np.median(reach))
+    if abs(found - robot.length_m) <= OTHER_LENGTH * robot.length_m:
+        return None
+    return (
+        f"at rest the tip is {1e3 * found:.4g} mm from the base, and length_m of robot {robot.name} is "
+        f"{1e3 * robot.length_m:.4g} mm: measure it again. If it is right, the marker sits before or beyond the tip; if it is "
+        "not, marker_offset, or an offset of all chambers, may be named for it"
+    )
+
+
+def _reach(run: Recording) -> float:
+    seen = run.time <= run.time[0] + AT_FIRST_S
+    return float(np.linalg.norm(np.median(np.asarray(run.position)[seen], axis=0)))
+
+
+def _begins_empty(run: Recording, robot: Robot) -> bool:
+    span = robot.pressure_max_pa - robot.pressure_min_pa
+    seen = run.time <= run.time[0] + AT_FIRST_S
+    return bool(np.all(np.abs(run.pressure_cmd[seen]) < EXCITED_SHARE * span))
