@@ -20,7 +20,8 @@ from softrl.recordings.recording import RecordingSet
 from tests.diagnosis.conftest import configured, made
 
 DAYS = [f"day_{number}" for number in range(8)]
-FEW = {"candidates": ["stiffness_scale", "payload", "mount_tilt", "frame", "drift", "lag", "gain", "failure"], "search": {"keep": 3}}
+NAMES = ["stiffness_scale", "payload", "mount_tilt", "frame", "drift", "lag", "gain", "failure"]
+FEW = {"candidates": NAMES, "search": {"keep": 3}}
 
 
 def changed(body: PccSimulator, effect: Effect, days: list[str]) -> RecordingSet:
