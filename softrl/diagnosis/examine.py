@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrl.core.errors import SolverError
-from softrl.diagnosis.choices import alike
+from softrl.diagnosis.dated import Dating, told_of_dates
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes, neutral
 from softrl.diagnosis.hypothesise import forward
 from softrl.diagnosis.intervals import Interval, by_effect, intervals
@@ -18,7 +17,6 @@ from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem, Residual
 from softrl.diagnosis.trial import Search, Trial, columns_of, drop, fit_trials, from_nominal, join, raced
 from softrl.effects.library import effect_class
-from softrl.recordings.gone import sessions_in_order
 from softrl.recordings.recording import Recording
 
 log = logging.getLogger(__name__)
@@ -131,11 +129,13 @@ def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Fi
     inside = part.judge(part.problem.runs, thresholds, seed)
     path = forward(part.problem, inside, part.problem.tuned, part.choices, search, lambda line: log.info("%s", line))
     judge = part.judge(part.heldout, thresholds, seed)
-    base, final = (_on_heldout(judge, trial) for trial in (path.retuned, path.best))
-    final = _dated(part, judge, final)
+    dating = Dating(part.problem, judge)
+    base, final = (dating.on_heldout(trial) for trial in (path.retuned, path.best))
+    before, final = final, dating.of(final)
     for old, new in zip(path.best.hypothesis.effects, final.hypothesis.effects, strict=True):
         path.tried[new] = path.tried.pop(old, [])
     finding = _judged(part, judge, path, base, final, search)
+    finding = replace(finding, switched=told_of_dates(before, final, [named.choice for named in finding.named]))
     for _ in range(SWITCHES):
         better = _better(finding)
         if better is None:
@@ -253,25 +253,6 @@ def in_full(final: Trial, choice: Choice) -> tuple[Hypothesis, list[np.ndarray]]
     return Hypothesis(effects, final.hypothesis.tuned), [point]
 
 
-def _on_heldout(judge: Judge, trial: Trial) -> Trial:
-    """Return the trial with its squared errors on the held-out runs."""
-    return trial._replace(squares=heldout_residual(judge, trial).squares)
-
-
-def _dated(part: Part, judge: Judge, trial: Trial) -> Trial:
-    """Return the trial with what acts in some sessions acting in those that held-out runs favour.
-
-    Fits see no difference between periods that differ by sessions held out.
-    """
-    training, order = [run.session for run in part.problem.runs], sessions_in_order((*part.problem.runs, *part.heldout))
-    for old in trial.hypothesis.effects:
-        forms = [new for new in alike(old, training, order) if new != old]
-        tasks = [tuple(new if effect == old else effect for effect in trial.hypothesis.effects) for new in forms]
-        others = [trial._replace(hypothesis=Hypothesis(effects, trial.hypothesis.tuned)) for effects in tasks]
-        trial = min((trial, *_that_run(judge, others)), key=lambda one: one.mean_square)
-    return trial
-
-
 def _confirm(
     part: Part, judge: Judge, path: Path, base: Trial, final: Trial, search: Search
 ) -> tuple[Trial, list[Named], dict[Choice, Trial]]:
@@ -308,19 +289,8 @@ def _leave_one_out(
         return {final.hypothesis.effects[0]: base}
     tasks = [(final.hypothesis.without(c), drop(final, c)) for c in final.hypothesis.effects]
     fitted = path.fit(part.problem, tasks, search)  # the search asked the same of each that it put to the test
-    labels = {trial.hypothesis: trial for trial in _that_run(judge, fitted)}
+    labels = {trial.hypothesis: trial for trial in Dating(part.problem, judge).that_run(fitted)}
     return {c: labels.get(final.hypothesis.without(c), base) for c in final.hypothesis.effects}
-
-
-def _that_run(judge: Judge, trials: Sequence[Trial]) -> list[Trial]:
-    """Return the trials with their squared errors on the held-out runs; one that diverges there is left out."""
-    found = []
-    for trial in trials:
-        try:
-            found.append(_on_heldout(judge, trial))
-        except SolverError as error:
-            log.info("%s diverges on held-out runs and is dropped: %s", trial.hypothesis.label(), error)
-    return found
 
 
 def _rivals(
@@ -337,7 +307,7 @@ def _rivals(
     ]
     race = raced(part.problem, judge.problem, tasks, search, final, patient=True)
     found, both, whole = [], judge.on((*part.problem.runs, *part.heldout)), None
-    for trial in (_dated(part, judge, one) for one in (*race.finished, *race.beaten)):
+    for trial in map(Dating(part.problem, judge).of, (*race.finished, *race.beaten)):
         gap = judge.gap(trial.squares, final.squares)
         freer = len(trial.fit.point) > len(final.fit.point) and trial.everywhere.mean() > final.everywhere.mean()
         alike = as_good(judge, both, trial, final)

@@ -21,7 +21,7 @@ def slim(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Pat
     ``first``, counted from 0, stay as they are.
     """
     if any(choice.gate for choice in trial.hypothesis.effects[first:]):
-        trial = _without_silent(fitting, trial, search, path, first)
+        trial = _without_silent(fitting, judge, trial, search, path, first)
     again = True
     while again:
         again = False
@@ -34,7 +34,7 @@ def slim(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Pat
                 slimmer = min(as_good, key=lambda t: t.mean_square)
                 place = trial.hypothesis.effects.index(choice)
                 path.tried[slimmer.hypothesis.effects[place]] = path.tried.pop(choice, [])
-                trial, again = _without_silent(fitting, slimmer, search, path, first), True
+                trial, again = _without_silent(fitting, judge, slimmer, search, path, first), True
                 break
     return trial
 
@@ -64,16 +64,21 @@ def _influence(fitting: Problem, trial: Trial) -> np.ndarray:
     return np.asarray(np.linalg.norm(columns, axis=0))
 
 
-def _without_silent(fitting: Problem, trial: Trial, search: Search, path: Path, first: int) -> Trial:
-    """Return ``trial`` with the parameters of its effects, from the ``first`` on, pinned that have no influence any more."""
+def _without_silent(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Path, first: int) -> Trial:
+    """Return ``trial`` with the parameters of its effects, from the ``first`` on, pinned that have no influence any more.
+
+    When something began between two fitted runs has no influence where it is, and yet it did not act always.
+    """
     size = _influence(fitting, trial)
     for choice in trial.hypothesis.effects[first:]:
         columns = columns_of(trial, choice)
         for column, axis in zip(columns, effect_axes(choice), strict=True):
             essential = axis.name == effect_class(choice.name).essence
-            if size[column] <= SILENT * size.max() and len(columns) > 1 and not essential:
-                hypothesis, point, place = pinned(trial, choice, axis.name)
+            if size[column] > SILENT * size.max() or len(columns) == 1 or essential:
+                continue
+            hypothesis, point, place = pinned(trial, choice, axis.name)
+            fitted = path.fit(fitting, [(hypothesis, point)], search)
+            if fitted and not judge.tells(fitted[0].squares, trial.squares):
                 path.tried[hypothesis.effects[place]] = path.tried.pop(choice, [])
-                fitted = path.fit(fitting, [(hypothesis, point)], search)
-                return _without_silent(fitting, fitted[0], search, path, first) if fitted else trial
+                return _without_silent(fitting, judge, fitted[0], search, path, first)
     return trial

@@ -98,7 +98,32 @@ def test_what_began_at_some_moment_and_stayed_so(body: PccSimulator, effect: Eff
     assert [(e["name"], e["chamber"], e["lasting"]) for e in found.effects] == [
         (effect.name(), getattr(effect, "chamber", -1), "ever")
     ], found.sentences
+    assert not any("held-out runs date it" in line for line in found.sentences)
     told = found.effects[0]["parameters"]["since_s"]
     assert abs(told["value"] - moment_s) < 0.5 and told["high"] - told["low"] < 5.0 and not told["at_bound"], told
     pinned = found.effects[0]["pinned"]
     assert pinned["begun_s"] > moment_s, "what is recorded from now on shows it from the first sample on"
+
+
+@pytest.mark.parametrize(
+    ("effect", "among", "name"),
+    [
+        (Leak(0.3, 2.0, chamber=1), ["gain", "leak", "failure", "drift", "mount_tilt"], "since_s"),
+        pytest.param(TURNED, ["frame", "mount_tilt", "lag", "leak", "stiffness_scale"], "since_s", marks=pytest.mark.slow),
+        pytest.param(Failure(0.4, 0.0, chamber=1), ["failure", "drift", "gain", "lag"], "onset_s", marks=pytest.mark.slow),
+    ],
+)
+def test_where_no_fit_sees_when_it_began_the_held_out_run_dates_it(
+    body: PccSimulator, effect: Effect, among: list[str], name: str
+) -> None:
+    """It began in the middle of a run that is held out: fits see the runs before and the runs after it."""
+    recordings = days(body, replace(effect, **{name: 60.0}), until="ever")
+    found = run(configured(candidates=among, search={"keep": 3}), body.robot, recordings, body, tracker=NullTracker())
+    assert "first_run_2" in found.data["heldout_runs"], "its time is 48 to 72 s"
+    assert found.verdict == "named" and len(found.effects) == 1, found.sentences
+    assert found.effects[0]["chamber"] == getattr(effect, "chamber", -1) and found.effects[0]["lasting"] == "ever"
+    told = found.effects[0]["parameters"].get("since_s") or found.effects[0]["parameters"]["onset_s"]
+    assert abs(told["value"] - 60.0) < 0.5, told
+    assert told["low"] < 49.0 and told["high"] > 71.0, "fits say no more than between which of their runs"
+    assert any("held-out runs date it" in line for line in found.sentences)
+    assert found.errors_mm["heldout"]["corrected"] < 1.3 * found.errors_mm["heldout"]["noise_floor"]
