@@ -14,6 +14,7 @@ from softrl.recordings.recording import Recording
 
 SHOWN = 1.25  # times what counts: the first effect removes this much, in squares; less may be a detail of the body
 SHOWN_BESIDE = 3.0  # the same where a retuned parameter stays at the end of its range: the body has another form
+ROUNDED = 1e-3  # of the mean square: equal laws that were fitted apart differ by as much
 OVERLOOKED = 0.02  # of the noise's mean square: a difference that no data tell
 
 
@@ -156,7 +157,12 @@ class Judge:
             other = min(physics, key=lambda trial: trial.mean_square)
             best = best if self.pays(other.squares, best.squares) else other
         alike = [t for t in trials if not self.tells(t.squares, best.squares)]
-        return min(alike or [best], key=lambda t: (len(t.fit.point), _extended(t), _strange(t), _alone(t), t.mean_square))
+        return min(alike or [best], key=lambda t: (*_plainness(t), _alone(t), t.mean_square))
+
+    def takes_over(self, other: Any, best: Any) -> bool:
+        """Return whether ``other``, which data cannot tell from ``best``, is plainer, or as plain and better for sure."""
+        mine, its = _plainness(best), _plainness(other)
+        return its < mine or (its == mine and other.mean_square < (1.0 - ROUNDED) * best.mean_square)
 
     def _blocks(self, series: np.ndarray) -> np.ndarray:
         runs = self.problem.run_of_bin
@@ -167,6 +173,10 @@ class Judge:
 
 def _by_map(trial: Any) -> bool:
     return effect_class(trial.hypothesis.effects[-1].name).together
+
+
+def _plainness(trial: Any) -> tuple[int, int, int]:
+    return len(trial.fit.point), _extended(trial), _strange(trial)
 
 
 def _extended(trial: Any) -> int:

@@ -60,7 +60,7 @@ def addition(
     paying = [trial for trial in every if pays(judge, current, trial)]  # the simplest of all may be too simple to pay
     best = judge.simplest(paying or every)
     slimmer = _as_few(fitting, judge, paying, best, search, path)
-    best = judge.simplest([best, *slimmer])
+    best = next((trial for trial in slimmer if judge.takes_over(trial, best)), best)
     whole = [trial.hypothesis.effects[-1]._replace(pinned=()) for trial in slimmer]
     trials = slimmer + [trial for trial in trials if trial.hypothesis.effects[-1] not in whole]
     for old, new in zip(current.hypothesis.effects, best.hypothesis.effects[:-1], strict=True):

@@ -1,8 +1,12 @@
 """What pays, and what shows that something is missing although much else stays."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
+from softrl.diagnosis.hypothesis import Choice, Gate, Hypothesis
 from softrl.diagnosis.judge import Judge
 from softrl.diagnosis.problem import Problem
 from softrl.pcc.simulator import PccSimulator
@@ -30,3 +34,17 @@ def test_a_body_s_detail_and_a_chance_gain_do_not_show(judge: Judge) -> None:
     assert not judge.shows(noise + 1.2, noise)
     alarms = sum(judge.shows(3.0 * rng.chisquare(3, count), 3.0 * rng.chisquare(3, count)) for _ in range(50))
     assert alarms == 0
+
+
+def test_of_equals_the_better_takes_over_only_if_it_is_not_rounding(judge: Judge) -> None:
+    def fitted(choice: Choice, mean_square: float, free: int) -> Any:
+        fit = SimpleNamespace(point=np.zeros(free))
+        return SimpleNamespace(hypothesis=Hypothesis((choice,), ()), mean_square=mean_square, fit=fit)
+
+    takes_over = judge.takes_over
+    gain, asymmetry = fitted(Choice("gain", 0), 1.0, 1), fitted(Choice("asymmetry"), 0.9999, 1)
+    assert not takes_over(asymmetry, gain) and takes_over(fitted(Choice("asymmetry"), 0.99, 1), gain)
+    assert not takes_over(fitted(Choice("asymmetry"), 0.5, 2), gain), "more numbers are not plainer"
+    moment = Gate("since_s", 5.0)
+    tilted, turned = (fitted(Choice(name, gate=moment), 1.0, 3) for name in ("mount_tilt", "frame"))
+    assert takes_over(turned, tilted) and not takes_over(tilted, turned)
