@@ -15,6 +15,7 @@ from softrl.diagnosis.judge import SHOWN_BESIDE, Gap, Judge, Thresholds
 from softrl.diagnosis.leftover import Offer, explained_by, heldout_residual, offer_of, reasons_of, varies
 from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem, Residual
+from softrl.diagnosis.slim import slim
 from softrl.diagnosis.trial import Search, Trial, columns_of, drop, fit_trials, from_nominal, join, raced
 from softrl.effects.library import effect_class
 from softrl.recordings.recording import Recording
@@ -308,12 +309,32 @@ def _rivals(
     race = raced(part.problem, judge.problem, tasks, search, final, patient=True)
     found, both, whole = [], judge.on((*part.problem.runs, *part.heldout)), None
     for trial in map(Dating(part.problem, judge).of, (*race.finished, *race.beaten)):
-        gap = judge.gap(trial.squares, final.squares)
-        freer = len(trial.fit.point) > len(final.fit.point) and trial.everywhere.mean() > final.everywhere.mean()
         alike = as_good(judge, both, trial, final)
+        if alike and _freer(trial, final):
+            trial = _slimmed(part, judge, path, trial, search)
+            alike = as_good(judge, both, trial, final) and not _freer(trial, final)
+        gap = judge.gap(trial.squares, final.squares)
         better = overtakes(judge, both, trial, final)
         if better and choice.pinned:  # the rival has all its parameters: so must what it is better than
             whole = whole or fit_trials(part.problem, judge.problem, [in_full(final, choice)], search)
             better = all(overtakes(judge, both, trial, one) for one in whole)
-        found.append(Rival(choice, trial.hypothesis.effects[-1], gap, alike and not freer, trial, better))
+        found.append(Rival(choice, trial.hypothesis.effects[-1], gap, alike, trial, better))
     return sorted(found, key=lambda rival: rival.gap.value)
+
+
+def _freer(trial: Trial, final: Trial) -> bool:
+    """Return whether ``trial`` has more parameters than ``final`` and predicts all runs no better for it."""
+    return len(trial.fit.point) > len(final.fit.point) and bool(trial.everywhere.mean() > final.everywhere.mean())
+
+
+def _slimmed(part: Part, judge: Judge, path: Path, trial: Trial, search: Search) -> Trial:
+    """Return ``trial`` with those parameters of its last effect that pay: what was named was slimmed, too.
+
+    A dead time that disperses by nothing is a delay. A map without physics means something with all its parameters only.
+    """
+    if effect_class(trial.hypothesis.effects[-1].name).together:
+        return trial
+    inside = part.judge(part.problem.runs, judge.thresholds, judge.seed)
+    last = len(trial.hypothesis.effects) - 1
+    less = slim(part.problem, inside, trial._replace(squares=trial.inside), search, path, last)
+    return next(iter(Dating(part.problem, judge).that_run([less])), trial)

@@ -127,3 +127,11 @@ def test_what_shifts_time_itself_leaves_the_log_as_it_is(body: PccSimulator) -> 
     assert room(Choice("delay")) == room(Choice("dead_time")) == 0.0
     assert room(Choice("lag")) == room(Choice("dead_time", chamber=1)) == INTERVAL_S
     assert room(Choice("delay", gate=Gate("since_s", 3.0))) == INTERVAL_S
+
+
+def test_a_dead_time_contests_a_delay_where_no_gauge_tells_them_apart(body: PccSimulator) -> None:
+    """It has a dispersion besides, of which the data show none: it is compared without it."""
+    recordings = made(body, (Delay(delay_s=0.1),), sessions=3)
+    found = run(configured(candidates=["delay", "dead_time", "lag"]), body.robot, recordings, body, tracker=NullTracker())
+    assert found.verdict == "indistinguishable", found.sentences
+    assert {found.effects[0]["name"], *(r["name"] for r in found.rivals if r["equivalent"])} == {"delay", "dead_time"}
