@@ -144,7 +144,7 @@ def _sideways(run: Recording, robot: Robot) -> np.ndarray:
     Where the run shows the tip at rest somewhere else than the robot's axis leads, it is turned there the shortest way.
     """
     tip, axis = np.asarray(run.position), axis_vector(robot.axis)
-    rest = np.median(tip[_still(run, robot)], axis=0) if _still(run, robot).any() else robot.length_m * axis
+    rest = np.median(tip[still(run, robot)], axis=0) if still(run, robot).any() else robot.length_m * axis
     length = float(np.linalg.norm(rest))
     if 1.0 / UNIT_FACTOR < length / robot.length_m < UNIT_FACTOR and rest @ axis < np.cos(TURNED_RAD) * length:
         tip = rotate(_shortest(rest / length, axis), tip)
@@ -163,7 +163,7 @@ def _shortest(start: np.ndarray, end: np.ndarray) -> Rotation:
     return Rotation.from_rotvec(angle * normal / np.linalg.norm(normal))
 
 
-def _still(run: Recording, robot: Robot) -> np.ndarray:
+def still(run: Recording, robot: Robot) -> np.ndarray:
     """Return which samples (steps,) are under no pressure."""
     span = robot.pressure_max_pa - robot.pressure_min_pa
     return np.all(np.abs(run.pressure_cmd) < EXCITED_SHARE * span, axis=1)
@@ -173,7 +173,7 @@ def _rescaled(runs: Sequence[Recording], simulated: Sequence[Recording], robot: 
     """Return by how much both the tip's place at rest and its motion are too large or too small."""
     if robot.output == "bend_angle":
         return None
-    rests = [np.median(np.asarray(run.position)[_still(run, robot)], axis=0) for run in runs if _still(run, robot).any()]
+    rests = [np.median(np.asarray(run.position)[still(run, robot)], axis=0) for run in runs if still(run, robot).any()]
     if not rests:
         return None
     reach = float(np.median(np.linalg.norm(rests, axis=1))) / robot.length_m

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from softrl.recordings.check import EXCITED_SHARE
+from softrl.diagnosis.mistaken import still
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
@@ -21,7 +21,7 @@ def of_other_length(runs: Sequence[Recording], robot: Robot) -> str | None:
     """
     if robot.output == "bend_angle":
         return None
-    reach = [_reach(run) for run in runs if _begins_empty(run, robot)]
+    reach = [_reach(run) for run in runs if still(run, robot)[_at_first(run)].all()]
     if not reach or np.ptp(reach) > ALIKE * robot.length_m:
         return None
     found = float(np.median(reach))
@@ -34,12 +34,9 @@ def of_other_length(runs: Sequence[Recording], robot: Robot) -> str | None:
     )
 
 
+def _at_first(run: Recording) -> np.ndarray:
+    return np.asarray(run.time <= run.time[0] + AT_FIRST_S)
+
+
 def _reach(run: Recording) -> float:
-    seen = run.time <= run.time[0] + AT_FIRST_S
-    return float(np.linalg.norm(np.median(np.asarray(run.position)[seen], axis=0)))
-
-
-def _begins_empty(run: Recording, robot: Robot) -> bool:
-    span = robot.pressure_max_pa - robot.pressure_min_pa
-    seen = run.time <= run.time[0] + AT_FIRST_S
-    return bool(np.all(np.abs(run.pressure_cmd[seen]) < EXCITED_SHARE * span))
+    return float(np.linalg.norm(np.median(np.asarray(run.position)[_at_first(run)], axis=0)))
