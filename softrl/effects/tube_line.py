@@ -1,5 +1,6 @@
 """A tube between valve and chamber that carries inertia and friction of its air."""
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -12,16 +13,26 @@ from softrl.robots.robot import Robot
 
 @nb.njit(SIGNAL_KERNEL, cache=True)
 def tube_line_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
-    """Advance ``T^2 p'' + 2 zeta T p' + p = p_in`` by implicit Euler."""
+    """Advance ``T^2 p'' + 2 zeta T p' + p = p_in`` exactly over ``dt`` with the input held."""
     period, zeta, chamber = parameters[0], parameters[1], int(parameters[2])
     n = len(value)
+    if period <= 0.0:
+        return
+    decay, square = zeta / period, (zeta * zeta - 1.0) / (period * period)
+    turn = math.sqrt(abs(square))
+    if square > 0.0:
+        slow, fast = math.exp((turn - decay) * dt), math.exp(-(turn + decay) * dt)
+        even, odd = 0.5 * (slow + fast), 0.5 * (slow - fast) / turn
+    else:
+        even, odd = math.exp(-decay * dt) * math.cos(turn * dt), math.exp(-decay * dt) * dt
+        if turn * dt > 1e-8:
+            odd *= math.sin(turn * dt) / (turn * dt)
     for i in range(n):
-        if (chamber >= 0 and chamber != i) or period <= 0.0:
-            continue
-        a, b = (period / dt) ** 2, 2.0 * zeta * period / dt
-        state[n + i] = (a * state[n + i] + value[i] - state[i]) / (a + b + 1.0)  # change of p over the step
-        state[i] += state[n + i]
-        value[i] = state[i]
+        if chamber < 0 or chamber == i:
+            apart, rate = state[i] - value[i], state[n + i]
+            state[i] = value[i] + (even + decay * odd) * apart + odd * rate
+            state[n + i] = (even - decay * odd) * rate - odd * apart / (period * period)
+            value[i] = state[i]
 
 
 @dataclass(frozen=True)
@@ -45,5 +56,5 @@ class TubeLine(Effect):
     chamber: int = -1
 
     def reset(self, robot: Robot) -> np.ndarray:
-        """Return the pressures at the end of the line, then their change over the last step, all zero."""
+        """Return the pressures at the end of the line, then their rates of change, all zero."""
         return np.zeros(2 * robot.chambers)

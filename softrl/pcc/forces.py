@@ -73,6 +73,7 @@ def fill_residual(
     out: np.ndarray,
     work: np.ndarray,
     dt: float,
+    per_s: float,
     pressure: np.ndarray,
     tip_force: np.ndarray,
     model: Any,
@@ -81,7 +82,10 @@ def fill_residual(
     strains: np.ndarray,
     tips: np.ndarray,
 ) -> None:
-    """Fill ``out`` (m,) with inertia + damping + elasticity + effects - pressure - loads at ``y``, in J."""
+    """Fill ``out`` (m,) with inertia + damping + elasticity + effects - pressure - loads at ``y``, in J.
+
+    Effects act over ``dt``; the coordinates change from ``work[LAST]``, and their rates from ``work[VELOCITY]``, at ``per_s``.
+    """
     basis, stiffness, damping, mass, push, _, _, _, _, scalars, gravity = model
     body_hook, load_hook = hooks
     bx = by = eps = 0.0
@@ -109,7 +113,6 @@ def fill_residual(
     q0 = common * bx + stretched * (h * weight * g0 + f * f0)
     q1 = common * by + stretched * (h * weight * g1 + f * f1)
     q2 = length * (h * across + f * along + f * across_tip + g * along_tip) - scalars[2]
-    per_s = 1.0 / dt
     for i in range(m):
         rate = (y[i] - work[LAST, i]) * per_s
         out[i] = (

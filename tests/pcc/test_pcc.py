@@ -20,7 +20,7 @@ from softrl.effects.hysteresis import Hysteresis
 from softrl.effects.lag import Lag
 from softrl.effects.viscoelasticity import Viscoelasticity
 from softrl.pcc.pose import SERIES_BELOW, shape_functions, tip_pose
-from softrl.pcc.simulator import PccSimulator
+from softrl.pcc.simulator import PccSimulator, PccState
 from softrl.robots.robot import Robot
 
 CONF = Path(__file__).parents[2] / "conf"
@@ -119,20 +119,37 @@ def test_energy_decays_after_release() -> None:
         state = body.step(state, zero, 2e-3)
     energy = np.array(energy)
     assert (np.diff(energy) < 1e-7 * energy[0]).all(), np.diff(energy).max()
-    assert energy[-1] < 1e-3 * energy[0]
+    assert energy[-1] < 5e-3 * energy[0]
 
 
-def test_error_falls_in_first_order_with_the_step() -> None:
+def test_a_swing_dies_out_as_fast_as_damping_says_at_a_coarse_step() -> None:
+    """Implicit Euler's steps would nearly triple the damping ratio here, by half the step times the frequency."""
+    body = simulator(replace(robot_named("tripod"), gravity_m_s2=(0.0, 0.0, 0.0)), damping_s=4e-3)
+    frequency = np.sqrt(body.stiffness[0] / (body.robot.mass_kg * body.robot.length_m**2 / 20.0))
+    dt = 0.25 / frequency
+    state = PccState(np.array([0.01, 0.0, 0.0]), np.zeros(3))
+    swing = []
+    for _ in range(200):
+        state = body.step(state, np.zeros(3), dt)
+        swing.append(state.coordinates[0])
+    peaks = [abs(swing[k]) for k in range(1, 199) if abs(swing[k]) >= max(abs(swing[k - 1]), abs(swing[k + 1]))]
+    per_half_turn = np.log(peaks[0] / peaks[6]) / 6.0
+    ratio = per_half_turn / np.hypot(np.pi, per_half_turn)
+    np.testing.assert_allclose(ratio, 0.5 * body.damping_s * frequency, rtol=0.05)
+
+
+def test_error_falls_in_second_order_with_the_step() -> None:
     body = simulator(damping_s=0.02)
 
     def tips(dt: float) -> np.ndarray:
         time = dt * np.arange(1, round(1.0 / dt) + 1)
-        pressure = 2e4 * np.sin(6.0 * time)[:, None] ** 2 * [1.0, 0.5, 0.0]
+        held = np.repeat(0.01 * np.arange(1, 101), round(0.01 / dt))  # pressures jump where they do at every step
+        pressure = 2e4 * np.sin(6.0 * held)[:, None] ** 2 * [1.0, 0.5, 0.0]
         return body.simulate(time, pressure).position[round(0.02 / dt) - 1 :: round(0.02 / dt)]
 
     coarse, middle, fine = tips(0.01), tips(0.005), tips(0.0025)
     order = np.log2(np.abs(coarse - middle).max() / np.abs(middle - fine).max())
-    assert 0.8 < order < 1.3, order
+    assert 1.8 < order < 2.3, order
 
 
 @pytest.mark.parametrize("chambers", [2, 3, 4, 5])
