@@ -84,7 +84,8 @@ def fill_residual(
 ) -> None:
     """Fill ``out`` (m,) with inertia + damping + elasticity + effects - pressure - loads at ``y``, in J.
 
-    Effects act over ``dt``; the coordinates change from ``work[LAST]``, and their rates from ``work[VELOCITY]``, at ``per_s``.
+    The coordinates change from ``work[LAST]``, their rates from ``work[VELOCITY]`` and the tip from ``tips[0]`` at ``per_s``, and
+    load effects with them; the body's effects act over ``dt`` from the beginning of the step.
     """
     basis, stiffness, damping, mass, push, _, _, _, _, scalars, gravity = model
     body_hook, load_hook = hooks
@@ -102,7 +103,7 @@ def fill_residual(
     if len(load_hook[0]) > 0:
         port = ports[1]
         tips[1, 0], tips[1, 1], tips[1, 2] = stretched * f * bx, stretched * f * by, stretched * g
-        run_load_effects(load_hook, port, gravity, tips, dt, False)
+        run_load_effects(load_hook, port, gravity, tips, 1.0 / per_s, False)
         g0, g1, g2 = port[GRAVITY, 0], port[GRAVITY, 1], port[GRAVITY, 2]
         f0, f1, f2 = f0 + port[FORCE, 0], f1 + port[FORCE, 1], f2 + port[FORCE, 2]
     weight = scalars[1]

@@ -233,6 +233,32 @@ def solve_step(
     return size < ACCEPTED
 
 
+@borrowing
+def _bend(basis: np.ndarray, y: np.ndarray, body: np.ndarray) -> None:
+    """Fill bends and elongation ``body`` (3,) from the coordinates ``y`` (m,)."""
+    for i in range(3):
+        body[i] = 0.0
+        for j in range(len(y)):
+            body[i] += basis[i, j] * y[j]
+
+
+@borrowing
+def _lead_loads(hook: Any, port: np.ndarray, tips: np.ndarray, gravity: np.ndarray, stage_s: float, begun: np.ndarray) -> None:
+    """Bring the load effects' states and the tip ``tips[0]`` from the begin of a step to where its second stage sets out.
+
+    ``tips[1]`` is where the first stage ended, ``stage_s`` after the begin: both go on as they went until there. ``begun`` is
+    room for the states.
+    """
+    states, further = hook[3], (1.0 - STAGE) / STAGE
+    for i in range(len(states)):
+        begun[i] = states[i]
+    run_load_effects(hook, port, gravity, tips, stage_s, True)
+    for i in range(len(states)):
+        states[i] = begun[i] + further * (states[i] - begun[i])
+    for k in range(3):
+        tips[0, k] += further * (tips[1, k] - tips[0, k])
+
+
 @nb.njit(cache=True, nogil=True)
 def run_kernel(
     y: np.ndarray,
@@ -252,7 +278,8 @@ def run_kernel(
     A step is the singly diagonally implicit Runge-Kutta method of two stages and second order with ``STAGE`` on its diagonal
     (Alexander 1977): each stage is implicit Euler's of that share of the step, from where the first one has led. It forgets
     stiff modes at once (L-stable), as Euler's method does, and neither damps nor delays those that the step resolves.
-    Effects are asked at the end of both stages and change their states with the second.
+    Load effects, whose states are rates of the tip and clocks, are led the same way (``_lead_loads``). The body's effects know how
+    their states change over any time: they are asked at the end of both stages, and change them with the second.
     """
     basis, length = model[0], model[9][0]
     m, chambers = len(y), pressure.shape[1]
@@ -262,15 +289,14 @@ def run_kernel(
     strains, tips, slopes = np.zeros(chambers), np.zeros((2, 3)), np.zeros(chambers)
     body, scratch = np.zeros(3), np.zeros(4)
     to_strain, rest = model[5], model[8]
-    for i in range(3):
-        for j in range(m):
-            body[i] += basis[i, j] * y[j]
+    _bend(basis, y, body)
     tip_pose(body, length, tips[0], scratch)
     for c in range(chambers):
         for j in range(m):
             strains[c] += to_strain[c, j] * (y[j] - rest[j])
     failed = 0
     body_hook, load_hook = hooks
+    begun = np.empty(len(load_hook[3]))
     stage_s, rest_s = STAGE * dt, (1.0 - STAGE) * dt
     per_s = 1.0 / stage_s
     for k in range(len(pressure)):
@@ -280,6 +306,10 @@ def run_kernel(
         solved = solve_step(
             work, jacobian, inverse, stage_s, per_s, pressure[k], tip_force[k], model, hooks, ports, strains, tips, slopes
         )
+        if len(load_hook[0]) > 0:
+            _bend(basis, work[TRIAL], body)
+            tip_pose(body, length, tips[1], scratch)
+            _lead_loads(load_hook, ports[1], tips, model[10], stage_s, begun)
         for i in range(m):
             between = (work[TRIAL, i] - y[i]) * per_s
             work[LAST, i] = y[i] + rest_s * between
@@ -295,14 +325,11 @@ def run_kernel(
         for i in range(m):
             velocity[i] = (work[TRIAL, i] - work[LAST, i]) * per_s
             y[i] = work[TRIAL, i]
-        for i in range(3):
-            body[i] = 0.0
-            for j in range(m):
-                body[i] += basis[i, j] * y[j]
+        _bend(basis, y, body)
         tip_pose(body, length, position[k], quaternion[k])
         if len(load_hook[0]) > 0:
             tips[1] = position[k]
-            run_load_effects(load_hook, ports[1], model[10], tips, dt, True)
+            run_load_effects(load_hook, ports[1], model[10], tips, stage_s, True)
             tips[0] = tips[1]
         if len(body_hook[0]) > 0:
             run_body_effects(body_hook, ports[0], y, model, pressure[k], strains, dt, True)

@@ -20,7 +20,7 @@ def body_alone(body: PccSimulator, speed: float) -> Problem:
 
 
 def test_steps_follow_the_motion(body: PccSimulator) -> None:
-    slow, fast = body_alone(body, 0.2), body_alone(body, 12.0)
+    slow, fast = body_alone(body, 0.2), body_alone(body, 30.0)
     material, empty = 1e-4, Hypothesis((), ())
     assert suited(fast, material) == fast.numerics
     longer = suited(slow, material)
