@@ -278,8 +278,8 @@ def run_kernel(
     A step is the singly diagonally implicit Runge-Kutta method of two stages and second order with ``STAGE`` on its diagonal
     (Alexander 1977): each stage is implicit Euler's of that share of the step, from where the first one has led. It forgets
     stiff modes at once (L-stable), as Euler's method does, and neither damps nor delays those that the step resolves.
-    Load effects, whose states are rates of the tip and clocks, are led the same way (``_lead_loads``). The body's effects know how
-    their states change over any time: they are asked at the end of both stages, and change them with the second.
+    Load effects, whose states are rates of the tip and clocks, are led the same way (``_lead_loads``). The body's effects know
+    how their states change over any time: they are asked at the end of both stages, and change them with the second.
     """
     basis, length = model[0], model[9][0]
     m, chambers = len(y), pressure.shape[1]

@@ -16,8 +16,10 @@ from scipy.spatial.transform import Rotation
 
 from softrl.core.errors import ConfigError
 from softrl.effects.chain import Plant, chain_of
+from softrl.effects.effect import Effect
 from softrl.effects.hysteresis import Hysteresis
 from softrl.effects.lag import Lag
+from softrl.effects.payload import Payload
 from softrl.effects.viscoelasticity import Viscoelasticity
 from softrl.pcc.pose import SERIES_BELOW, shape_functions, tip_pose
 from softrl.pcc.simulator import PccSimulator, PccState
@@ -138,14 +140,16 @@ def test_a_swing_dies_out_as_fast_as_damping_says_at_a_coarse_step() -> None:
     np.testing.assert_allclose(ratio, 0.5 * body.damping_s * frequency, rtol=0.05)
 
 
-def test_error_falls_in_second_order_with_the_step() -> None:
+@pytest.mark.parametrize("effects", [(), (Payload(1.0),), (Viscoelasticity(0.5, 0.1, 0.0, 1.0),)], ids=["bare", "load", "wall"])
+def test_error_falls_in_second_order_with_the_step(effects: tuple[Effect, ...]) -> None:
     body = simulator(damping_s=0.02)
+    plant = Plant(body, chain_of(body.robot, effects))
 
     def tips(dt: float) -> np.ndarray:
         time = dt * np.arange(1, round(1.0 / dt) + 1)
         held = np.repeat(0.01 * np.arange(1, 101), round(0.01 / dt))  # pressures jump where they do at every step
         pressure = 2e4 * np.sin(6.0 * held)[:, None] ** 2 * [1.0, 0.5, 0.0]
-        return body.simulate(time, pressure).position[round(0.02 / dt) - 1 :: round(0.02 / dt)]
+        return plant.simulate(time, pressure).position[round(0.02 / dt) - 1 :: round(0.02 / dt)]
 
     coarse, middle, fine = tips(0.01), tips(0.005), tips(0.0025)
     order = np.log2(np.abs(coarse - middle).max() / np.abs(middle - fine).max())

@@ -83,7 +83,9 @@ def test_a_plan_is_nearer_where_it_is_linearised_without_sticking(bench: Bench) 
     start = ModelController(bench.sliding.space, bench.sliding.task, course).pressures
     stuck = plan(route_of(bench.sliding, PLANNING, PACE, course), course.wanted, start, PACE.approach_steps, PLANNING)
     even = prepare(bench.sliding, PLANNING, PACE, course)
-    assert np.linalg.norm(even.predicted - even.target) < 0.5 * np.linalg.norm(stuck.predicted - stuck.target)
+    left, kept = (np.linalg.norm(p.predicted - p.target, axis=1) for p in (even, stuck))
+    assert np.median(left) < 0.2 * np.median(kept)  # where the tip lets go at once, both plans miss by millimetres
+    assert np.linalg.norm(left) < np.linalg.norm(kept)
 
 
 @pytest.mark.parametrize("task", ["pressing", "sliding"])
