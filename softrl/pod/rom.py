@@ -13,6 +13,7 @@ from softrl.pod.inverse import solve_pressures
 from softrl.pod.kernel import run_kernel
 from softrl.pod.pose import tip_pose
 from softrl.pod.potential import Tables
+from softrl.pod.reach import reach, warn_beyond
 from softrl.pod.tables import tables_of
 
 log = logging.getLogger(__name__)
@@ -43,6 +44,7 @@ def static_coordinates(model: ReducedModel, loads: np.ndarray, gravity_m_s2: np.
             f"{int(failed.sum())} of {len(loads)} equilibria of the reduced model were not found, the first under "
             f"{first} (Pa, N); keep the loads within the range of the snapshots"
         )
+    warn_beyond(model.robot_name, reach(found), "equilibria")
     return found @ model.frame.T
 
 
@@ -83,7 +85,9 @@ def tip_poses(
     tables = tables_of(model, gravity_m_s2)
     position, quaternion = np.empty((len(coordinate), 3)), np.empty((len(coordinate), 4))
     values, point = np.empty(len(tables.parent)), np.empty(model.order)
-    for k, y in enumerate(coordinate @ tables.inverse.T):
+    points = coordinate @ tables.inverse.T
+    warn_beyond(model.robot_name, reach(points), "tip's poses")
+    for k, y in enumerate(points):
         tip_pose(y, STILL[0], tables, values, point, position[k], quaternion[k])
     return position, quaternion
 
@@ -104,17 +108,6 @@ def pressure_for_tip(
     if not np.isfinite(distance).all():
         raise SolverError(f"inverse statics diverged for {int((~np.isfinite(distance)).sum())} of {len(goal)} tips")
     return pressure, distance
-
-
-def warn_beyond(model: ReducedModel, farthest: float) -> None:
-    """Warn if ``farthest``, the largest ``|y|`` of a motion, lies where the model has no samples."""
-    if farthest > 1.0:
-        log.warning(
-            "reduced model of %s: the body went to %.2f times the reach of its snapshots; beyond 1 its energy is "
-            "extrapolated and rises like a wall, so trust the motion less",
-            model.robot_name,
-            farthest,
-        )
 
 
 class Rolled(NamedTuple):
@@ -185,4 +178,4 @@ def _check(path: np.ndarray, failed: int, farthest: float, model: ReducedModel, 
         )
     if failed:
         log.warning("reduced model of %s: %d of %d steps did not converge to the last digit", model.robot_name, failed, steps)
-    warn_beyond(model, farthest)
+    warn_beyond(model.robot_name, farthest)

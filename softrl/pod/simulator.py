@@ -15,7 +15,8 @@ from softrl.effects.call import Calls, pack, unpack
 from softrl.pod.kernel import run_kernel
 from softrl.pod.pose import tip_pose
 from softrl.pod.potential import Tables
-from softrl.pod.rom import LOAD_STEPS, NO_HOOKS, QUASI_STATIC_S, STILL, warn_beyond
+from softrl.pod.reach import warn_beyond
+from softrl.pod.rom import LOAD_STEPS, NO_HOOKS, QUASI_STATIC_S, STILL
 from softrl.pod.tables import tables_of
 from softrl.robots.robot import Robot
 
@@ -23,8 +24,6 @@ log = logging.getLogger(__name__)
 
 TUNABLE = ("youngs_modulus_scale", "damping_scale", "mass_scale")
 FAILED_SHARE = 0.01
-FARTHER = 1.2  # a body that leaves the samples is reported again when it goes this much farther
-_reported: dict[str, float] = {}
 
 
 class RomState(NamedTuple):
@@ -151,15 +150,8 @@ class RomSimulator:
                 f"simulator rom: {failed} of {len(load)} steps of {dt_s:g} s did not converge; "
                 "try a smaller dt_s, pressures within the snapshots' range, or weaker effects"
             )
-        self._report(farthest)
+        warn_beyond(self.reduced_model.robot_name, farthest)
         return position, quaternion
-
-    def _report(self, farthest: float) -> None:
-        """Warn when a motion leaves the samples, and again only when one goes much farther: fits replay thousands."""
-        name = self.reduced_model.robot_name
-        if farthest > max(1.0, FARTHER * _reported.get(name, 0.0)):
-            _reported[name] = farthest
-            warn_beyond(self.reduced_model, farthest)
 
     def _loads(self, pressure: np.ndarray, tip_force: np.ndarray | None) -> np.ndarray:
         """Return the loads (steps, n + 3) Pa and N."""

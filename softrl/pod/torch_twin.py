@@ -1,6 +1,5 @@
 """The energy ROM in torch: batched and differentiable, the same equations as ``pod.kernel`` to round-off."""
 
-from typing import Any
 
 import numpy as np
 import torch
@@ -8,8 +7,10 @@ from torch import Tensor
 
 from softrl.artifacts.reduced_model import SHAPES, ReducedModel
 from softrl.pod.kernel import LONGEST_STEP, SCALINGS
+from softrl.pod.reach import warn_beyond
 from softrl.pod.tables import tables_of
 from softrl.pod.torch_algebra import beside, dot, inverse, ray, share_of, square, times, triangle
+from softrl.pod.torch_energy import kinetic_energy, work_of_inertia
 from softrl.pod.viscosity import TINY
 
 NEWTON = 30
@@ -57,6 +58,7 @@ class TorchRom(torch.nn.Module):
         super().__init__()
         tables = tables_of(model, gravity_m_s2, youngs_modulus_scale, damping_scale, mass_scale)
         self.order = r = model.order
+        self._robot_name = model.robot_name
         for name in (
             "frame", "inverse", "gradient", "amplitudes", "amplitude_slope", "stiffness_factor", "degrees", "quadratic",
             "inner_give", "inner_root", "drag_root",
@@ -124,7 +126,7 @@ class TorchRom(torch.nn.Module):
         ahead, outer = start + dt_s * rate, load @ self.frame
         before, now = self._amplitudes(start - dt_s * rate)[0], self._amplitudes(start)[0]
         give = self._give(start + 0.5 * dt_s * rate)
-        kinetic = _kinetic(rate, giving, (now - before) / dt_s, *self._inertia(start)[2:])
+        kinetic = kinetic_energy(rate, giving, (now - before) / dt_s, *self._inertia(start)[2:])
         led, stiff = self._amplitudes(ahead), self._stiff(start + 0.5 * dt_s * rate)
         inertia, right = self._alone(led, stiff, (before, now), ahead, start, outer, dt_s)
         first = ahead - self._direction(ahead, inertia, self._slope(ahead) + times(inertia, ahead) - right)
@@ -132,16 +134,17 @@ class TorchRom(torch.nn.Module):
         inertia, right, apart, push, pull = self._sides(held, first, start, rate, inner, outer, dt_s)
         with torch.no_grad():
             y = self._solve(ahead, inertia, right)
+            warn_beyond(self._robot_name, float(y.norm(dim=1).max()))
             jacobian = self._curvature(y) + inertia
         left = self._slope(y) + times(inertia, y) - right
         y = y - torch.linalg.solve(jacobian, left.unsqueeze(-1)).squeeze(-1)
         given = times(apart, push - times(pull.transpose(1, 2), y))
         moved, given_by = (y - start) / dt_s, (given - gives) / dt_s
-        most = kinetic + _work(y - first, moved, rate, given_by, giving, held, dt_s)
+        most = kinetic + work_of_inertia(y - first, moved, rate, given_by, giving, held, dt_s)
         arrived, (_, _, couple, own) = self._amplitudes(y)[0], held[0]
         by = (arrived - now) / dt_s
         for _ in range(SCALINGS):
-            energy = _kinetic(moved, given_by, by, couple, own)
+            energy = kinetic_energy(moved, given_by, by, couple, own)
             if not (energy > most.clamp(min=0.0)).any():
                 break
             share = share_of(most, energy)
@@ -329,19 +332,3 @@ class TorchRom(torch.nn.Module):
         along = along + 3.0 * self.wall * beyond**2 / radius.unsqueeze(-1)
         bending = bending + 6.0 * self.wall * beyond
         return inner + cross + cross.transpose(1, 2) + (bending - along) * outer + along * identity
-
-
-def _kinetic(rate: Tensor, giving: Tensor, moved: Tensor, couple: Tensor, own: Tensor) -> Tensor:
-    """Return twice the kinetic energies (B,), those of the inside in them; ``moved`` (B, k) are the amplitudes' rates."""
-    return dot(moved, moved) + 2.0 * dot(rate, times(couple, giving)) + dot(giving, times(own, giving))
-
-
-def _work(
-    off: Tensor, rate: Tensor, former: Tensor, giving: Tensor, formerly: Tensor, held: tuple[Any, ...], dt_s: float
-) -> Tensor:
-    """Return twice the works (B,) of ``pod.inertia.work_of_inertia``; ``off`` (B, r) is how far from its aim a step ends."""
-    (amplitudes, lead, couple, own), _, _, (before, now) = held
-    change = (amplitudes - 2.0 * now + before + times(lead, off)) / dt_s
-    force = times(lead.transpose(1, 2), change) + times(couple, giving - formerly)
-    inner = times(own, giving - formerly) + times(couple.transpose(1, 2), rate - former)
-    return 2.0 * (dot(force, rate) + dot(inner, giving))

@@ -5,7 +5,8 @@ import pytest
 
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
-from softrl.pod.rom import pressure_for_tip, roll, static_coordinates
+from softrl.pod import reach
+from softrl.pod.rom import pressure_for_tip, roll, static_coordinates, tip_poses
 from softrl.robots.robot import Robot
 from tests.pod.synthetic import law_of
 
@@ -28,6 +29,18 @@ def test_weight_is_in_balance(body: Body) -> None:
         left = law.gradient(z) - load - weight
         assert np.abs(left[model.chambers :]).max() < 5e-3, left
         assert np.abs(left[: model.chambers]).max() < 1.0, left  # Pa of 10 kPa: what the ridges leave
+
+
+def test_equilibria_and_poses_beyond_the_samples_are_reported(tripod: Body, caplog: pytest.LogCaptureFixture) -> None:
+    robot, _, model = tripod
+    loads = np.array([[0.5, 0.0, 0.0, 0.0, 0.0, 0.0], [8.0, 0.0, 0.0, 0.0, 0.0, 0.0]]) * robot.pressure_max_pa
+    reach._reported.clear()
+    z = static_coordinates(model, loads[:1])
+    assert not caplog.records
+    z = static_coordinates(model, loads)
+    assert "times the reach of its snapshots" in caplog.text and "trust the equilibria less" in caplog.text
+    tip_poses(model, 1.5 * z)
+    assert "trust the tip's poses less" in caplog.text and len(caplog.records) == 2
 
 
 def test_pressures_bring_the_tip_where_it_was(tripod: Body) -> None:

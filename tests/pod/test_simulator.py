@@ -26,7 +26,7 @@ from softrl.effects.effect import (
     STRAIN,
     TIP,
 )
-from softrl.pod import simulator as rom
+from softrl.pod import reach
 from softrl.pod.simulator import RomSimulator
 from softrl.robots.robot import Robot
 from tests.pod.conftest import fitted
@@ -196,7 +196,7 @@ def test_tilted_gravity_is_another_gravity(tripod: Body) -> None:
 
 def test_leaving_the_samples_is_reported(tripod: Body, caplog: pytest.LogCaptureFixture) -> None:
     robot, _, model = tripod
-    rom._reported.clear()
+    reach._reported.clear()
     time, pressure = DT_S * np.arange(1, 101), np.tile([10.0 * robot.pressure_max_pa, 0.0, 0.0], (100, 1))
     with caplog.at_level(logging.WARNING):
         motion = simulator(tripod).simulate(time, pressure)

@@ -1,10 +1,12 @@
 """The torch twin: the same motion as the compiled equations, and exact gradients."""
 
 import numpy as np
+import pytest
 import torch
 
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
+from softrl.pod import reach
 from softrl.pod.rom import roll, static_coordinates
 from softrl.pod.torch_twin import TorchRom
 from softrl.robots.robot import Robot
@@ -110,3 +112,11 @@ def test_a_batch_is_its_rows(tripod: Body) -> None:
     _, snapshots, model = tripod
     loads, twin = scaled_loads(model, snapshots, 1.0), TorchRom(model)
     np.testing.assert_allclose(rolled(twin, loads)[1:].numpy(), rolled(twin, loads[1:]).numpy(), atol=1e-10)
+
+
+def test_leaving_the_samples_is_reported_once(tripod: Body, caplog: pytest.LogCaptureFixture) -> None:
+    _, snapshots, model = tripod
+    reach._reported.clear()
+    for _ in range(2):
+        rolled(TorchRom(model), scaled_loads(model, snapshots, 20.0)[:, :4])
+    assert 1 <= len(caplog.records) <= 4 and "times the reach of its snapshots" in caplog.text
