@@ -33,6 +33,8 @@ class ForwardDynamics(Artifact):
     axis : direction of the backbone at rest
     chambers : n
     robot_name : the robot
+    training_samples : rates that it was trained on; the reduced model made them
+    full_order_share : of all samples made, those by the full model: they test, and none of them trains
     """
 
     stage: ClassVar[str] = "dynamics"
@@ -54,6 +56,8 @@ class ForwardDynamics(Artifact):
     chambers: int
     robot_name: str
     polynomial_degree: int = 1
+    training_samples: int = 0
+    full_order_share: float = 0.0
 
     def validate(self) -> None:
         """Check that the weights fit the window and the number of chambers."""

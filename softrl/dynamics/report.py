@@ -13,15 +13,17 @@ from softrl.dynamics.sets import SetSettings
 from softrl.dynamics.transformer import ForwardNet
 
 
-def report_samples(settings: SetSettings, snapshots: Snapshots, tracker: Tracker) -> None:
-    """Log how many samples there are, and the share that the full model made: all of them test, none of them train."""
+def report_samples(settings: SetSettings, snapshots: Snapshots, tracker: Tracker) -> tuple[int, float]:
+    """Log and return how many samples train, and the share of all that the full model made: they test, none of them trains."""
     steps = settings.rows - 1
     reduced = steps * (settings.training_runs + settings.validation_runs + settings.heldout_runs)
     full = snapshots.trajectory_load.shape[0] * snapshots.trajectory_load.shape[1]
-    tracker.metric("training_samples", steps * settings.training_runs)
+    training, share = steps * settings.training_runs, full / (full + reduced)
+    tracker.metric("training_samples", training)
     tracker.metric("reduced_model_samples", reduced)
     tracker.metric("full_order_samples", full)
-    tracker.metric("full_order_share_pct", 100.0 * full / (full + reduced))
+    tracker.metric("full_order_share_pct", 100.0 * share)
+    return training, share
 
 
 def residual_shares(net: ForwardNet, physics: PhysicsResidual, heldout: Windows) -> tuple[float, float]:

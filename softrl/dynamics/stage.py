@@ -132,7 +132,7 @@ def run(
     if config.training_runs > config.runs_per_chunk:
         train = stored(config, robot, reduced_model, body, parallel or LOCAL, kept, tracker)
     sets = generate(config, robot, body, low, high, train)
-    report_samples(config, snapshots, tracker)
+    samples = report_samples(config, snapshots, tracker)
     weights = Kept("dynamics_training", _training_mark(config, kept))
     trainings = {name: Checkpoint(weights, name, config.checkpoint_updates) for name in ("f_S", "gru", "inverse")}
     net, history = learn_forward(config, sets, body, checkpoint=trainings["f_S"])
@@ -145,7 +145,7 @@ def run(
     forward = ForwardDynamics(
         weights_of(net), config.window, config.width, config.heads, config.layers, config.feedforward,
         config.linear_rows, config.dt_s, config.physics_weight, low, high, np.asarray(body.rest_tip), gravity,
-        robot.axis, robot.chambers, robot.name, config.polynomial_degree,
+        robot.axis, robot.chambers, robot.name, config.polynomial_degree, *samples,
     )  # fmt: skip
     backward = InverseDynamics(
         weights_of(inverse), config.inverse_hidden, config.dt_s, config.cycle_weight, robot.chambers, robot.name,

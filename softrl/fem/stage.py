@@ -29,6 +29,8 @@ from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
 CORNERS = 4  # Sobol samples for each corner of the pressures' range at least
+FORETOLD = 200  # equilibria of which is said beforehand how long they take
+TRIED = 3  # equilibria and steps that tell
 
 
 @dataclass(frozen=True)
@@ -162,6 +164,8 @@ def _compute(
     waiting, reused = [name for name in tasks if name not in parts], len(parts)
     if reused:
         log.info("%d of %d chains and trajectories were finished by an earlier run and are kept", reused, len(tasks))
+    if len(waiting) == len(tasks) and len(loads) >= FORETOLD:
+        _foretell(body, loads, chains, programs)
     results = parallel.map(_part, [tasks[name] for name in waiting], body.config.processes)
     for number, arrays in progress(results, "FEM: motions, then chains of equilibria", len(waiting)):
         parts[waiting[number]] = arrays
@@ -171,6 +175,22 @@ def _compute(
     misses = sorted(lost for chain in traced for lost in chain.missed)
     moved = [parts[f"trajectory_{k}"] for k in range(len(programs))]
     return samples, misses, [unpack(Trajectory, arrays) for arrays in moved if arrays], reused
+
+
+def _foretell(body: Body, loads: np.ndarray, chains: list[np.ndarray], programs: list[np.ndarray]) -> None:
+    """Log about how long all will take, by a few equilibria and steps: the first part of many ends only after minutes."""
+    began = time.monotonic()
+    _trace(body, loads, chains[0][:TRIED])
+    traced = time.monotonic()
+    for program in programs[:1]:
+        _move(body, program[:TRIED])
+    equilibrium_s, step_s = (traced - began) / TRIED, (time.monotonic() - traced) / TRIED
+    spent_s = equilibrium_s * len(loads) + step_s * sum(len(program) for program in programs)
+    processes = body.config.processes
+    log.info(
+        "FEM: %d equilibria at %.1f s and %d motions of %d steps at %.1f s: about %.0f min in %d processes", len(loads),
+        equilibrium_s, len(programs), len(programs[0]) if programs else 0, step_s, spent_s / processes / 60.0, processes,
+    )  # fmt: skip
 
 
 def _mark(body: Body) -> str:

@@ -206,11 +206,12 @@ def test_training_from_chunks_on_disk_is_the_same_stage(tmp_path: Path, monkeypa
     robot, snapshots, model = fitted(3)
     plain, chunked = NullTracker(), NullTracker()
     run(config(), robot, model, snapshots, tracker=plain)
-    run(config(runs_per_chunk=2), robot, model, snapshots, tracker=chunked)
+    learnt = run(config(runs_per_chunk=2), robot, model, snapshots, tracker=chunked).forward
     assert set(chunked.metrics) - set(plain.metrics) == {"chunks_resumed", "samples_within_reach_pct"}
     assert chunked.metrics["training_samples"] == plain.metrics["training_samples"] == 600
     assert chunked.metrics["heldout/position_onestep_mm"] < chunked.metrics["heldout/state_stays_position_onestep_mm"]
     assert 50.0 < chunked.metrics["samples_within_reach_pct"] <= 100.0
     full, reduced = chunked.metrics["full_order_samples"], chunked.metrics["reduced_model_samples"]
     assert chunked.metrics["full_order_share_pct"] == pytest.approx(100.0 * full / (full + reduced))
+    assert learnt.training_samples == 600 and learnt.full_order_share == full / (full + reduced)
     assert list(tmp_path.iterdir()) == []

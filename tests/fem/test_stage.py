@@ -1,5 +1,6 @@
 """The stage: what it hands on, and that it is the same however it is run."""
 
+import logging
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from softrl.artifacts.mesh import Mesh
 from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ConfigError, SolverError
 from softrl.core.tracking import NullTracker
+from softrl.fem import stage
 from softrl.fem.material import StableNeoHookean
 from softrl.fem.stage import Body, Config, build_model, run
 from tests.fem.bodies import assert_same, box_robot
@@ -84,6 +86,17 @@ def test_centre_of_mass_moves_as_the_corner_masses_say(snapshots: Snapshots) -> 
 def test_processes_do_not_change_the_result(box: Mesh, snapshots: Snapshots) -> None:
     again = run(replace(CONFIG, processes=2), box_robot(2), box, tracker=NullTracker())
     assert_same(snapshots, again)
+
+
+def test_how_long_many_equilibria_take_is_said_before_the_first_part(
+    box: Mesh, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(stage, "FORETOLD", 1)
+    with caplog.at_level(logging.INFO):
+        run(CONFIG, box_robot(2), box, tracker=NullTracker())
+    lines = [record.getMessage() for record in caplog.records]
+    said = next(k for k, line in enumerate(lines) if "equilibria at" in line and "min in 1 processes" in line)
+    assert said < next(k for k, line in enumerate(lines) if "equilibria and" in line), lines
 
 
 def test_metrics_are_reported(tracker: NullTracker, snapshots: Snapshots) -> None:
