@@ -14,11 +14,11 @@ from softrl.robots.robot import Robot
 @nb.njit(SIGNAL_KERNEL, cache=True)
 def tube_line_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
     """Advance ``T^2 p'' + 2 zeta T p' + p = p_in`` exactly over ``dt`` with the input held."""
-    period, zeta, chamber = parameters[0], parameters[1], int(parameters[2])
+    unit_s, zeta, chamber = parameters[0], parameters[1], int(parameters[2])
     n = len(value)
-    if period <= 0.0:
+    if unit_s <= 0.0:
         return
-    decay, square = zeta / period, (zeta * zeta - 1.0) / (period * period)
+    decay, square = zeta / unit_s, (zeta * zeta - 1.0) / (unit_s * unit_s)
     turn = math.sqrt(abs(square))
     if square > 0.0:
         slow, fast = math.exp((turn - decay) * dt), math.exp(-(turn + decay) * dt)
@@ -31,13 +31,15 @@ def tube_line_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarra
         if chamber < 0 or chamber == i:
             apart, rate = state[i] - value[i], state[n + i]
             state[i] = value[i] + (even + decay * odd) * apart + odd * rate
-            state[n + i] = (even - decay * odd) * rate - odd * apart / (period * period)
+            state[n + i] = (even - decay * odd) * rate - odd * apart / (unit_s * unit_s)
             value[i] = state[i]
 
 
 @dataclass(frozen=True)
 class TubeLine(Effect):
     """Second-order line, ``T^2 p'' + 2 zeta T p' + p = p_in``: a late, non-exponential rise, or ringing.
+
+    ``period_s`` is ``2 pi T``, with which the line would ring if it had no friction.
 
     Notes
     -----
@@ -51,9 +53,13 @@ class TubeLine(Effect):
     piped: ClassVar[bool] = True
     extends: ClassVar[str] = "lag"
 
-    period_s: float = parameter("s", 0.0, 1.0, 0.0, typical=0.1)
+    period_s: float = parameter("s", 0.0, 6.3, 0.0, typical=0.6)
     damping_ratio: float = parameter("1", 0.1, 3.0, 1.0, typical=0.4)
     chamber: int = -1
+
+    def pack(self, robot: Robot) -> np.ndarray:
+        """Return (T s, damping ratio, chamber)."""
+        return super().pack(robot) / [2.0 * math.pi, 1.0, 1.0]
 
     def reset(self, robot: Robot) -> np.ndarray:
         """Return the pressures at the end of the line, then their rates of change, all zero."""

@@ -208,7 +208,8 @@ def test_supply_limit_clips_both_ends() -> None:
 
 def test_tube_line_overshoots_as_a_second_order_system() -> None:
     zeta, dt = 0.4, 1e-4
-    supplied = signal(TubeLine(period_s=0.1, damping_ratio=zeta), step_to(1.0, 20000), dt)[:, 0]
+    supplied = signal(TubeLine(period_s=0.6, damping_ratio=zeta), step_to(1.0, 20000), dt)[:, 0]
+    np.testing.assert_allclose(dt * (supplied.argmax() + 1), 0.3 / np.sqrt(1 - zeta**2), rtol=0.01)  # half a damped period
     np.testing.assert_allclose(supplied.max() - 1.0, np.exp(-np.pi * zeta / np.sqrt(1 - zeta**2)), rtol=0.01)
     np.testing.assert_allclose(supplied[-1], 1.0, rtol=1e-3)
 
