@@ -67,11 +67,10 @@ class FemBench:
         """Return the metrics; there is nothing random here."""
         unknowns, metrics = self.cost(watch)
         metrics["unknowns"] = unknowns
+        metrics["peak_memory_gb"] = self._elsewhere(1, watch).metrics["peak_memory_gb"]
         sizes = [Cost(unknowns, metrics)] + [self._elsewhere(parts, watch) for parts in self.mesh_parts]
         for size in sizes[1:]:
             metrics |= {f"at_{size.unknowns}/{name}": value for name, value in size.metrics.items()}
-        metrics["peak_memory_gb"] = sizes[-1].metrics["peak_memory_gb"]
-        metrics["peak_memory_unknowns"] = sizes[-1].unknowns
         if self.reference_steps:
             metrics |= self.against_reference(watch)
         found = self.convergence() if self.convergence_parts else None
@@ -148,8 +147,8 @@ class FemBench:
 
     def _elsewhere(self, parts: int, watch: Watch) -> Cost:
         """Return the cost on a finer mesh, timed once, in a process of its own, so that its memory is its own too."""
-        finer = refine(self.simulator.mesh, parts)
-        bench = replace(self, simulator=replace(self.simulator, mesh=finer))
+        finer = refine(self.simulator.mesh, parts) if parts > 1 else self.simulator.mesh
+        bench = replace(self, simulator=replace(self.simulator, mesh=finer), steps=1)
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
             return pool.submit(_cost, bench, replace(watch, repeats=1)).result()
 

@@ -20,9 +20,8 @@ def draw_scaling(unknowns: Sequence[int], metrics: Sequence[dict[str, float]], f
         times.plot(found.unknowns, 1e3 * found.seconds, "s--", label="equilibrium")
     times.set(xscale="log", yscale="log", xlabel="unknowns", ylabel="ms (median, shortest to longest)")
     times.legend(frameon=False, fontsize=8)
-    # the first size shares its process with the rest of the bench
-    memory.plot(unknowns[1:], [m["peak_memory_gb"] for m in metrics[1:]], "o-")
-    memory.set(xlabel="unknowns", ylabel="peak memory in GB", ylim=(0.0, None))
+    memory.plot(np.array(unknowns) / 1e3, [m["peak_memory_gb"] for m in metrics], "o-")
+    memory.set(xlabel="unknowns in thousands", ylabel="peak memory in GB", xlim=(0.0, None), ylim=(0.0, None))
     return figure
 
 
