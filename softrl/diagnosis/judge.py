@@ -175,8 +175,8 @@ def _by_map(trial: Any) -> bool:
     return effect_class(trial.hypothesis.effects[-1].name).together
 
 
-def _plainness(trial: Any) -> tuple[int, int, int]:
-    return len(trial.fit.point), _extended(trial), _strange(trial)
+def _plainness(trial: Any) -> tuple[int, int, int, int]:
+    return len(trial.fit.point), _extended(trial), _strange(trial), _picked(trial)
 
 
 def _extended(trial: Any) -> int:
@@ -186,6 +186,11 @@ def _extended(trial: Any) -> int:
 def _strange(trial: Any) -> int:
     begun = [choice.name for choice in trial.hypothesis.effects if choice.gate and choice.gate.field == "since_s"]
     return sum(not effect_class(name).sudden for name in begun)
+
+
+def _picked(trial: Any) -> int:
+    """Return how many numbers were left out: two that were picked from six say less than a law that has but two."""
+    return sum(len(choice.pinned) for choice in trial.hypothesis.effects)
 
 
 def _alone(trial: Any) -> int:

@@ -48,3 +48,6 @@ def test_of_equals_the_better_takes_over_only_if_it_is_not_rounding(judge: Judge
     moment = Gate("since_s", 5.0)
     tilted, turned = (fitted(Choice(name, gate=moment), 1.0, 3) for name in ("mount_tilt", "frame"))
     assert takes_over(turned, tilted) and not takes_over(tilted, turned)
+    two = Choice("frame", pinned=("shift_x", "shift_y", "shift_z", "turn_z_rad"))
+    tilt, turn = fitted(Choice("mount_tilt"), 1.0, 2), fitted(two, 0.99, 2)
+    assert takes_over(tilt, turn) and not takes_over(turn, tilt), "two numbers picked from six are not as plain as two"
