@@ -146,7 +146,7 @@ class FemBench:
         return study(body, self.simulator.mesh, self._load, self.convergence_parts)
 
     def _elsewhere(self, parts: int, watch: Watch) -> Cost:
-        """Return the cost on a finer mesh, timed once, in a process of its own, so that its memory is its own too."""
+        """Return the cost on the mesh, finer by ``parts``, timed once, in a process of its own: so is its memory."""
         finer = refine(self.simulator.mesh, parts) if parts > 1 else self.simulator.mesh
         bench = replace(self, simulator=replace(self.simulator, mesh=finer), steps=1)
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:

@@ -1,6 +1,5 @@
 """The energy ROM in torch: batched and differentiable, the same equations as ``pod.kernel`` to round-off."""
 
-
 import numpy as np
 import torch
 from torch import Tensor
