@@ -241,6 +241,10 @@ class Effect:
         """Return the state vector at rest; one or more slots, as the kernel needs."""
         return np.zeros(max(robot.chambers, 1))
 
+    def unrelaxed(self, after_s: float) -> float:
+        """Return what the wall still resists besides ``after_s`` of a hold, as a share of what it does at long last."""
+        return 0.0
+
     def parts(self) -> tuple["Effect", ...]:
         """Return the effects at single sites that this one is made of: itself, unless it acts at several."""
         return (self,)

@@ -12,6 +12,7 @@ from softrl.robots.robot import Robot
 
 MODES = 8
 SHORTEST_S, FACTOR = 0.02, 5.0  # relaxation times 0.02, 0.1, .. 1560 s
+TIMES_S = SHORTEST_S * FACTOR ** np.arange(MODES)
 
 
 @nb.njit(PORT_KERNEL, cache=True)
@@ -66,12 +67,18 @@ class PowerCreep(Effect):
 
     def pack(self, robot: Robot) -> np.ndarray:
         """Return the modes' shares (8,), the chamber, and the share of all slower modes."""
-        share, exponent, chamber = super().pack(robot)
-        times = SHORTEST_S * FACTOR ** np.arange(MODES)
-        shares = share * math.log(FACTOR) / math.gamma(exponent) * times**-exponent
-        slower = shares[-1] / (FACTOR**exponent - 1.0)  # the geometric series goes on
-        return np.array([*shares, chamber, slower])
+        modes, slower = self._shares()
+        return np.array([*modes, super().pack(robot)[2], slower])
 
     def reset(self, robot: Robot) -> np.ndarray:
         """Return every mode's overstress and the last elastic resistance of each chamber, all zero."""
         return np.zeros((MODES + 1) * robot.chambers)
+
+    def unrelaxed(self, after_s: float) -> float:
+        """Return the shares of the modes that are left, and of all slower ones."""
+        modes, slower = self._shares()
+        return float(modes @ np.exp(-after_s / TIMES_S) + slower)
+
+    def _shares(self) -> tuple[np.ndarray, float]:
+        modes = self.share * math.log(FACTOR) / math.gamma(self.exponent) * TIMES_S**-self.exponent
+        return modes, float(modes[-1] / (FACTOR**self.exponent - 1.0))  # the geometric series goes on

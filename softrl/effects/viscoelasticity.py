@@ -63,3 +63,8 @@ class Viscoelasticity(Effect):
     def reset(self, robot: Robot) -> np.ndarray:
         """Return both branches' overstress and the last elastic resistance of each chamber, all zero."""
         return np.zeros(3 * robot.chambers)
+
+    def unrelaxed(self, after_s: float) -> float:
+        """Return the shares of both branches that are left."""
+        branches = (self.share_1, self.relaxation_1_s), (self.share_2, self.relaxation_2_s)
+        return sum(share * math.exp(-after_s / tau) for share, tau in branches)

@@ -117,8 +117,8 @@ class Plan:
     ----------
     request : (steps, n) Pa, the approach included
     predicted, target : (steps, 3) m
-    response : (steps, 3, memory, n) m/Pa, of a reading to the request ``j`` periods before, j = 0 .. memory - 1, as last
-        linearised: the corrections since then are small enough for a feedback
+    response : (steps, 3, memory, n) m/Pa, of a reading to the request ``j`` periods before, j = 0 .. memory - 1, of the even
+        route if there is one, as last linearised: the corrections since then are small enough for a feedback
     """
 
     request: np.ndarray
@@ -181,24 +181,26 @@ def plan(
     Parameters
     ----------
     start : (steps, n) Pa, a first guess: the static inverse
-    even : to linearise in place of ``route``, which answers to small changes otherwise than to large ones
+    even : a route that answers to small changes as to large ones, linearised before ``route`` itself: its slopes lead past
+        where that sticks or lets go, from where its own lead on
     """
-    even = even or route
     ahead = np.concatenate([np.zeros(approach, dtype=int), np.arange(len(target))])
     wanted, request = target[ahead], start[ahead]
     weight = np.where(np.arange(len(wanted)) < approach, settings.approach_weight, 1.0)
     predicted = route.predict(request)
-    for _ in range(settings.rounds):
-        response = linearise(even, request, predicted if even is route else even.predict(request), settings)
+    ways, response = (route,) if even is None else (even, route), {}
+    for way in ways * settings.rounds:
+        slopes = linearise(way, request, predicted if way is route else way.predict(request), settings)
+        response[way is route] = slopes
         for _ in range(settings.refinements):
-            turn = _correction(route.robot, request, predicted - wanted, response, weight, settings)
+            turn = _correction(route.robot, request, predicted - wanted, slopes, weight, settings)
             least = (1.0 - LEAST_GAIN) * _cost(request, predicted - wanted, weight, settings)
             trials = ((trial, route.predict(trial)) for trial in (request + share * turn for share in SHARES))
             better = next((t for t in trials if _cost(t[0], t[1] - wanted, weight, settings) < least), None)
             if better is None:
                 break
             request, predicted = better
-    return Plan(request, predicted, wanted, response)
+    return Plan(request, predicted, wanted, response[even is None])
 
 
 def linearise(route: Route, request: np.ndarray, predicted: np.ndarray, settings: Inversion) -> np.ndarray:

@@ -12,6 +12,7 @@ from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.trial import Trial, fit_trials
 from softrl.effects.contact import Contact
 from softrl.effects.library import effect_class
+from softrl.effects.power_creep import PowerCreep
 from softrl.pcc.simulator import PccSimulator
 from tests.diagnosis.conftest import configured, made
 
@@ -51,18 +52,24 @@ def test_derivatives_by_pinned_parameters_are_those_of_free_ones(body: PccSimula
     np.testing.assert_allclose(found, both.fit.jacobian[:, [0, 2]], atol=0.02 * np.abs(both.fit.jacobian).max())
 
 
-def test_an_arc_bears_a_weight_at_its_tip_uncertainly_and_a_valve_bears_none(
-    body: PccSimulator, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_arc_bears_a_weight_at_its_tip_uncertainly_and_a_valve_bears_none(body: PccSimulator) -> None:
     problem, trial = fitted(body, Choice("payload"), mass=0.4)
     mass = intervals(problem, trial, configured().thresholds)[0]
-    with monkeypatch.context() as patched:
-        patched.setattr("softrl.diagnosis.intervals.weight_error", lambda *_: np.zeros(len(trial.fit.point)))
-        chance = intervals(problem, trial, configured().thresholds)[0]
-    assert mass.low < 0.39 < 0.41 < mass.high and mass.high - mass.low > 2.0 * (chance.high - chance.low)
+    assert mass.low < 0.38 < 0.42 < mass.high
     assert mass.value == pytest.approx(0.4, rel=0.02) and mass.high - mass.low < 0.3
     assert weight_error(problem, trial).all()
     assert not weight_error(replace(problem, target="pressure"), trial).any()
+
+
+def test_a_creeping_wall_leaves_a_weight_less_certain(body: PccSimulator) -> None:
+    config, creep = configured(), PowerCreep(share=0.6, exponent=0.12)
+    runs = made(body, (effect_class("payload")(mass=0.4), creep), sessions=3).recordings
+    problem = Problem(body.robot, body, runs, config.numerics, "motion", "command", False, False)
+    trial = fit_trials(problem, None, [(Hypothesis((Choice("payload"), Choice("power_creep")), TUNED), [])], config.search)[0]
+    wide = weight_error(problem, trial)[0]
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(PowerCreep, "unrelaxed", lambda *_: 0.0)
+        assert wide > 2.0 * weight_error(problem, trial)[0]
 
 
 def test_moves_take_up_a_change_as_far_as_the_parameters_can() -> None:

@@ -374,6 +374,14 @@ def test_power_creep_relaxes_by_a_power_of_time(exponent: float) -> None:
         np.testing.assert_allclose(added, expected, rtol=0.1)
 
 
+@pytest.mark.parametrize("effect", [PowerCreep(0.5, 0.2), Viscoelasticity(0.3, 2.0, 0.4, 30.0)])
+def test_what_a_wall_has_not_relaxed_is_what_it_resists_after_a_hold(effect: Effect) -> None:
+    strain, dt_s = 0.05, 0.5
+    for steps in (20, 200, 2000):
+        added = pull(effect, np.full(steps + 1, strain), dt_s)[-1]
+        assert added == pytest.approx(STIFFNESS * strain * effect.unrelaxed(steps * dt_s), rel=0.02)
+
+
 def test_asymmetry_turns_the_plane_of_bending_and_keeps_the_sum() -> None:
     command = np.full((1, 3), 1e4)
     acting = signal(Asymmetry(along_x=0.2, along_y=-0.1), command)[0]

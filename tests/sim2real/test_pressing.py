@@ -84,8 +84,7 @@ def test_a_plan_is_nearer_where_it_is_linearised_without_sticking(bench: Bench) 
     stuck = plan(route_of(bench.sliding, PLANNING, PACE, course), course.wanted, start, PACE.approach_steps, PLANNING)
     even = prepare(bench.sliding, PLANNING, PACE, course)
     left, kept = (np.linalg.norm(p.predicted - p.target, axis=1) for p in (even, stuck))
-    assert np.median(left) < 0.2 * np.median(kept)  # where the tip lets go at once, both plans miss by millimetres
-    assert np.linalg.norm(left) < np.linalg.norm(kept)
+    assert np.linalg.norm(left) < 0.5 * np.linalg.norm(kept)
 
 
 @pytest.mark.parametrize("task", ["pressing", "sliding"])
