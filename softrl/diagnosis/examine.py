@@ -13,6 +13,7 @@ from softrl.diagnosis.hypothesise import forward
 from softrl.diagnosis.intervals import Interval, by_effect, intervals
 from softrl.diagnosis.judge import SHOWN_BESIDE, Gap, Judge, Thresholds
 from softrl.diagnosis.leftover import Offer, explained_by, heldout_residual, offer_of, reasons_of, varies
+from softrl.diagnosis.moves import implausible
 from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem, Residual
 from softrl.diagnosis.slim import slim
@@ -267,10 +268,11 @@ def _confirm(
         without = _leave_one_out(part, judge, path, base, final, search)
         gaps = {choice: judge.gap(trial.squares, final.squares) for choice, trial in without.items()}
         weakest = min(gaps, key=lambda choice: gaps[choice].value)
+        odd, less = implausible(judge, final), without[weakest]
         plain = gaps[weakest].value >= judge.material
-        if len(gaps) == 1:  # nothing else is named: see ``Judge.shows``
-            times = SHOWN_BESIDE if part.problem.space(final.hypothesis).at_the_end(final.fit.point) else 1.0
-            plain = judge.removed(base.squares, final.squares) >= times * judge.material
+        if len(gaps) == 1 or (not odd and implausible(judge, less)):  # it only has to show, see ``moves.pays``
+            times = SHOWN_BESIDE if odd else 1.0
+            plain = judge.removed(less.squares, final.squares) >= times * judge.material
         if plain and gaps[weakest].low > 0.0:
             found = intervals(part.problem, final, judge.thresholds)
             mine = by_effect(final.hypothesis, found)

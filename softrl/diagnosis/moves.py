@@ -22,11 +22,20 @@ REFORMED = 2  # fits of a round, the best, in which older effects are tried in t
 
 
 def pays(judge: Judge, current: Trial, added: Trial) -> bool:
-    """Return whether the effect that ``added`` has beyond ``current`` pays; the first only has to show."""
-    if current.hypothesis.effects:
-        return judge.pays(current.squares, added.squares)
-    odd = judge.problem.space(added.hypothesis).at_the_end(added.fit.point)
-    return judge.shows(current.squares, added.squares, SHOWN_BESIDE if odd else SHOWN)
+    """Return whether the effect that ``added`` has beyond ``current`` pays.
+
+    The first only has to show, and so does one without which a retuned parameter goes to the end of its range in its place.
+    """
+    odd, were_odd = implausible(judge, added), implausible(judge, current)
+    if not current.hypothesis.effects:
+        return judge.shows(current.squares, added.squares, SHOWN_BESIDE if odd else SHOWN)
+    relieved = were_odd and not odd and judge.shows(current.squares, added.squares, 1.0)
+    return relieved or judge.pays(current.squares, added.squares)
+
+
+def implausible(judge: Judge, trial: Trial) -> bool:
+    """Return whether a retuned parameter of ``trial`` is at the end of its plausible range."""
+    return bool(judge.problem.space(trial.hypothesis).at_the_end(trial.fit.point))
 
 
 def not_taken(choices: Sequence[Choice], trial: Trial) -> list[Choice]:
@@ -234,7 +243,7 @@ def prune(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Pa
     """Return ``trial`` without the effects, other than the last, that no longer pay."""
     for choice in trial.hypothesis.effects[:-1]:
         fewer = path.fit(fitting, [(trial.hypothesis.without(choice), drop(trial, choice))], search)
-        if fewer and not judge.pays(fewer[0].squares, trial.squares):
+        if fewer and not pays(judge, fewer[0], trial):
             log.info("%s no longer pays and is dropped", choice.label())
             trial = fewer[0]
     return trial
