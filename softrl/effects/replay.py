@@ -20,6 +20,7 @@ from softrl.robots.robot import Robot
 
 MAX_STEPS = 5_000_000
 CHANNELS = ("pressure_meas", "position", "quaternion", "bend_angle")
+LOST_PERIODS, LOST_S = 1.8, 2.0  # median periods, s: a pause between these is of rows that were lost, not of a log that waits
 KEPT = 128  # recordings whose pressures on the grid are kept
 
 
@@ -197,12 +198,27 @@ def _drive_on_grid(
         chain = replace(supply.chain, before_s=settle_s)
         pressure = chain.filter(["valve"], command, dt_s) + evenly(time, stamps, supply.apart)
     else:
-        known, held = (stamps, rows) if drive == "command" else _filled_in(stamps, rows, time)
+        known, held = _bridged(stamps, rows) if drive == "command" else _filled_in(stamps, rows, time)
         pressure = _mean_held(known, held, time, dt_s)
     if first and recording.pressure_meas is not None:
         pressure[:first] = recording.pressure_meas[0]
     force = None if recording.tip_force is None else _mean_held(recording.time + late_s, recording.tip_force, time, dt_s)
     return time, pressure, force
+
+
+def _bridged(stamps: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return samples (samples,), (samples, n) with those that a log has lost, taken to change evenly.
+
+    A command is held until its time: the first one after a pause would act from before it.
+    """
+    apart = np.diff(stamps)
+    period = float(np.median(apart))
+    lost = np.flatnonzero((apart > LOST_PERIODS * period) & (apart <= LOST_S))
+    if not len(lost):
+        return stamps, rows
+    between = [np.arange(stamps[k] + period, stamps[k + 1] - 0.5 * period, period) for k in lost]
+    filled = np.union1d(stamps, np.concatenate(between))
+    return filled, evenly(filled, stamps, rows)
 
 
 def _filled_in(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

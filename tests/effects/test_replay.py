@@ -45,6 +45,28 @@ def test_pressures_arrive_when_they_were_commanded(dt_s: float, uneven_s: float)
     assert np.abs(apart).max() < 1e-4 or uneven_s > 0.0
 
 
+@pytest.mark.parametrize("lost", [1, 5, 40])
+def test_a_command_is_not_early_by_the_rows_that_a_log_has_lost(lost: int) -> None:
+    time = 0.02 * np.arange(1, 1001)
+    command = 5e3 * (1.0 + np.sin(np.outer(time, [1.1, 0.7, 0.4])))
+    kept = np.ones(len(time), dtype=bool)
+    kept[300 : 300 + lost] = kept[700 : 700 + lost] = False
+    whole, fewer = (
+        _drive_on_grid(Recording("run", "day", time[rows], command[rows]), 0.01, "command", 0.0)[1]
+        for rows in (np.ones(len(time), dtype=bool), kept)
+    )
+    even = 0.125 * 6.1e3 * (0.02 * (lost + 1)) ** 2  # what a line may be off between the ends, of its curvature
+    assert np.abs(fewer - whole)[200:].max() < even + 120.0, "a row is up to 110 Pa"
+
+
+@pytest.mark.parametrize("lost_s", [3.0, 30.0])
+def test_a_log_that_waits_has_held_its_command(lost_s: float) -> None:
+    time = np.concatenate([0.02 * np.arange(1, 101), 2.0 + lost_s + 0.02 * np.arange(1, 101)])
+    command = np.repeat([[1e4, 0.0, 0.0], [2e4, 0.0, 0.0]], 100, axis=0)
+    drive = _drive_on_grid(Recording("run", "day", time, command), 0.02, "command", 0.0)[1]
+    assert set(np.unique(drive[1:-1, 0]).round(6)) == {1e4, 2e4}
+
+
 @pytest.mark.parametrize("uneven_s", [0.0, 0.02])
 def test_measured_pressures_change_evenly_between_their_samples(uneven_s: float) -> None:
     time = np.cumsum(0.1 + uneven_s * np.random.default_rng(3).uniform(-1.0, 1.0, 300))
