@@ -16,3 +16,8 @@ _INNER: dict[str, Any] = _ALONE | {"forceinline": True}
 standing: Any = nb.njit(fastmath=FAST, **_ALONE)
 borrowing: Any = nb.njit(**_INNER)
 summing: Any = nb.njit(fastmath=FAST, **_INNER)
+
+
+def standing_as(signature: Any) -> Any:
+    """Return the decorator of a function that is called by its address: counting its references took longer than most laws."""
+    return nb.njit(signature, **_ALONE)

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numba as nb
 import numpy as np
 
+from softrl.core.compiled import standing_as
 from softrl.core.errors import ConfigError
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
 from softrl.robots.robot import Robot
@@ -13,11 +13,12 @@ from softrl.robots.robot import Robot
 CHAMBERS = 3
 
 
-@nb.njit(SIGNAL_KERNEL, cache=True)
+@standing_as(SIGNAL_KERNEL)
 def command_map_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
     """Add the matrix times the commands, the shifts, and the bends, down to the lowest; the state is the commands."""
     count, lowest = len(value), parameters[CHAMBERS * CHAMBERS + 2 * CHAMBERS]
-    state[:count] = value
+    for i in range(count):
+        state[i] = value[i]
     for i in range(count):
         value[i] += parameters[CHAMBERS * CHAMBERS + i]
         value[i] += parameters[CHAMBERS * CHAMBERS + CHAMBERS + i] * state[i] * abs(state[i])

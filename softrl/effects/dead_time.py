@@ -4,15 +4,15 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numba as nb
 import numpy as np
 
+from softrl.core.compiled import standing_as
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
 from softrl.effects.history import empty_history, look_back, push
 from softrl.robots.robot import Robot
 
 
-@nb.njit(SIGNAL_KERNEL, cache=True)
+@standing_as(SIGNAL_KERNEL)
 def dead_time_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
     """Delay the command, then let what arrives lag twice; the state is the history, and the pressures behind each lag.
 

@@ -4,16 +4,16 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numba as nb
 import numpy as np
 
+from softrl.core.compiled import standing_as
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
 from softrl.robots.robot import Robot
 
 AT_ONCE_PER_S = 1e4  # faster filling takes no time
 
 
-@nb.njit(SIGNAL_KERNEL, cache=True)
+@standing_as(SIGNAL_KERNEL)
 def deadband_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
     """Open valves beyond the band, fill towards the command, close them again; the state is supply and open, per chamber."""
     band, closes, chamber, count = parameters[0], parameters[1] * parameters[0], int(parameters[3]), len(value)

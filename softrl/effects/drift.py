@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numba as nb
 import numpy as np
 
+from softrl.core.compiled import standing_as
 from softrl.effects.effect import ADDED, ADDED_SLOPE, ELASTIC, ELASTIC_SLOPE, PORT_KERNEL, Effect, parameter
 from softrl.robots.robot import Robot
 
@@ -14,7 +14,7 @@ LONG_S = 1e6  # after which it levels off no more within any recording
 MOST = 5.0  # logarithm of a stiffness over the model's, beyond which nobody calls it a drift
 
 
-@nb.njit(PORT_KERNEL, cache=True)
+@standing_as(PORT_KERNEL)
 def drift_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
     """Scale the elastic resistance by ``exp(-rate T (1 - exp(-t / T)))`` with the time t since the onset."""
     chamber = int(parameters[3])

@@ -19,6 +19,7 @@ from typing import Any, ClassVar
 import numba as nb
 import numpy as np
 
+from softrl.core.compiled import borrowing
 from softrl.core.errors import ConfigError
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
@@ -50,7 +51,7 @@ TIP, TIP_VELOCITY, GRAVITY, FORCE, FORCE_SLOPE = 0, 1, 2, 3, 4
 BODY_PORT_ROWS, LOAD_PORT_ROWS = 8, 7
 
 
-@nb.njit(cache=True)
+@borrowing
 def wall(port: np.ndarray, chamber: int, i: int) -> tuple[float, float]:
     """Return the elastic resistance, Pa, of the wall beside chamber ``i``, and its slope, Pa, as an effect of ``chamber`` has it.
 

@@ -4,16 +4,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numba as nb
 import numpy as np
 
+from softrl.core.compiled import standing_as
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
 from softrl.recordings.recording import Recording
 
 ONSETS = (0.2, 0.4, 0.6, 0.8)  # shares of the time that its clock goes on
 
 
-@nb.njit(SIGNAL_KERNEL, cache=True)
+@standing_as(SIGNAL_KERNEL)
 def failure_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
     """Take away a share of the pressure from the onset on; in the step of the onset, in proportion."""
     loss, onset, chamber = parameters[0], parameters[1], int(parameters[2])

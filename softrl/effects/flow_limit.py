@@ -4,16 +4,16 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numba as nb
 import numpy as np
 
+from softrl.core.compiled import standing_as
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
 from softrl.robots.robot import Robot
 
 UNLIMITED_PER_S = 1e4
 
 
-@nb.njit(SIGNAL_KERNEL, cache=True)
+@standing_as(SIGNAL_KERNEL)
 def flow_limit_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
     """Let the supplied pressure rise by no more than its rate, and fall no faster than it decays to the lowest."""
     rise, vent_s, lowest, chamber = parameters[0], parameters[1], parameters[2], int(parameters[3])

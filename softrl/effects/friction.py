@@ -4,16 +4,16 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numba as nb
 import numpy as np
 
+from softrl.core.compiled import standing_as
 from softrl.effects.effect import ADDED, ADDED_SLOPE, PORT_KERNEL, PRESSURE, RATE, Effect, parameter
 from softrl.robots.robot import Robot
 
 SLIP_RATE_PER_S = 1e-3  # strain rate at which friction has reached three quarters of its height
 
 
-@nb.njit(PORT_KERNEL, cache=True)
+@standing_as(PORT_KERNEL)
 def friction_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
     """Add friction against the strain rate, smoothed about zero."""
     chamber = int(parameters[2])

@@ -1,7 +1,8 @@
 """A ring of past values inside a state vector, for effects that look back in time."""
 
-import numba as nb
 import numpy as np
+
+from softrl.core.compiled import borrowing
 
 CAPACITY = 4096  # past values a channel: 1 s at a step of 0.25 ms
 HEAD, COUNT, FIRST = 0, 1, 2
@@ -12,7 +13,7 @@ def empty_history(width: int) -> np.ndarray:
     return np.zeros(FIRST + CAPACITY * width)
 
 
-@nb.njit(cache=True)
+@borrowing
 def push(state: np.ndarray, value: np.ndarray, before: bool) -> None:
     """Add ``value`` (width,); what came before the first value equals it if ``before``, else zero."""
     width = len(value)
@@ -27,7 +28,7 @@ def push(state: np.ndarray, value: np.ndarray, before: bool) -> None:
         state[FIRST + head * width + i] = value[i]
 
 
-@nb.njit(cache=True)
+@borrowing
 def look_back(state: np.ndarray, width: int, channel: int, steps: float) -> float:
     """Return a channel's value ``steps`` before the last one, interpolated linearly between samples."""
     steps = min(steps, CAPACITY - 2.0)

@@ -9,6 +9,7 @@ from typing import ClassVar, NamedTuple
 import numba as nb
 import numpy as np
 
+from softrl.core.compiled import standing_as
 from softrl.core.identity import Same
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
 from softrl.recordings.recording import Recording
@@ -31,7 +32,7 @@ KEPT_RUNS, KEPT_PHASES = 128, 256  # recordings whose changes are kept, and phas
 FIRST = -1e12  # number of the reading before the first
 
 
-@nb.njit(SIGNAL_KERNEL, cache=True)
+@standing_as(SIGNAL_KERNEL)
 def hold_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
     """Take a new pose whenever a period begins and repeat it in between; periods are counted from the first sample.
 

@@ -4,14 +4,14 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numba as nb
 import numpy as np
 
+from softrl.core.compiled import standing_as
 from softrl.effects.effect import ADDED, ADDED_SLOPE, PORT_KERNEL, RATE, Effect, parameter
 from softrl.robots.robot import Robot
 
 
-@nb.njit(PORT_KERNEL, cache=True)
+@standing_as(PORT_KERNEL)
 def hysteresis_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
     """Advance the hysteretic share z in [-1, 1] exactly along the strain increment of the step."""
     height, yield_strain, chamber = parameters[0], parameters[1], int(parameters[2])

@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numba as nb
 import numpy as np
 
+from softrl.core.compiled import standing_as
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
 from softrl.robots.robot import Robot
 
 
-@nb.njit(SIGNAL_KERNEL, cache=True)
+@standing_as(SIGNAL_KERNEL)
 def marker_offset_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
     """Add the offset, turned with the tip: ``p + R(q) o`` by ``o + 2 w (u x o) + 2 u x (u x o)``."""
     a, b, c = parameters[0], parameters[1], parameters[2]

@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numba as nb
 import numpy as np
 
+from softrl.core.compiled import standing_as
 from softrl.effects.effect import (
     ADDED,
     ADDED_SLOPE,
@@ -21,7 +21,7 @@ from softrl.effects.effect import (
 LONG_S = 1e6  # after which nothing recovers within any recording
 
 
-@nb.njit(PORT_KERNEL, cache=True)
+@standing_as(PORT_KERNEL)
 def mullins_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
     """Take away a share of the elastic resistance, growing with how far its energy is below the largest so far."""
     softening, square, chamber = parameters[0], parameters[1] * parameters[1], int(parameters[3])

@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numba as nb
 import numpy as np
 
+from softrl.core.compiled import standing_as
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
 from softrl.robots.robot import Robot
 
 
-@nb.njit(SIGNAL_KERNEL, cache=True)
+@standing_as(SIGNAL_KERNEL)
 def offset_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
     """Shift the acting pressure, down to the robot's lowest at most."""
     shift, lowest, chamber = parameters[0], parameters[1], int(parameters[2])

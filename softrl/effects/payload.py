@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numba as nb
 import numpy as np
 
+from softrl.core.compiled import standing_as
 from softrl.effects.effect import FORCE, FORCE_SLOPE, GRAVITY, PORT_KERNEL, TIP_VELOCITY, Effect, parameter
 from softrl.robots.robot import Robot
 
 
-@nb.njit(PORT_KERNEL, cache=True)
+@standing_as(PORT_KERNEL)
 def payload_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
     """Add weight and inertia of the mass; the state is the tip's velocity at the last step."""
     mass = parameters[0]

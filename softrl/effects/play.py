@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numba as nb
 import numpy as np
 
+from softrl.core.compiled import standing_as
 from softrl.effects.effect import ADDED, ADDED_SLOPE, PORT_KERNEL, RATE, Effect, parameter
 from softrl.robots.robot import Robot
 
 
-@nb.njit(PORT_KERNEL, cache=True)
+@standing_as(PORT_KERNEL)
 def play_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
     """Advance a spring in series with a slider: straight up to the height, level beyond it."""
     height, yield_strain, chamber = parameters[0], parameters[1], int(parameters[2])

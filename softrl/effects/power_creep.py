@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numba as nb
 import numpy as np
 
+from softrl.core.compiled import standing_as
 from softrl.effects.effect import ADDED, ADDED_SLOPE, PORT_KERNEL, Effect, parameter, wall
 from softrl.robots.robot import Robot
 
@@ -15,7 +15,7 @@ SHORTEST_S, FACTOR = 0.02, 5.0  # relaxation times 0.02, 0.1, .. 1560 s
 TIMES_S = SHORTEST_S * FACTOR ** np.arange(MODES)
 
 
-@nb.njit(PORT_KERNEL, cache=True)
+@standing_as(PORT_KERNEL)
 def power_creep_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
     """Advance every mode's overstress exactly for a resistance that changes linearly over the step."""
     n, chamber = port.shape[1], int(parameters[MODES])

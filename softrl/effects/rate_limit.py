@@ -3,16 +3,16 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numba as nb
 import numpy as np
 
+from softrl.core.compiled import standing_as
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
 from softrl.robots.robot import Robot
 
 UNLIMITED_PER_S = 1e4
 
 
-@nb.njit(SIGNAL_KERNEL, cache=True)
+@standing_as(SIGNAL_KERNEL)
 def rate_limit_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
     """Let the supplied pressure follow the command at no more than the two rates."""
     chamber = int(parameters[2])

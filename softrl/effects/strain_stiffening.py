@@ -3,15 +3,15 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numba as nb
 import numpy as np
 
+from softrl.core.compiled import standing_as
 from softrl.effects.effect import ADDED, ADDED_SLOPE, PORT_KERNEL, REST, STRAIN, Effect, parameter
 
 REFERENCE_STRAIN = 0.1
 
 
-@nb.njit(PORT_KERNEL, cache=True)
+@standing_as(PORT_KERNEL)
 def strain_stiffening_kernel(
     parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool
 ) -> None:

@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numba as nb
 import numpy as np
 
+from softrl.core.compiled import standing_as
 from softrl.effects.effect import FORCE, FORCE_SLOPE, PORT_KERNEL, TIP, Effect, parameter
 from softrl.robots.robot import Robot
 
@@ -14,7 +14,7 @@ AROUND = 4  # directions in which a search for the anchor begins
 FAR = 0.2  # lengths of the robot from the tip at rest where it begins
 
 
-@nb.njit(PORT_KERNEL, cache=True)
+@standing_as(PORT_KERNEL)
 def tether_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
     """Pull the tip towards the anchor, as far as it is farther away than the length that hangs free."""
     stiffness, free = parameters[0], parameters[4]

@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numba as nb
 import numpy as np
 
+from softrl.core.compiled import standing_as
 from softrl.effects.effect import ADDED, ADDED_SLOPE, ELASTIC, ELASTIC_SLOPE, PORT_KERNEL, Effect, parameter
 from softrl.robots.robot import Robot
 
@@ -15,7 +15,7 @@ MOST = 5.0  # logarithm of a stiffness over the model's, beyond which no wall is
 OWN = 2  # numbers of the effect itself: softening 1/K and chamber; the temperatures, one a second, stand behind them
 
 
-@nb.njit(PORT_KERNEL, cache=True)
+@standing_as(PORT_KERNEL)
 def thermal_softening_kernel(
     parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool
 ) -> None:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from softrl.core.compiled import borrowing
+from softrl.core.compiled import summing
 from softrl.effects.call import run_ports
 from softrl.effects.effect import (
     ADDED,
@@ -27,7 +27,7 @@ from softrl.pcc.pose import shape_functions
 LAST, VELOCITY, TRIAL, RESIDUAL, STEP, OTHER, NEXT, MOVED, SEEN = range(9)
 
 
-@borrowing
+@summing
 def run_load_effects(hook: Any, port: np.ndarray, gravity: np.ndarray, tips: np.ndarray, dt: float, commit: bool) -> None:
     """Fill the load port at the tip ``tips[1]`` and run the effects on it."""
     for k in range(3):
@@ -39,7 +39,7 @@ def run_load_effects(hook: Any, port: np.ndarray, gravity: np.ndarray, tips: np.
     run_ports(hook, port, dt, commit)
 
 
-@borrowing
+@summing
 def run_body_effects(
     hook: Any,
     port: np.ndarray,
@@ -67,7 +67,7 @@ def run_body_effects(
     run_ports(hook, port, dt, commit)
 
 
-@borrowing
+@summing
 def fill_residual(
     y: np.ndarray,
     out: np.ndarray,

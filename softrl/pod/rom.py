@@ -44,7 +44,7 @@ def static_coordinates(model: ReducedModel, loads: np.ndarray, gravity_m_s2: np.
             f"{int(failed.sum())} of {len(loads)} equilibria of the reduced model were not found, the first under "
             f"{first} (Pa, N); keep the loads within the range of the snapshots"
         )
-    warn_beyond(model.robot_name, reach(found), "equilibria")
+    warn_beyond(model, reach(found), "equilibria")
     return found @ model.frame.T
 
 
@@ -86,7 +86,7 @@ def tip_poses(
     position, quaternion = np.empty((len(coordinate), 3)), np.empty((len(coordinate), 4))
     values, point = np.empty(len(tables.parent)), np.empty(model.order)
     points = coordinate @ tables.inverse.T
-    warn_beyond(model.robot_name, reach(points), "tip's poses")
+    warn_beyond(model, reach(points), "tip's poses")
     for k, y in enumerate(points):
         tip_pose(y, STILL[0], tables, values, point, position[k], quaternion[k])
     return position, quaternion
@@ -178,4 +178,4 @@ def _check(path: np.ndarray, failed: int, farthest: float, model: ReducedModel, 
         )
     if failed:
         log.warning("reduced model of %s: %d of %d steps did not converge to the last digit", model.robot_name, failed, steps)
-    warn_beyond(model.robot_name, farthest)
+    warn_beyond(model, farthest)

@@ -120,11 +120,11 @@ class RomSimulator:
             before = y.copy()
             # a step on the way may fail, as where the tip is thrown out of a surface: what counts is where it comes to rest
             still = np.zeros(r), STILL.copy(), np.zeros(r)
-            self._run(y, *still, QUASI_STATIC_S, load, loads_only, 0, failed_share=1.0)
+            self._run(y, *still, QUASI_STATIC_S, load, loads_only, 0, 1.0, "equilibria")
             load[:] = load[-1]
             if np.abs(y - before).max() < 1e-8:
                 break
-        self._run(y, np.zeros(r), STILL.copy(), np.zeros(r), QUASI_STATIC_S, load, loads_only, 0)
+        self._run(y, np.zeros(r), STILL.copy(), np.zeros(r), QUASI_STATIC_S, load, loads_only, 0, what="equilibria")
         return y
 
     def _run(
@@ -138,6 +138,7 @@ class RomSimulator:
         hooks: tuple[Calls, Calls],
         poses: int,
         failed_share: float = FAILED_SHARE,
+        what: str = "motion",
     ) -> tuple[np.ndarray, np.ndarray]:
         """Advance what moves in place; return ``poses`` positions (., 3) and quaternions (., 4)."""
         position, quaternion = np.empty((poses, 3)), np.empty((poses, 4))
@@ -150,7 +151,7 @@ class RomSimulator:
                 f"simulator rom: {failed} of {len(load)} steps of {dt_s:g} s did not converge; "
                 "try a smaller dt_s, pressures within the snapshots' range, or weaker effects"
             )
-        warn_beyond(self.reduced_model.robot_name, farthest)
+        warn_beyond(self.reduced_model, farthest, what)
         return position, quaternion
 
     def _loads(self, pressure: np.ndarray, tip_force: np.ndarray | None) -> np.ndarray:

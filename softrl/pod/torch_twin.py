@@ -57,7 +57,7 @@ class TorchRom(torch.nn.Module):
         super().__init__()
         tables = tables_of(model, gravity_m_s2, youngs_modulus_scale, damping_scale, mass_scale)
         self.order = r = model.order
-        self._robot_name = model.robot_name
+        self._model = model
         for name in (
             "frame", "inverse", "gradient", "amplitudes", "amplitude_slope", "stiffness_factor", "degrees", "quadratic",
             "inner_give", "inner_root", "drag_root",
@@ -133,7 +133,7 @@ class TorchRom(torch.nn.Module):
         inertia, right, apart, push, pull = self._sides(held, first, start, rate, inner, outer, dt_s)
         with torch.no_grad():
             y = self._solve(ahead, inertia, right)
-            warn_beyond(self._robot_name, float(y.norm(dim=1).max()))
+            warn_beyond(self._model, float(y.norm(dim=1).max()))
             jacobian = self._curvature(y) + inertia
         left = self._slope(y) + times(inertia, y) - right
         y = y - torch.linalg.solve(jacobian, left.unsqueeze(-1)).squeeze(-1)

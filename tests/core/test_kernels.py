@@ -12,7 +12,7 @@ import pytest
 import softrl
 from softrl.core.kernels import compiled_sources, keep_by_code, mark_of
 
-DECORATED = re.compile(r"^\s*@(standing|borrowing|summing|(nb|numba)\.\w*jit)\b", re.MULTILINE)
+DECORATED = re.compile(r"^\s*@(standing|standing_as|borrowing|summing|(nb|numba)\.\w*jit)\b", re.MULTILINE)
 INNER = "import numba\n@numba.njit(cache=True)\ndef inner():\n    return {value}\n"
 OUTER = "import numba\nfrom inner import inner\n@numba.njit(cache=True)\ndef outer():\n    return inner()\n"
 CALL = (

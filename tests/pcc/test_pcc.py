@@ -108,20 +108,30 @@ def test_equilibrium_is_a_minimum_of_the_potential(gravity: tuple[float, float, 
     assert np.abs(gradient).max() < 1e-4 * np.abs(body.stiffness * q).max(), gradient
 
 
-def test_energy_decays_after_release() -> None:
+def test_energy_decays_after_release_as_damping_says() -> None:
+    """Damping takes ``c v^2`` a second, and half of the energy is motion: it decays by ``exp(-c t / m)`` along each coordinate.
+
+    The loss comes while it moves, twice a turn, so that the energy swings about this by about the damping ratio.
+    """
     body = simulator(damping_s=2e-3)
-    zero = np.zeros(3)
+    zero, dt = np.zeros(3), 2e-3
     state = body.equilibrium(np.array([3e4, 0.0, 1e4]))
-    rest = body.reset().coordinates
+    rest = potential(body, body.reset().coordinates, zero, zero)
     inertia = body.mass_scale * body.robot.mass_kg * body.robot.length_m**2 * np.array([1 / 20, 1 / 20, 1 / 3])
+    per_s = body.damping_s * body.stiffness / inertia
+    stretch = potential(body, state.coordinates * [0.0, 0.0, 1.0], zero, zero) - rest
     energy = []
     for _ in range(900):
-        kinetic = 0.5 * inertia @ state.velocity**2
-        energy.append(kinetic + potential(body, state.coordinates, zero, zero) - potential(body, rest, zero, zero))
-        state = body.step(state, zero, 2e-3)
-    energy = np.array(energy)
+        energy.append(0.5 * inertia @ state.velocity**2 + potential(body, state.coordinates, zero, zero) - rest)
+        state = body.step(state, zero, dt)
+    energy, time = np.array(energy), dt * np.arange(900)
     assert (np.diff(energy) < 1e-7 * energy[0]).all(), np.diff(energy).max()
-    assert energy[-1] < 5e-3 * energy[0]
+    law = (energy[0] - stretch) * np.exp(-per_s[0] * time) + stretch * np.exp(-per_s[2] * time)
+    ratio = 0.5 * body.damping_s * np.sqrt(body.stiffness[0] / inertia[0])
+    assert np.abs(energy / law - 1.0).max() < 1.5 * ratio, (energy / law).tolist()
+    late = time > 0.3  # the elongation has come to rest
+    rate = -np.polyfit(time[late], np.log(energy[late]), 1)[0]
+    np.testing.assert_allclose(rate, per_s[0], rtol=5e-3)
 
 
 def test_a_swing_dies_out_as_fast_as_damping_says_at_a_coarse_step() -> None:

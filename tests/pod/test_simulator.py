@@ -3,6 +3,7 @@
 import dataclasses
 import logging
 import pickle
+from collections.abc import Callable
 from typing import Any
 
 import numba as nb
@@ -207,3 +208,27 @@ def test_leaving_the_samples_is_reported(tripod: Body, caplog: pytest.LogCapture
     assert np.isfinite(motion.position).all()
     # told once, and again only for going much farther
     assert 1 <= len(caplog.records) <= 6 and "times the reach of its snapshots" in caplog.text
+
+
+def test_leaving_the_samples_is_reported_of_each_model_and_of_its_equilibria(
+    tripod: Body, caplog: pytest.LogCaptureFixture
+) -> None:
+    robot, _, model = tripod
+    reach._reported.clear()
+    other = dataclasses.replace(model, energy=1.01 * model.energy)
+    far = np.array([8.0 * robot.pressure_max_pa, 0.0, 0.0])
+    held = np.tile(far, (50, 1))
+
+    def told(work: Callable[[], object]) -> int:
+        caplog.clear()
+        work()
+        return len(caplog.records)
+
+    for body in (RomSimulator(robot, model, 1.0, 1.0, 1.0), RomSimulator(robot, other, 1.0, 1.0, 1.0)):
+        assert told(lambda body=body: body.simulate(DT_S * np.arange(1, 51), held)) > 0
+        assert told(lambda body=body: body.simulate(DT_S * np.arange(1, 51), held)) == 0
+        assert told(lambda body=body: body.equilibrium(0.8 * far)) > 0, "equilibria, after a motion that went farther"
+        assert "equilibria" in caplog.text
+    again = RomSimulator(robot, dataclasses.replace(model, energy=model.energy.copy()), 1.0, 1.0, 1.0)
+    assert told(lambda: again.equilibrium(0.8 * far)) == 0, "the same model, loaded once more"
+    assert told(lambda: reach.warn_beyond(again.reduced_model, 2.0, "equilibria")) == 1, "much farther"
