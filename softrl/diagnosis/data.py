@@ -68,6 +68,11 @@ class Data:
         return {name: runs for name, runs in parts.items() if runs}
 
     @property
+    def used(self) -> tuple[Recording, ...]:
+        """The runs that are fitted or judge."""
+        return (*self.training, *self.heldout)
+
+    @property
     def varied(self) -> tuple[str, ...]:
         """Surroundings that every run recorded and that changed while fits look on."""
         runs = [run for part in self.splits.values() for run in part]
@@ -93,10 +98,13 @@ class Refusal(NamedTuple):
     reason: str
 
 
-def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: int) -> Data | Refusal:
+def prepare(
+    recordings: RecordingSet, robot: Robot, heldout_share: float, seed: int, few_sessions: int = FEW_SESSIONS
+) -> Data | Refusal:
     """Return the recordings sorted by use, or the reason why they cannot tell anything.
 
-    Runs in which the robot was interfered with (``disturbed`` in the notes: names of runs or sessions) are not used.
+    Runs in which the robot was interfered with (``disturbed`` in the notes: names of runs or sessions) are not used. With
+    ``few_sessions`` or fewer no session is held out whole.
     """
     recordings = replace(recordings, recordings=in_order(recordings.recordings))
     found = check(recordings, robot)
@@ -113,7 +121,7 @@ def prepare(recordings: RecordingSet, robot: Robot, heldout_share: float, seed: 
     reason = reason or unusable(whole, robot)
     if reason:
         return Refusal(found, reason)
-    sides = hold_out(replace(recordings, recordings=intact), heldout_share, seed)
+    sides = hold_out(replace(recordings, recordings=intact), heldout_share, seed, few_sessions)
     training, heldout = (tuple(part for run in side.recordings for part in parts[run.name]) for side in sides)
     noise, pressure_noise = _noise(found, usable, robot, channel)
     travel = _travel(training, lambda run: _seen(run, robot))
@@ -170,13 +178,15 @@ def _too_short(recordings: RecordingSet) -> list[str]:
     ]
 
 
-def hold_out(recordings: RecordingSet, share: float, seed: int) -> tuple[RecordingSet, RecordingSet]:
-    """Return (training, heldout): whole sessions if there are more than two, else whole runs out of each session.
+def hold_out(
+    recordings: RecordingSet, share: float, seed: int, few_sessions: int = FEW_SESSIONS
+) -> tuple[RecordingSet, RecordingSet]:
+    """Return (training, heldout): whole sessions if there are more than ``few_sessions``, else whole runs out of each session.
 
     Of every other session of enough runs one is held out, too: what acted in that session alone shows nowhere else.
     """
     sessions = recordings.sessions()
-    if len(sessions) > FEW_SESSIONS:
+    if len(sessions) > few_sessions:
         training, heldout = split(recordings, share, seed, by="session")
         names = {s: [r.name for r in training.recordings if r.session == s] for s in training.sessions()}
         rng = np.random.default_rng(seed)

@@ -24,6 +24,7 @@ from softrl.diagnosis.join import joined, put_together
 from softrl.diagnosis.judge import Judge, Thresholds
 from softrl.diagnosis.locate import corrected, locate
 from softrl.diagnosis.mistaken import mistaken
+from softrl.diagnosis.own import differing, told_of
 from softrl.diagnosis.parts import both_at_once, floor_in_bin, part_behind, punctual, valve_part
 from softrl.diagnosis.prelude import preludes
 from softrl.diagnosis.problem import Numerics, Problem
@@ -115,11 +116,30 @@ def run(
 def diagnose(
     config: Config, robot: Robot, recordings: RecordingSet, simulator: Simulator, calibration: Calibration | None = None
 ) -> tuple[Diagnosis, Evidence | None]:
-    """Return the diagnosis as ``run`` does, and what its figures are drawn from: nothing where the data cannot tell."""
+    """Return the diagnosis as ``run`` does, and what its figures are drawn from: nothing where the data cannot tell.
+
+    Where that is unknown, and a session that was held out whole differs from the others in itself, whole runs of every session
+    are held out instead: what acted on one day alone can be named then.
+    """
     require_robot(recordings, robot)
     found = prepare(recordings, robot, config.heldout_share, config.seed)
     if isinstance(found, Refusal):
         return cannot_tell(found, robot.name, type(simulator).__name__), None
+    diagnosis, evidence = _diagnosed(config, robot, found, simulator, calibration)
+    odd = differing(evidence.findings[-1], found.used) if evidence and diagnosis.verdict == "unknown" else []
+    if not odd:
+        return diagnosis, evidence
+    log.info("%s", told_of(odd))
+    within = prepare(recordings, robot, config.heldout_share, config.seed, few_sessions=len(found.used))
+    again = (diagnosis, evidence) if isinstance(within, Refusal) else _diagnosed(config, robot, within, simulator, calibration)
+    if again[0].verdict == "unknown" or again[1] is None:
+        return diagnosis, evidence
+    return replace(again[0], sentences=[*again[0].sentences, told_of(odd)]), again[1]
+
+
+def _diagnosed(
+    config: Config, robot: Robot, found: Data, simulator: Simulator, calibration: Calibration | None
+) -> tuple[Diagnosis, Evidence | None]:
     numerics = _steps(config, robot, simulator, found)
     seconds = config.search.fit_lumped_s if isinstance(simulator, PccSimulator) else config.search.fit_s
     data = found.shortened(seconds * numerics.dt_s / config.numerics.dt_s)
