@@ -236,12 +236,12 @@ def overtakes(judge: Judge, both: Judge, rival: Trial, final: Trial) -> bool:
     """Return whether ``rival`` is better than ``final`` for sure on held-out runs, and on all runs left out of fits.
 
     The few held-out runs alone are easily in favour of either of two that are nearly alike. A map without physics bends to
-    anything: what it removes beyond the other has to be as large as what counts.
+    anything, and so does a law with more numbers: what they remove beyond the other has to be as large as what counts.
     """
     if judge.gap(final.squares, rival.squares).low <= 0.0 or both.gap(final.everywhere, rival.everywhere).low <= 0.0:
         return False
-    by_map = effect_class(rival.hypothesis.effects[-1].name).together
-    return not by_map or judge.stands_out(final.squares, rival.squares)
+    freer = len(rival.fit.point) > len(final.fit.point) or effect_class(rival.hypothesis.effects[-1].name).together
+    return not freer or judge.stands_out(final.squares, rival.squares)
 
 
 def in_full(final: Trial, choice: Choice) -> tuple[Hypothesis, list[np.ndarray]]:

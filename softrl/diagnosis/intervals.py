@@ -13,7 +13,7 @@ from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes
 from softrl.diagnosis.judge import Thresholds
 from softrl.diagnosis.least_squares import UNSEEN, jackknife, sandwich
 from softrl.diagnosis.problem import Problem
-from softrl.diagnosis.trial import Trial
+from softrl.diagnosis.trial import Trial, columns_of
 
 AT_BOUND = 1e-3  # share of a range at whose ends a parameter is said to be at a bound
 NEAR = 0.02  # scaled, at most: the first minute is not the beginning of ten hours
@@ -43,20 +43,29 @@ def intervals(problem: Problem, trial: Trial, thresholds: Thresholds) -> list[In
     if pinned.any():
         reach = np.maximum(reach, _with_pinned(problem, jacobian, pinned, residual, reach, thresholds))
     reach = np.hypot(reach, weight_error(problem, trial)) + _step_error(problem, trial)
-    found, bounds = [], space.bounds
+    found, bounds, rows = [], space.bounds, _in_the_log(problem, trial)
     for k, axis in enumerate(space.axes):
         u = float(trial.fit.point[k])
         free = bool(trial.fit.jacobian[:, k].any()) and reach[k] < bounds[1][k] - bounds[0][k]
         low, high = (u - reach[k], u + reach[k]) if free else _flat(problem, trial, k)
         ends = sorted((axis.physical(float(low)), axis.physical(float(high))))
         value = axis.physical(u)
-        low, high = min(ends[0], value), max(ends[1], value)
+        low, high = max(min(ends[0], value) - rows[k], axis.low), max(ends[1], value)
         if axis.is_direction:
             low, value, high = np.array([low, value, high]) - 2.0 * np.pi * round(value / (2.0 * np.pi))
         near = min(AT_BOUND * (bounds[1][k] - bounds[0][k]), NEAR)
         at_bound = bool(min(u - bounds[0][k], bounds[1][k] - u) < near)
         found.append(Interval(axis.owner, axis.name, axis.unit, value, low, high, at_bound))
     return found
+
+
+def _in_the_log(problem: Problem, trial: Trial) -> np.ndarray:
+    """Return how much (p,) s of a parameter may be that of the log: what shifts all in time holds how rows are written, too."""
+    held = np.zeros(len(trial.fit.point))
+    for choice in trial.hypothesis.effects:
+        if choice.shifts_time:
+            held[columns_of(trial, choice)[0]] = problem.late_max_s - problem.late_apart_s
+    return held
 
 
 def _flat(problem: Problem, trial: Trial, k: int) -> tuple[float, float]:

@@ -1,6 +1,7 @@
 """A line in a spectrum that is smooth else."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -11,8 +12,15 @@ DRIVEN_LEVEL = 1e-3  # chance of a peak in a drive's spectrum that marks a frequ
 EULER = 0.5772  # mean of minus the logarithm of an exponential variable
 
 
-def spectral_line(runs: Sequence[np.ndarray], drives: Sequence[np.ndarray]) -> float:
-    """Return the chance that noise with a smooth spectrum shows a peak as high as the highest in ``runs`` (steps, n).
+class Line(NamedTuple):
+    """The highest peak: the chance that noise with a smooth spectrum shows one as high, and its cycles a step."""
+
+    chance: float
+    cycles: float
+
+
+def spectral_line(runs: Sequence[np.ndarray], drives: Sequence[np.ndarray]) -> Line:
+    """Return the highest peak in the spectra of ``runs`` (steps, n).
 
     Frequencies at which the ``drives`` (steps, m) of the same runs swing themselves are left out.
 
@@ -23,7 +31,7 @@ def spectral_line(runs: Sequence[np.ndarray], drives: Sequence[np.ndarray]) -> f
     neighbours as well, for a cubic does not follow a spectrum that falls onto a floor. The chance is corrected for the number
     of frequencies and runs looked at (textbook form, no equation number checked).
     """
-    chances, count = [1.0], 0
+    lines, count = [Line(1.0, 0.0)], 0
     for run, drive in zip(runs, drives, strict=True):
         if len(run) // 2 - 2 < MIN_FREQUENCIES:
             continue
@@ -34,11 +42,13 @@ def spectral_line(runs: Sequence[np.ndarray], drives: Sequence[np.ndarray]) -> f
         for pressure in drive.T:
             if np.ptp(pressure) > 0.0:
                 driven |= _above_smooth(_periodogram(pressure - pressure.mean())) > np.log(-np.log(DRIVEN_LEVEL))
-        height = height[~(driven | np.roll(driven, 1) | np.roll(driven, -1))]
-        if len(height):
-            chances.append(float(np.exp(-np.exp(min(float(height.max()), 6.0)))))
-            count += len(height)
-    return min(1.0, min(chances) * max(count, 1))
+        free = np.flatnonzero(~(driven | np.roll(driven, 1) | np.roll(driven, -1)))
+        if len(free):
+            peak = free[np.argmax(height[free])]
+            lines.append(Line(float(np.exp(-np.exp(min(float(height[peak]), 6.0)))), float(peak + 2) / len(run)))
+            count += len(free)
+    chance, cycles = min(lines)
+    return Line(min(1.0, chance * max(count, 1)), cycles)
 
 
 def _periodogram(series: np.ndarray) -> np.ndarray:

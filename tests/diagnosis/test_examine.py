@@ -66,6 +66,13 @@ def test_a_rival_is_better_where_all_runs_agree(
     assert overtakes(*judges, trial(judges, name, inside, heldout), final) == taken
 
 
+@pytest.mark.parametrize(("heldout", "taken"), [(4.9, False), (0.5, True)])
+def test_a_rival_with_more_numbers_has_to_remove_what_counts(judges: tuple[Judge, Judge], heldout: float, taken: bool) -> None:
+    final, rival = trial(judges, "stiffness_scale", 5.0, 5.0), trial(judges, "drift", heldout, heldout)
+    rival.fit.point = np.zeros(3)
+    assert overtakes(*judges, rival, final) == taken
+
+
 @pytest.mark.parametrize(
     ("inside", "heldout", "alike"),
     [(5.0, 5.0, True), (9.0, 5.0, True), (9.0, 9.0, False)],  # the second is worse where fits see it alone
