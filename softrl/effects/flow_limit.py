@@ -41,6 +41,7 @@ class FlowLimit(Effect):
     site: ClassVar[str] = "valve"
     title: ClassVar[str] = "limited flow of the valve: constant rate of filling, venting in proportion to the pressure"
     kernel: ClassVar = flow_limit_kernel
+    piped: ClassVar[bool] = True
     variant_of: ClassVar[str] = "rate_limit"
 
     rise_per_s: float = parameter("1/s", 0.02, UNLIMITED_PER_S, UNLIMITED_PER_S, typical=0.4, log=True, of="pressure")

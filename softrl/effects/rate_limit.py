@@ -35,6 +35,7 @@ class RateLimit(Effect):
     site: ClassVar[str] = "valve"
     title: ClassVar[str] = "limited rate of pressure change"
     kernel: ClassVar = rate_limit_kernel
+    piped: ClassVar[bool] = True
 
     rise_per_s: float = parameter("1/s", 0.02, UNLIMITED_PER_S, UNLIMITED_PER_S, typical=0.4, log=True, of="pressure")
     fall_per_s: float = parameter("1/s", 0.02, UNLIMITED_PER_S, UNLIMITED_PER_S, typical=0.4, log=True, of="pressure")
