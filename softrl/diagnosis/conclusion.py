@@ -21,6 +21,7 @@ from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.reach import of_other_length
 from softrl.diagnosis.response import step_responses
 from softrl.diagnosis.verdict import verdict_of
+from softrl.diagnosis.zeros import wandering_zeros
 
 
 def conclude(
@@ -72,7 +73,8 @@ def conclude(
         late_s={name: space.late(models[name].point) for name, space in spaces.items()},
     )
     read = responses.sentence()
-    return replace(made, sentences=sentences(made, findings) + ([read] if read else []))
+    wander = wandering_zeros(findings[0]) if len(findings) > 1 else []
+    return replace(made, sentences=sentences(made, findings) + wander + ([read] if read else []))
 
 
 def cannot_tell(refusal: Refusal, robot_name: str, simulator_name: str) -> Diagnosis:

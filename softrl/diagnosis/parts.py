@@ -126,7 +126,7 @@ def floor_in_bin(noise: float, data: Data, problem: Problem) -> float:
     return noise / float(np.sqrt(max(problem.numerics.bin_s / period, 1.0)))
 
 
-def _supplied(runs: Sequence[Recording], valve: Finding) -> list[Recording]:
+def supplied(runs: Sequence[Recording], valve: Finding) -> list[Recording]:
     """Return what the valve as it is understood makes of the commands of ``runs``."""
     problem = replace(valve.part.problem, runs=tuple(runs))
     return problem.replayed(valve.final.hypothesis, valve.final.fit.point, ("pressure_meas",))
@@ -141,10 +141,10 @@ def _understood(runs: Sequence[Recording], valve: Finding, noise: float) -> list
     """
     final, problem = valve.final, valve.part.problem
     space, point, found = problem.space(final.hypothesis), final.fit.point, []
-    for run, made in zip(runs, _supplied(runs, valve), strict=True):
+    for run, made in zip(runs, supplied(runs, valve), strict=True):
         chain = chain_of(problem.robot, space.effects(point, run.session, run.gone_s))
         apart = run.pressure_meas - made.pressure_meas
-        apart -= _bias(apart)
+        apart -= bias(apart)
         square = float(np.mean(np.sum(apart**2, axis=1)))
         apart *= max(1.0 - noise**2 / square, 0.0) if square > 0.0 else 0.0
         mended = replace(run, pressure_meas=made.pressure_meas + apart)
@@ -152,7 +152,7 @@ def _understood(runs: Sequence[Recording], valve: Finding, noise: float) -> list
     return found
 
 
-def _bias(differences: np.ndarray) -> np.ndarray:
+def bias(differences: np.ndarray) -> np.ndarray:
     """Return the constant part (chambers,) Pa of ``differences`` (samples, chambers), as far as it is one for sure.
 
     What a valve's law does not quite get right has a mean of its own, which is no bias of the sensor.

@@ -21,10 +21,10 @@ LAG = Lag(fill_s=0.06, vent_s=0.06)
 def test_a_bias_is_taken_out_where_it_is_one_for_sure_only() -> None:
     rng = np.random.default_rng(0)
     white = 60.0 * rng.standard_normal((1500, 3)) + [300.0, -40.0, 0.0]
-    np.testing.assert_allclose(parts._bias(white), [300.0, -40.0, 0.0], atol=6.0)
+    np.testing.assert_allclose(parts.bias(white), [300.0, -40.0, 0.0], atol=6.0)
     slow = np.stack([800.0 * coloured(rng, 1500, 0.99) * np.sqrt(1.0 - 0.99**2) for _ in range(3)], axis=1)
     assert np.abs(slow.mean(axis=0)).max() > 50.0
-    np.testing.assert_allclose(parts._bias(slow), 0.0, atol=30.0)
+    np.testing.assert_allclose(parts.bias(slow), 0.0, atol=30.0)
 
 
 def steps(robot: Robot, period_s: float) -> tuple[Recording, np.ndarray, np.ndarray]:
@@ -45,7 +45,7 @@ def understood(monkeypatch: pytest.MonkeyPatch, robot: Robot, time: np.ndarray, 
     def supplied(runs: list[Recording], _: Any) -> list[Recording]:
         return [Recording(r.name, r.session, r.time, r.pressure_cmd, pressure_meas=evenly(r.time, time, true)) for r in runs]
 
-    monkeypatch.setattr(parts, "_supplied", supplied)
+    monkeypatch.setattr(parts, "supplied", supplied)
     space = SimpleNamespace(effects=lambda *_: (LAG,), late=lambda _: 0.0)
     problem = SimpleNamespace(robot=robot, space=lambda _: space)
     final = SimpleNamespace(hypothesis=None, fit=SimpleNamespace(point=None))
