@@ -50,7 +50,8 @@ def intervals(problem: Problem, trial: Trial, thresholds: Thresholds) -> list[In
         low, high = (u - reach[k], u + reach[k]) if free else _flat(problem, trial, k)
         ends = sorted((axis.physical(float(low)), axis.physical(float(high))))
         value = axis.physical(u)
-        low, high = max(min(ends[0], value) - rows[k], axis.low), max(ends[1], value)
+        down = float(np.hypot(value - min(ends[0], value), rows[k]))
+        low, high = max(value - down, min(axis.low, value)), max(ends[1], value)
         if axis.is_direction:
             low, value, high = np.array([low, value, high]) - 2.0 * np.pi * round(value / (2.0 * np.pi))
         near = min(AT_BOUND * (bounds[1][k] - bounds[0][k]), NEAR)
