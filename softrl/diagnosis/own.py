@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from softrl.diagnosis.data import ENOUGH_RUNS
 from softrl.diagnosis.examine import Finding
 from softrl.recordings.recording import Recording
 
 APART = 2.0  # times what is left on the fitted runs, each left out in turn
-LEAST_RUNS = 2  # of every session: one to fit, and one to judge
 
 
 def differing(finding: Finding, runs: Sequence[Recording]) -> list[str]:
@@ -17,7 +17,7 @@ def differing(finding: Finding, runs: Sequence[Recording]) -> list[str]:
     None where a session of ``runs`` has too few of them to be both fitted and judged.
     """
     count = [sum(run.session == session for run in runs) for session in {run.session for run in runs}]
-    if min(count) < LEAST_RUNS:
+    if min(count) < ENOUGH_RUNS:
         return []
     judge, fitted = finding.judge, {run.session for run in finding.part.problem.runs}
     squares = np.split(finding.residual_after.squares, np.cumsum([len(rows) for rows in finding.residual_after.runs])[:-1])

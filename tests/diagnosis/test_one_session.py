@@ -7,6 +7,7 @@ import pytest
 
 from softrl.core.tracking import NullTracker
 from softrl.diagnosis.choices import in_some_sessions
+from softrl.diagnosis.data import Data, prepare
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, Space
 from softrl.diagnosis.stage import run
 from softrl.effects.library import effect_class
@@ -74,6 +75,24 @@ def test_a_body_stiffer_on_one_day_is_told_with_the_day(body: PccSimulator) -> N
     assert scale["low"] <= 1.3 <= scale["high"] or abs(scale["value"] - 1.3) < 0.02
     assert "session first only" in found.sentences[0]
     assert found.named() == []
+
+
+def test_what_acted_on_a_day_that_is_held_out_whole_is_looked_for_on_that_day(body: PccSimulator) -> None:
+    days, config, loaded = ("monday", "tuesday", "friday"), configured(**FEW), (effect_class("payload")(mass=0.6),)
+
+    def recorded(odd: str) -> RecordingSet:
+        sets = [made(body, loaded if day == odd else (), seed=k, sessions=3) for k, day in enumerate(days)]
+        named = [[replace(r, session=d, name=f"{d}_{r.name}") for r in s.recordings] for d, s in zip(days, sets, strict=True)]
+        return replace(sets[0], recordings=tuple(r for runs in named for r in runs))
+
+    sides = prepare(recorded(""), body.robot, config.heldout_share, config.seed)
+    assert isinstance(sides, Data)
+    [odd] = set(days) - {run.session for run in sides.training}
+    found = run(config, body.robot, recorded(odd), body, tracker=NullTracker())
+    assert [(e["name"], e["sessions"]) for e in found.effects] == [("payload", [odd])], found.sentences
+    mass = found.effects[0]["parameters"]["mass"]
+    assert mass["low"] <= 0.6 <= mass["high"], mass
+    assert any(f"Session {odd}, held out whole" in line for line in found.sentences)
 
 
 def test_equal_days_show_no_difference(body: PccSimulator) -> None:
