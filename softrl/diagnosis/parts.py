@@ -16,8 +16,8 @@ from softrl.diagnosis.prelude import preludes
 from softrl.diagnosis.problem import ORIENTATION_LEVER, Problem
 from softrl.diagnosis.trial import Trial, columns_of
 from softrl.effects.chain import chain_of
+from softrl.effects.driving import Supply
 from softrl.effects.effect import SITES
-from softrl.effects.replay import Supply
 from softrl.recordings.gone import sessions_in_order
 from softrl.recordings.recording import Recording
 

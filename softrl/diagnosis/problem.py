@@ -13,8 +13,9 @@ from softrl.core.simulator import Simulator
 from softrl.diagnosis.hypothesis import LASTING, LATE, Hypothesis, Space
 from softrl.diagnosis.still_body import StillBody
 from softrl.effects.chain import Plant, chain_of
+from softrl.effects.driving import Supply
 from softrl.effects.library import effect_class, names
-from softrl.effects.replay import CHANNELS, Supply, replay
+from softrl.effects.replay import CHANNELS, replay
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 

@@ -4,35 +4,22 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import groupby
-from typing import NamedTuple, TypeGuard
+from typing import TypeGuard
 
 import numba as nb
 import numpy as np
 
-from softrl.core.errors import RecordingError
 from softrl.core.identity import Same
 from softrl.core.simulator import Motion
 from softrl.effects.chain import EffectChain, Plant, simulate_batch
+from softrl.effects.driving import Supply, drive_on_grid
 from softrl.effects.effect import Effect
 from softrl.effects.hold import Hold, reading_phase
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
-MAX_STEPS = 5_000_000
 CHANNELS = ("pressure_meas", "position", "quaternion", "bend_angle")
-LOST_PERIODS, LOST_S = 1.8, 2.0  # median periods, s: a pause between these is of rows that were lost, not of a log that waits
 KEPT = 128  # recordings whose pressures on the grid are kept
-
-
-class Supply(NamedTuple):
-    """A valve that is understood: its effects, how late rows act there, s, and what is measured beyond what it does.
-
-    ``apart`` (samples, chambers) Pa, which changes evenly between samples.
-    """
-
-    chain: EffectChain
-    late_s: float
-    apart: np.ndarray
 
 
 def replay(
@@ -184,69 +171,7 @@ def _kept_on_grid(
     same: Same[Recording], dt_s: float, drive: str, settle_s: float, late_s: float, supply: Same[Supply | None]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Return what drives a recording on the grid, kept: fits replay the same few recordings thousands of times."""
-    return _drive_on_grid(same.thing, dt_s, drive, settle_s, late_s, supply.thing)
-
-
-def _drive_on_grid(
-    recording: Recording, dt_s: float, drive: str, settle_s: float, late_s: float = 0.0, supply: Supply | None = None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Return the uniform grid (steps,) s, the pressures (steps, chambers) Pa and forces (steps, 3) N on it."""
-    time, first = _grid(recording, dt_s, settle_s)
-    stamps, rows = recording.time + late_s, _driving(recording, drive)
-    if drive == "measured" and supply is not None:
-        _, command, _ = _drive_on_grid(recording, dt_s, "command", settle_s, late_s + supply.late_s)
-        chain = replace(supply.chain, before_s=settle_s)
-        pressure = chain.filter(["valve"], command, dt_s) + evenly(time, stamps, supply.apart)
-    else:
-        known, held = _bridged(stamps, rows) if drive == "command" else _filled_in(stamps, rows, time)
-        pressure = _mean_held(known, held, time, dt_s)
-    if first and recording.pressure_meas is not None:
-        pressure[:first] = recording.pressure_meas[0]
-    force = None if recording.tip_force is None else _mean_held(recording.time + late_s, recording.tip_force, time, dt_s)
-    return time, pressure, force
-
-
-def _bridged(stamps: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return samples (samples,), (samples, n) with those that a log has lost, taken to change evenly.
-
-    A command is held until its time: the first one after a pause would act from before it.
-    """
-    apart = np.diff(stamps)
-    period = float(np.median(apart))
-    lost = np.flatnonzero((apart > LOST_PERIODS * period) & (apart <= LOST_S))
-    if not len(lost):
-        return stamps, rows
-    between = [np.arange(stamps[k] + period, stamps[k + 1] - 0.5 * period, period) for k in lost]
-    filled = np.union1d(stamps, np.concatenate(between))
-    return filled, evenly(filled, stamps, rows)
-
-
-def _filled_in(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return samples (samples,), (samples, n) with further ones at the grid's times, where a pressure has changed evenly.
-
-    A command is held, but a measured pressure that was held until the next sample would be early by half the time to it.
-    """
-    filled = np.union1d(stamps, time[(time > stamps[0]) & (time < stamps[-1])])
-    return filled, evenly(filled, stamps, rows)
-
-
-def evenly(at: np.ndarray, time: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Return ``rows`` (samples, n), which change evenly between their times (samples,), at the times ``at`` (steps,)."""
-    return np.stack([np.interp(at, time, column) for column in rows.T], axis=1)
-
-
-def _mean_held(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray, dt_s: float) -> np.ndarray:
-    """Return the mean over each step (time - dt, time] of ``rows`` (samples, n), each held until its stamp.
-
-    A change within a step acts on the rest of the step only: taken whole, uneven stamps would make it early by half a
-    step on average, which looks like a delay of the robot.
-    """
-    begin, end = stamps[0] - dt_s - max(stamps[0] - time[0], 0.0), stamps[-1] + dt_s
-    knots = np.r_[begin, stamps, end]
-    held = np.vstack([rows, rows[-1:]])
-    total = np.vstack([np.zeros((1, rows.shape[1])), np.cumsum(held * np.diff(knots)[:, None], axis=0)])
-    edges = np.r_[time[0] - dt_s, time]
-    return np.asarray(np.ascontiguousarray(np.diff(evenly(edges, knots, total), axis=0) / dt_s))
+    return drive_on_grid(same.thing, dt_s, drive, settle_s, late_s, supply.thing)
 
 
 def _reported(
@@ -289,28 +214,6 @@ def bend_angle(robot: Robot, quaternion: np.ndarray) -> np.ndarray:
     if robot.chambers == 1:
         return np.arctan2(-tangent[:, :2] @ robot.chamber_direction[0], tangent[:, 2])
     return np.arctan2(np.hypot(tangent[:, 0], tangent[:, 1]), tangent[:, 2])
-
-
-def _grid(recording: Recording, dt_s: float, settle_s: float) -> tuple[np.ndarray, int]:
-    """Return a uniform grid that spans the samples, and how many of its rows come before the first."""
-    first = round(settle_s / dt_s)
-    steps = first + 1 + int(np.ceil((recording.time[-1] - recording.time[0]) / dt_s - 1e-9))
-    if steps > MAX_STEPS:
-        raise RecordingError(
-            f"run {recording.name} lasts {np.ptp(recording.time):g} s, which is {steps} steps of {dt_s:g} s; "
-            f"expected at most {MAX_STEPS}; cut the run or raise dt_s"
-        )
-    return recording.time[0] + dt_s * (np.arange(max(steps, 2)) - first), first
-
-
-def _driving(recording: Recording, drive: str) -> np.ndarray:
-    if drive == "command":
-        return recording.pressure_cmd
-    if drive != "measured":
-        raise ValueError(f"drive={drive!r}; expected command or measured")
-    if recording.pressure_meas is None:
-        raise RecordingError(f"run {recording.name} has no measured pressure; replay it from its commands")
-    return recording.pressure_meas
 
 
 def _behind_valve(plant: Plant) -> Plant:

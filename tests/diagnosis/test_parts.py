@@ -8,8 +8,8 @@ import pytest
 
 from softrl.diagnosis import parts
 from softrl.effects.chain import EffectChain, SignalFilter
+from softrl.effects.driving import drive_on_grid, evenly
 from softrl.effects.lag import Lag
-from softrl.effects.replay import _drive_on_grid, evenly
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 from tests.diagnosis.series import coloured
@@ -55,8 +55,8 @@ def understood(monkeypatch: pytest.MonkeyPatch, robot: Robot, time: np.ndarray, 
 def test_a_body_sees_what_the_valve_does_between_samples(monkeypatch: pytest.MonkeyPatch, tripod: Robot) -> None:
     run, time, true = steps(tripod, 0.1)
     ((mended, known),) = parts._understood([run], understood(monkeypatch, tripod, time, true), 1.0)
-    grid, plain, _ = _drive_on_grid(run, 0.01, "measured", 0.0)
-    _, seen, _ = _drive_on_grid(mended, 0.01, "measured", 0.0, 0.0, known)
+    grid, plain, _ = drive_on_grid(run, 0.01, "measured", 0.0)
+    _, seen, _ = drive_on_grid(mended, 0.01, "measured", 0.0, 0.0, known)
     wanted = evenly(grid, time, true)
     missed = [float(np.sqrt(np.mean((drive - wanted)[2:] ** 2))) for drive in (plain, seen)]
     assert missed[0] > 500.0 and missed[1] < 0.1 * missed[0], missed
@@ -67,8 +67,8 @@ def test_the_body_is_driven_the_same_by_an_understood_valve_and_by_its_pressures
 ) -> None:
     run, time, true = steps(tripod, 0.1)
     ((mended, known),) = parts._understood([run], understood(monkeypatch, tripod, time, true), 1.0)
-    grid, seen, _ = _drive_on_grid(mended, 0.01, "measured", 0.0, 0.03, known)
-    _, command, _ = _drive_on_grid(run, 0.01, "command", 0.0, 0.03)
+    grid, seen, _ = drive_on_grid(mended, 0.01, "measured", 0.0, 0.03, known)
+    _, command, _ = drive_on_grid(run, 0.01, "command", 0.0, 0.03)
     made = EffectChain(tripod, (LAG,)).filter(["valve"], command, 0.01)
     np.testing.assert_allclose(seen, made, atol=1e-3 * np.ptp(true))
 

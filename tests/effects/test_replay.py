@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from softrl.effects.chain import Plant, chain_of
+from softrl.effects.driving import drive_on_grid
 from softrl.effects.hold import Hold
-from softrl.effects.replay import _drive_on_grid, replay
+from softrl.effects.replay import replay
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
@@ -52,7 +53,7 @@ def test_a_command_is_not_early_by_the_rows_that_a_log_has_lost(lost: int) -> No
     kept = np.ones(len(time), dtype=bool)
     kept[300 : 300 + lost] = kept[700 : 700 + lost] = False
     whole, fewer = (
-        _drive_on_grid(Recording("run", "day", time[rows], command[rows]), 0.01, "command", 0.0)[1]
+        drive_on_grid(Recording("run", "day", time[rows], command[rows]), 0.01, "command", 0.0)[1]
         for rows in (np.ones(len(time), dtype=bool), kept)
     )
     even = 0.125 * 6.1e3 * (0.02 * (lost + 1)) ** 2  # what a line may be off between the ends, of its curvature
@@ -63,7 +64,7 @@ def test_a_command_is_not_early_by_the_rows_that_a_log_has_lost(lost: int) -> No
 def test_a_log_that_waits_has_held_its_command(lost_s: float) -> None:
     time = np.concatenate([0.02 * np.arange(1, 101), 2.0 + lost_s + 0.02 * np.arange(1, 101)])
     command = np.repeat([[1e4, 0.0, 0.0], [2e4, 0.0, 0.0]], 100, axis=0)
-    drive = _drive_on_grid(Recording("run", "day", time, command), 0.02, "command", 0.0)[1]
+    drive = drive_on_grid(Recording("run", "day", time, command), 0.02, "command", 0.0)[1]
     assert set(np.unique(drive[1:-1, 0]).round(6)) == {1e4, 2e4}
 
 
@@ -75,7 +76,7 @@ def test_measured_pressures_change_evenly_between_their_samples(uneven_s: float)
         return 1e4 * np.sin(np.outer(at, [1.1, 0.7, 0.4]))
 
     seldom = Recording("run", "day", time, np.zeros((300, 3)), pressure_meas=swings(time))
-    grid, drive, _ = _drive_on_grid(seldom, 0.005, "measured", 0.0)
+    grid, drive, _ = drive_on_grid(seldom, 0.005, "measured", 0.0)
     within = (grid > time[0]) & (grid < time[-1])
     np.testing.assert_allclose(drive[within], swings(grid[within]), atol=40.0)  # held, they are up to 1200 Pa early
 
