@@ -1,4 +1,4 @@
-"""What a fit holds fixed and what may yet be otherwise: pinned parameters, and how an arc bears weight."""
+"""What a fit holds fixed and what may yet be otherwise: pinned parameters, and where along the robot its mass is."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from softrl.diagnosis.trial import Trial, columns_of
 from softrl.pcc.simulator import PccSimulator
 
 STEP = 0.02  # of differences, scaled units
-ARC_SHARE = 0.12  # of its weight: what an arc of constant curvature may bear it wrongly by, see ``weight_error``
+UNEVEN_SHARE = 0.1  # of weight and inertia: what a robot whose mass is not evenly spread has otherwise, see ``weight_error``
 NUDGE = 0.05  # share of the weight by which it is varied
 
 
@@ -37,16 +37,15 @@ def pinned_jacobian(problem: Problem, trial: Trial) -> np.ndarray:
 
 
 def weight_error(problem: Problem, trial: Trial) -> np.ndarray:
-    """Return how far the parameters (p,) may be off, in scaled units, because the body bears weight as an arc does.
+    """Return how far the parameters (p,) may be off, in scaled units, because the lumped body's mass is spread evenly.
 
     Notes
     -----
-    Under its own weight the tip of an elastic rod swings 1.4 times as far back as that of an arc of constant curvature,
-    under a weight at its tip 1.25 times, under a force across it 1.33 times, under its own inertia 1.44 times (small bends,
-    worked out from the moment along the rod). A retuned mass makes up for one of these at a time; what is left of the others
-    is taken to be ``ARC_SHARE`` of weight and of inertia, each by itself. Where a wall creeps, what hung on it before the
-    first sample was borne by what had not relaxed by then, too; how much of that had is in no recording. A body of any shape
-    has no such error of its form.
+    With a tenth of its mass in a plate at its end a robot has 1.1 times the moment of an evenly heavy one under its weight and
+    1.31 times its inertia (a point mass at the tip of a rod counts as 1 / 0.243 of the rod's own). A retuned mass makes up for
+    the mean; what is left is taken to be ``UNEVEN_SHARE`` of weight and of inertia, each by itself. Where a wall creeps, what
+    hung on it before the first sample was borne by what had not relaxed by then, too; how much of that had is in no recording.
+    A body that was made from a mesh has no such error.
     """
     if problem.target == "pressure" or not isinstance(problem.simulator, PccSimulator):
         return np.zeros(len(trial.fit.point))
@@ -54,7 +53,7 @@ def weight_error(problem: Problem, trial: Trial) -> np.ndarray:
     effects = problem.space(trial.hypothesis).effects(trial.fit.point)
     unrelaxed = sum(effect.unrelaxed(longest) for effect in effects)
     errors = _moves(problem, trial, weight=1.0 + NUDGE), _moves(problem, trial, inertia=1.0 + NUDGE)
-    return np.asarray((ARC_SHARE + unrelaxed) / NUDGE * errors[0] + ARC_SHARE / NUDGE * errors[1])
+    return np.asarray((UNEVEN_SHARE + unrelaxed) / NUDGE * errors[0] + UNEVEN_SHARE / NUDGE * errors[1])
 
 
 def _moves(problem: Problem, trial: Trial, weight: float = 1.0, inertia: float = 1.0) -> np.ndarray:

@@ -21,18 +21,38 @@ from softrl.effects.effect import (
     TIP,
     TIP_VELOCITY,
 )
-from softrl.pcc.pose import shape_functions
+from softrl.pcc.pose import fill_loads, squared_bend, stumpff, tip_motion
 
-# columns of the work array that one step fills
-LAST, VELOCITY, TRIAL, RESIDUAL, STEP, OTHER, NEXT, MOVED, SEEN = range(9)
+# rows of the work array that one step fills
+LAST, VELOCITY, TRIAL, RESIDUAL, STEP, OTHER, NEXT, MOVED, SEEN, GAINED = range(10)
+WORK_ROWS = 10
 
 
 @summing
-def run_load_effects(hook: Any, port: np.ndarray, gravity: np.ndarray, tips: np.ndarray, dt: float, commit: bool) -> None:
-    """Fill the load port at the tip ``tips[1]`` and run the effects on it."""
+def fill_shape(model: Any, y: np.ndarray, shape: np.ndarray) -> None:
+    """Fill the ``shape`` (5,) at the coordinates ``y``: the same five, or bend and change of curvature in one plane."""
+    plane = model[0]
+    if len(model[11]) == 5:
+        for i in range(5):
+            shape[i] = y[i]
+        return
+    for i in range(2):
+        shape[i], shape[3 + i] = plane[i] * y[0], plane[i] * y[1]
+    shape[2] = 0.0
+
+
+@summing
+def stretching(model: Any) -> int:
+    """Return how many of the coordinates, the first, stretch chambers."""
+    return len(model[11]) - len(model[11]) // 2
+
+
+@summing
+def run_load_effects(hook: Any, ports: Any, model: Any, c: Any, dt: float, commit: bool) -> None:
+    """Fill the load port at the shape and its rate in ``ports``, ``c`` being Stumpff's functions there, and run the effects on it."""
+    port, length, gravity = ports[1], model[9][0], model[10]
+    tip_motion(ports[2], length, c, ports[3], port[TIP], port[TIP_VELOCITY])
     for k in range(3):
-        port[TIP, k] = tips[1, k]
-        port[TIP_VELOCITY, k] = (tips[1, k] - tips[0, k]) / dt
         port[GRAVITY, k] = gravity[k]
         for row in range(FORCE, LOAD_PORT_ROWS):
             port[row, k] = 0.0
@@ -52,10 +72,10 @@ def run_body_effects(
 ) -> None:
     """Fill the body port at ``y`` and run the effects on it."""
     to_strain, to_elastic, slope, rest = model[5], model[6], model[7], model[8]
-    per_s, m = 1.0 / dt, len(y)
+    per_s, moving = 1.0 / dt, stretching(model)
     for c in range(len(pressure)):
         strain = elastic = 0.0
-        for j in range(m):
+        for j in range(moving):
             moved = y[j] - rest[j]
             strain += to_strain[c, j] * moved
             elastic += to_elastic[c, j] * moved
@@ -80,61 +100,50 @@ def fill_residual(
     hooks: Any,
     ports: Any,
     strains: np.ndarray,
-    tips: np.ndarray,
 ) -> None:
     """Fill ``out`` (m,) with inertia + damping + elasticity + effects - pressure - loads at ``y``, in J.
 
-    The coordinates change from ``work[LAST]``, their rates from ``work[VELOCITY]`` and the tip from ``tips[0]`` at ``per_s``, and
-    load effects with them; the body's effects act over ``dt`` from the beginning of the step.
+    The coordinates change from ``work[LAST]`` and their rates from ``work[VELOCITY]`` at ``per_s``, and load effects with them;
+    the body's effects act over ``dt`` from the beginning of the step. ``ports`` are the effects' two, and room for the shape, its
+    rate and the loads on it (5,).
     """
-    basis, stiffness, damping, mass, push, _, _, _, _, scalars, gravity = model
+    plane, stiffness, damping, mass, push, _, _, _, _, scalars, gravity, order = model
     body_hook, load_hook = hooks
-    bx = by = eps = 0.0
-    m = len(y)
-    for j in range(m):
-        bx += basis[0, j] * y[j]
-        by += basis[1, j] * y[j]
-        eps += basis[2, j] * y[j]
-    f, g, h, df, dg, dh = shape_functions(bx * bx + by * by)
-    length = scalars[0]
-    stretched = length * (1.0 + eps)
+    shape, loads = ports[2], ports[4]
+    m, length, weight = len(order), scalars[0], scalars[1]
+    fill_shape(model, y, shape)
+    c = stumpff(squared_bend(shape))
     g0, g1, g2 = gravity[0], gravity[1], gravity[2]
     f0, f1, f2 = tip_force[0], tip_force[1], tip_force[2]
     if len(load_hook[0]) > 0:
         port = ports[1]
-        tips[1, 0], tips[1, 1], tips[1, 2] = stretched * f * bx, stretched * f * by, stretched * g
-        run_load_effects(load_hook, port, gravity, tips, 1.0 / per_s, False)
+        for i in range(m):
+            out[i] = (y[i] - work[LAST, i]) * per_s
+        fill_shape(model, out, ports[3])
+        run_load_effects(load_hook, ports, model, c, 1.0 / per_s, False)
         g0, g1, g2 = port[GRAVITY, 0], port[GRAVITY, 1], port[GRAVITY, 2]
         f0, f1, f2 = f0 + port[FORCE, 0], f1 + port[FORCE, 1], f2 + port[FORCE, 2]
-    weight = scalars[1]
-    # generalised loads: weight at the centre of mass (L F b, L f), force at the tip (L f b, L g)
-    across, along = weight * (g0 * bx + g1 * by), weight * g2
-    across_tip, along_tip = f0 * bx + f1 * by, f2
-    common = stretched * (dh * across + df * along + df * across_tip + dg * along_tip)
-    q0 = common * bx + stretched * (h * weight * g0 + f * f0)
-    q1 = common * by + stretched * (h * weight * g1 + f * f1)
-    q2 = length * (h * across + f * along + f * across_tip + g * along_tip) - scalars[2]
+    fill_loads(shape, length, c, weight * g0, weight * g1, weight * g2, f0, f1, f2, loads)
+    loads[2] -= scalars[2]
+    if m == 2:
+        for i in range(2):
+            loads[i] = plane[0] * loads[3 * i] + plane[1] * loads[3 * i + 1]
     for i in range(m):
         rate = (y[i] - work[LAST, i]) * per_s
-        out[i] = (
-            stiffness[i] * y[i]
-            + damping[i] * rate
-            + mass[i] * (rate - work[VELOCITY, i]) * per_s
-            - basis[0, i] * q0
-            - basis[1, i] * q1
-            - basis[2, i] * q2
-        )
-    if len(body_hook[0]) == 0:
-        for i in range(m):
-            total = out[i]
-            for c in range(len(pressure)):
-                total -= push[i, c] * pressure[c]
-            out[i] = total
+        out[i] = stiffness[i] * y[i] + damping[i] * rate - loads[i]
+        work[SEEN, i] = (rate - work[VELOCITY, i]) * per_s
+        out[i] += mass[i] * work[SEEN, i]
+    apart = stretching(model)
+    for i in range(m - apart):
+        out[i] += scalars[3] * work[SEEN, apart + i]
+        out[apart + i] += scalars[3] * work[SEEN, i]
+    if len(body_hook[0]) > 0:
+        run_body_effects(body_hook, ports[0], y, model, pressure, strains, dt, False)
+        added = ports[0][ADDED]
+        for i in range(apart):
+            for k in range(len(pressure)):
+                out[i] += push[i, k] * (added[k] - pressure[k])
         return
-    run_body_effects(body_hook, ports[0], y, model, pressure, strains, dt, False)
-    added = ports[0][ADDED]
-    for i in range(m):
-        total = out[i]
-        for c in range(len(pressure)):
-            total += push[i, c] * (added[c] - pressure[c])
-        out[i] = total
+    for i in range(apart):
+        for k in range(len(pressure)):
+            out[i] -= push[i, k] * pressure[k]

@@ -6,7 +6,7 @@ import numpy as np
 
 from softrl.core.compiled import summing
 from softrl.effects.effect import ADDED_SLOPE
-from softrl.pcc.forces import MOVED, NEXT, OTHER, RESIDUAL, SEEN, STEP, TRIAL, fill_residual
+from softrl.pcc.forces import MOVED, NEXT, OTHER, RESIDUAL, SEEN, STEP, TRIAL, fill_residual, stretching
 
 TOLERANCE = 1e-10  # rad or strain: a tenth of a nanometre at the tip of most robots
 ACCEPTED = 1e-7  # at a kink of friction or contact: 20 nm at the tip of a robot of 0.2 m
@@ -20,28 +20,38 @@ SHORTEST = 1e-4  # share of a Newton step below which it is taken as it is
 
 @summing
 def _invert(matrix: np.ndarray, inverse: np.ndarray) -> None:
-    """Fill the inverse of a matrix of order 1 or 3."""
-    if len(matrix) == 1:
-        inverse[0, 0] = 1.0 / matrix[0, 0]
-        return
-    for i in range(3):
-        a, b = (i + 1) % 3, (i + 2) % 3
-        for j in range(3):
-            c, d = (j + 1) % 3, (j + 2) % 3
-            inverse[j, i] = matrix[a, c] * matrix[b, d] - matrix[a, d] * matrix[b, c]
-    determinant = matrix[0, 0] * inverse[0, 0] + matrix[0, 1] * inverse[1, 0] + matrix[0, 2] * inverse[2, 0]
-    for i in range(3):
-        for j in range(3):
-            inverse[i, j] /= determinant
+    """Fill the ``inverse`` of a ``matrix``, which is used up: Gauss and Jordan's elimination with exchange of rows."""
+    order = len(matrix)
+    for i in range(order):
+        for j in range(order):
+            inverse[i, j] = 1.0 if i == j else 0.0
+    for k in range(order):
+        best = k
+        for i in range(k + 1, order):
+            if abs(matrix[i, k]) > abs(matrix[best, k]):
+                best = i
+        for j in range(order):
+            matrix[k, j], matrix[best, j] = matrix[best, j], matrix[k, j]
+            inverse[k, j], inverse[best, j] = inverse[best, j], inverse[k, j]
+        per = 1.0 / matrix[k, k]
+        for j in range(order):
+            matrix[k, j] *= per
+            inverse[k, j] *= per
+        for i in range(order):
+            factor = matrix[i, k]
+            if i != k and factor != 0.0:
+                for j in range(order):
+                    matrix[i, j] -= factor * matrix[k, j]
+                    inverse[i, j] -= factor * inverse[k, j]
 
 
 @summing
-def _newton_step(inverse: np.ndarray, residual: np.ndarray, step: np.ndarray) -> float:
+def _newton_step(order: Any, inverse: np.ndarray, residual: np.ndarray, step: np.ndarray) -> float:
     """Fill ``step = -inverse residual`` and return its largest entry."""
     size = 0.0
-    for i in range(len(step)):
+    for i in range(len(order)):
         step[i] = 0.0
-        for j in range(len(step)):
+        for j in range(len(order)):
             step[i] -= inverse[i, j] * residual[j]
         size = max(size, abs(step[i]))
     return size
@@ -59,7 +69,6 @@ def _quick(
     hooks: Any,
     ports: Any,
     strains: np.ndarray,
-    tips: np.ndarray,
     slopes: np.ndarray,
 ) -> bool:
     """Try to solve one step with a kept ``inverse`` Jacobian that is corrected on the way; return whether it converged.
@@ -69,17 +78,18 @@ def _quick(
     ``work[RESIDUAL]`` belongs to ``work[TRIAL]`` before and, without success, after it.
     """
     trial, residual, step, following = work[TRIAL], work[RESIDUAL], work[STEP], work[NEXT]
-    m = len(trial)
+    order = model[11]
+    m = len(order)
     _follow(inverse, slopes, ports[0], model, work)
-    size = _newton_step(inverse, residual, step)
+    size = _newton_step(order, inverse, residual, step)
     for _ in range(QUICK):
         for i in range(m):
             trial[i] += step[i]
         if size < 0.01 * TOLERANCE:
             return True
-        fill_residual(trial, residual, work, dt, per_s, pressure, tip_force, model, hooks, ports, strains, tips)
+        fill_residual(trial, residual, work, dt, per_s, pressure, tip_force, model, hooks, ports, strains)
         known = _follow(inverse, slopes, ports[0], model, work)
-        after = _newton_step(inverse, residual, following)
+        after = _newton_step(order, inverse, residual, following)
         if not after < 0.5 * size and after >= TOLERANCE:
             return False
         if after < TOLERANCE or after * after < TOLERANCE * (size - after):
@@ -87,8 +97,8 @@ def _quick(
                 trial[i] += following[i]
             return True
         if known:
-            _correct(inverse, step, following)
-        size = _newton_step(inverse, residual, step)
+            _correct(order, inverse, step, following)
+        size = _newton_step(order, inverse, residual, step)
     return False
 
 
@@ -99,7 +109,7 @@ def _follow(inverse: np.ndarray, slopes: np.ndarray, port: np.ndarray, model: An
     Sherman and Morrison's formula, chamber by chamber.
     """
     push, to_strain, rest, moved, seen = model[4], model[5], model[7], work[MOVED], work[SEEN]
-    m, known = len(inverse), True
+    m, moving, known = len(model[11]), stretching(model), True
     for c in range(len(slopes)):
         change = port[ADDED_SLOPE, c] - slopes[c]
         if abs(change) < SAME * rest[c]:
@@ -107,9 +117,10 @@ def _follow(inverse: np.ndarray, slopes: np.ndarray, port: np.ndarray, model: An
         known, slopes[c], along = False, port[ADDED_SLOPE, c], 0.0
         for i in range(m):
             moved[i], seen[i] = 0.0, 0.0
-            for j in range(m):
+            for j in range(moving):
                 moved[i] += inverse[i, j] * push[j, c]
                 seen[i] += to_strain[c, j] * inverse[j, i]
+        for i in range(moving):
             along += to_strain[c, i] * moved[i]
         share = change / (1.0 + change * along)
         for i in range(m):
@@ -119,12 +130,12 @@ def _follow(inverse: np.ndarray, slopes: np.ndarray, port: np.ndarray, model: An
 
 
 @summing
-def _correct(inverse: np.ndarray, step: np.ndarray, following: np.ndarray) -> None:
+def _correct(order: Any, inverse: np.ndarray, step: np.ndarray, following: np.ndarray) -> None:
     """Correct the ``inverse`` Jacobian such that it maps the change of the residual over ``step`` to ``step``.
 
     Broyden's first update in the form of Sherman and Morrison; ``following`` is what the old inverse proposes next.
     """
-    m = len(step)
+    m = len(order)
     scale = 0.0
     for i in range(m):
         scale += step[i] * (step[i] - following[i])
@@ -151,7 +162,6 @@ def solve_step(
     hooks: Any,
     ports: Any,
     strains: np.ndarray,
-    tips: np.ndarray,
     slopes: np.ndarray,
 ) -> bool:
     """Solve one implicit step for ``work[TRIAL]``; return whether it converged.
@@ -160,10 +170,11 @@ def solve_step(
     (friction and contact have kinks) is followed over a shorter way, until the next step is smaller.
     """
     trial, residual, step, other = work[TRIAL], work[RESIDUAL], work[STEP], work[OTHER]
-    m = len(trial)
-    fill_residual(trial, residual, work, dt, per_s, pressure, tip_force, model, hooks, ports, strains, tips)
+    order = model[11]
+    m = len(order)
+    fill_residual(trial, residual, work, dt, per_s, pressure, tip_force, model, hooks, ports, strains)
     if inverse[0, 0] != 0.0 and _quick(
-        work, inverse, dt, per_s, pressure, tip_force, model, hooks, ports, strains, tips, slopes
+        work, inverse, dt, per_s, pressure, tip_force, model, hooks, ports, strains, slopes
     ):
         return True
     stale, size = True, np.inf
@@ -173,7 +184,7 @@ def solve_step(
             for j in range(m):
                 kept = trial[j]
                 trial[j] = kept + NUDGE
-                fill_residual(trial, other, work, dt, per_s, pressure, tip_force, model, hooks, ports, strains, tips)
+                fill_residual(trial, other, work, dt, per_s, pressure, tip_force, model, hooks, ports, strains)
                 trial[j] = kept
                 for i in range(m):
                     jacobian[i, j] = (other[i] - residual[i]) / NUDGE
@@ -181,15 +192,15 @@ def solve_step(
             for c in range(len(slopes)):
                 slopes[c] = ports[0][ADDED_SLOPE, c]
             stale = False
-        size = _newton_step(inverse, residual, step)
+        size = _newton_step(order, inverse, residual, step)
         for i in range(m):
             trial[i] += step[i]
         if size < TOLERANCE:
             return True
         share = 1.0
         while True:
-            fill_residual(trial, other, work, dt, per_s, pressure, tip_force, model, hooks, ports, strains, tips)
-            after = _newton_step(inverse, other, work[NEXT])
+            fill_residual(trial, other, work, dt, per_s, pressure, tip_force, model, hooks, ports, strains)
+            after = _newton_step(order, inverse, other, work[NEXT])
             if after < (1.0 - 0.25 * share) * size or after < TOLERANCE or share < SHORTEST:
                 break
             shorter = 0.5 * share if fresh else 0.0

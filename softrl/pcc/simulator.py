@@ -1,4 +1,4 @@
-"""Lumped body of constant curvature: needs no mesh, only a robot's few numbers."""
+"""Lumped body, one rod whose curvature changes evenly along it: needs no mesh, only a robot's few numbers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,8 +10,9 @@ import numpy as np
 from softrl.core.errors import ConfigError, SolverError
 from softrl.core.simulator import Hook, Motion
 from softrl.effects.call import Calls, pack, unpack
+from softrl.pcc.forces import fill_shape
 from softrl.pcc.kernel import run_kernel
-from softrl.pcc.pose import tip_pose
+from softrl.pcc.pose import tip_orientation, tip_position
 from softrl.robots.robot import Robot
 
 QUASI_STATIC_S = 1e12  # one implicit step of this length is an equilibrium
@@ -19,7 +20,11 @@ _NONE = pack(())
 
 
 class PccState(NamedTuple):
-    """Coordinates (m,) and velocity (m,) 1/s: bend to +x and +y in rad, elongation; one chamber: its bend."""
+    """Coordinates (m,) and velocity (m,) 1/s.
+
+    Bend to +x and +y in rad, elongation, and what the curvature loses from base to tip, of either, times the length; one chamber:
+    bend and loss of curvature in its plane.
+    """
 
     coordinates: np.ndarray
     velocity: np.ndarray
@@ -41,13 +46,16 @@ class PccSimulator:
 
     Notes
     -----
-    Constant-curvature kinematics as in the reviews of continuum robots (no equation number checked). A
-    chamber at direction ``d`` and radius ``r`` elongates by ``e = epsilon - (r / L) b.d``, and its pressure
-    does the work ``p A L de``, so that it bends the tip away from itself. Inertia is that of an evenly
-    loaded, slightly bent backbone (``m L^2 / 20`` in bending, ``m L^2 / 3`` along) and is held constant:
-    centrifugal terms are left out. Gravity and tip force act through the exact maps of centre of mass and
-    tip. The length at rest already includes the axial weight. A robot with one chamber bends in its plane and
-    does not elongate.
+    Without weight and force the robot is an arc of constant curvature, as in the reviews of continuum robots (no equation number
+    checked). A chamber at direction ``d`` and radius ``r`` elongates by ``e = epsilon - (r / L) b.d``, and its pressure
+    does the work ``p A L de``, so that it bends the tip away from itself. Loads bend it more at the base than at the tip:
+    curvature ``b + c (1 - 2 s)`` at the share ``s`` of the length, with elastic energy ``K (b^2 + c^2 / 3) / 2``. Small bends
+    under any loads across then move the tip as those of Euler and Bernoulli's rod do, exactly (``F L^3 / (3 E I)`` for a
+    force at the tip), and its swing has the first frequency of that rod to 0.5 %. Of ``c``, first-order terms count, and its
+    square along the axis. Inertia is that of an evenly loaded, slightly bent rod (``softrl.pcc.modes``) and is held constant:
+    centrifugal terms are left out. The length at rest already includes the axial weight. A robot with one chamber bends
+    in its plane and does not elongate. Walls that creep or soften do so evenly along the rod: the stiffness against ``c``
+    is that at rest.
     """
 
     robot: Robot
@@ -106,7 +114,7 @@ class PccSimulator:
     @property
     def strain_map(self) -> np.ndarray:
         """(chambers, 3): chamber elongation per coordinate (b_x, b_y, epsilon)."""
-        return self._maps[0]
+        return _strains_of(tuple(self.robot.chamber_angle_deg), self.robot.chamber_radius_m / self.robot.length_m)
 
     @property
     def _maps(self) -> tuple[np.ndarray, ...]:
@@ -119,33 +127,35 @@ class PccSimulator:
 
     def _model_about(self, rest: np.ndarray) -> tuple[Any, ...]:
         r, length = self.robot, self.robot.length_m
-        _, basis, to_strain, to_coordinates = self._maps
+        plane, to_strain, to_moving = self._maps
         mass = self.mass_scale * r.mass_kg
-        stiffness = basis.T**2 @ self.stiffness
-        inertia = basis.T**2 @ (mass * length**2 * np.array([1 / 20, 1 / 20, 1 / 3]))
+        bending, _, axial = self.stiffness
+        stiffness = np.array([bending, bending, axial, bending / 3.0, bending / 3.0])
+        inertia = mass * length**2 * np.array([1 / 20, 1 / 20, 4.0 / np.pi**2, 13 / 1260, 13 / 1260])
+        if r.chambers == 1:
+            stiffness, inertia = stiffness[[0, 3]], inertia[[0, 3]]
         work = r.chamber_area_m2 * length  # of a pascal over a strain of 1
-        to_elastic = np.ascontiguousarray(to_coordinates.T * stiffness / work)
-        slope = np.sum(to_elastic * to_coordinates.T, axis=1)
+        to_elastic = np.ascontiguousarray(to_moving.T * stiffness[: len(to_moving)] / work)
         gravity = np.array(r.gravity_m_s2, dtype=float)
         axial_weight = mass * gravity[2] * length / 2.0
-        scalars = np.array([length, mass, axial_weight])
         return (
-            basis,
+            plane,
             stiffness,
             self.damping_s * stiffness,
             inertia,
             np.ascontiguousarray(work * to_strain.T),
             to_strain,
             to_elastic,
-            slope,
+            np.sum(to_elastic * to_moving.T, axis=1),
             rest,
-            scalars,
+            np.array([length, mass, axial_weight, mass * length**2 / 45.0]),
             gravity,
+            (0.0,) * len(stiffness),
         )
 
     def _equilibrium(self, hooks: tuple[Calls, Calls], pressure: np.ndarray | None = None) -> np.ndarray:
         """Return the coordinates (m,) at rest under gravity, load effects and ``pressure`` (chambers,)."""
-        order = 1 if self.robot.chambers == 1 else 3
+        order = 2 if self.robot.chambers == 1 else 5
         loads_only = (_NONE, hooks[1])
         y = np.zeros(order)
         held = np.zeros((1, self.robot.chambers)) if pressure is None else np.atleast_2d(pressure).astype(float)
@@ -216,7 +226,10 @@ class PccSimulator:
     def observe(self, state: PccState) -> tuple[np.ndarray, np.ndarray]:
         """Return tip position (3,) m and quaternion (4,) w x y z."""
         position, quaternion = np.empty(3), np.empty(4)
-        tip_pose(self._model[0] @ state.coordinates, self.robot.length_m, position, quaternion)
+        shape = np.empty(5)
+        fill_shape(self._model, state.coordinates, shape)
+        tip_position(shape, self.robot.length_m, position)
+        tip_orientation(shape, quaternion)
         return position, quaternion
 
     def simulate(
@@ -243,16 +256,20 @@ class PccSimulator:
         return Motion(np.asarray(time, dtype=float), position, quaternion, held)
 
 
+def _strains_of(angles_deg: tuple[float, ...], lever: float) -> np.ndarray:
+    """Return the chambers' strains (chambers, 3) per (b_x, b_y, epsilon), ``lever`` being their radius over the length."""
+    angle = np.deg2rad(angles_deg)
+    return np.stack([-lever * np.cos(angle), -lever * np.sin(angle), np.ones(len(angle))], axis=1)
+
+
 @cache
 def _maps_of(angles_deg: tuple[float, ...], lever: float) -> tuple[np.ndarray, ...]:
-    """Return what depends on the chambers' places alone, ``lever`` being their radius over the length.
+    """Return the plane (2,) of a robot with one chamber; and what the chambers' places make of the coordinates that stretch them.
 
-    Strains of the coordinates (b_x, b_y, epsilon): (chambers, 3); the columns in which the robot moves: (3, m); strains
-    of those: (chambers, m); and the pseudo-inverse of that: (m, chambers).
+    Those are all three, or the bend in the plane: strains (chambers, moving) of them, and the pseudo-inverse of that.
     """
-    angle = np.deg2rad(angles_deg)
-    direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    strain = np.hstack([-lever * direction, np.ones((len(angle), 1))])
-    basis = np.eye(3) if len(angle) > 1 else np.vstack([-direction.T, [[0.0]]])
-    to_strain = np.ascontiguousarray(strain @ basis)
-    return strain, basis, to_strain, np.linalg.pinv(to_strain)
+    strain, plane = _strains_of(angles_deg, lever), np.zeros(2)
+    if len(angles_deg) == 1:
+        plane = strain[0, :2] / lever
+        strain = strain[:, :2] @ plane[:, None]
+    return plane, np.ascontiguousarray(strain), np.linalg.pinv(strain)

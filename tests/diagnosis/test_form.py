@@ -1,4 +1,4 @@
-"""Intervals allow for what a fit held fixed: parameters at neutral values, and how an arc bears weight."""
+"""Intervals allow for what a fit held fixed: parameters at neutral values, and where the mass is."""
 
 from dataclasses import replace
 
@@ -52,7 +52,7 @@ def test_derivatives_by_pinned_parameters_are_those_of_free_ones(body: PccSimula
     np.testing.assert_allclose(found, both.fit.jacobian[:, [0, 2]], atol=0.02 * np.abs(both.fit.jacobian).max())
 
 
-def test_an_arc_bears_a_weight_at_its_tip_uncertainly_and_a_valve_bears_none(body: PccSimulator) -> None:
+def test_a_weight_at_the_tip_is_as_certain_as_where_the_own_mass_is_and_a_valve_bears_none(body: PccSimulator) -> None:
     problem, trial = fitted(body, Choice("payload"), mass=0.4)
     mass = intervals(problem, trial, configured().thresholds)[0]
     assert mass.low < 0.38 < 0.42 < mass.high
