@@ -13,7 +13,18 @@ import numpy as np
 
 from softrl.core.compiled import summing
 from softrl.effects.effect import BODY_PORT_ROWS, LOAD_PORT_ROWS, STRAIN
-from softrl.pcc.forces import GAINED, LAST, MOVED, TRIAL, VELOCITY, WORK_ROWS, fill_shape, run_body_effects, run_load_effects, stretching
+from softrl.pcc.forces import (
+    GAINED,
+    LAST,
+    MOVED,
+    TRIAL,
+    VELOCITY,
+    WORK_ROWS,
+    fill_shape,
+    run_body_effects,
+    run_load_effects,
+    stretching,
+)
 from softrl.pcc.newton import solve_step
 from softrl.pcc.pose import squared_bend, stumpff, tip_orientation, tip_position
 

@@ -83,7 +83,7 @@ def tip_position(shape: np.ndarray, length: float, position: np.ndarray) -> None
 def tip_motion(
     shape: np.ndarray, length: float, c: tuple[float, ...], rate: np.ndarray, position: np.ndarray, velocity: np.ndarray
 ) -> None:
-    """Fill the tip's position (3,) m and velocity (3,) m/s of the ``shape`` (5,) and its ``rate`` (5,) 1/s, ``c`` as in ``_tip``."""
+    """Fill the tip's position (3,) m and velocity (3,) m/s at the ``rate`` (5,) 1/s of the shape; ``c`` as in ``_tip``."""
     _tip(shape, length, c, position)
     _tip_velocity(shape, length, c, rate, velocity)
 

@@ -108,7 +108,8 @@ def test_loads_are_the_slopes_of_their_work(bend: tuple[float, float]) -> None:
     shape, out = np.array([*bend, 0.07, 0.02, -0.01]), np.empty(5)
     for at_tip in (True, False):
         force = rng.standard_normal(3)
-        fill_loads(shape, 0.2, stumpff(squared_bend(shape)), *(np.zeros(3) if at_tip else force), *(force if at_tip else np.zeros(3)), out)
+        weight, tip_force = (np.zeros(3), force) if at_tip else (force, np.zeros(3))
+        fill_loads(shape, 0.2, stumpff(squared_bend(shape)), *weight, *tip_force, out)
         slopes = []
         for step in 1e-4 * np.eye(5):
             apart = [pose(at, 0.2)[0] if at_tip else 0.2 * backbone(at)[1] for at in (shape + step, shape - step)]
