@@ -49,7 +49,7 @@ def stretching(model: Any) -> int:
 
 @summing
 def run_load_effects(hook: Any, ports: Any, model: Any, c: Any, dt: float, commit: bool) -> None:
-    """Fill the load port at the shape and its rate in ``ports`` and run the effects on it; ``c`` are Stumpff's functions there."""
+    """Fill the load port at the shape and its rate in ``ports`` and run the effects; ``c`` are Stumpff's functions there."""
     port, length, gravity = ports[1], model[9][0], model[10]
     tip_motion(ports[2], length, c, ports[3], port[TIP], port[TIP_VELOCITY])
     for k in range(3):
