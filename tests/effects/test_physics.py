@@ -1,5 +1,6 @@
 """One law of physics for every effect."""
 
+import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -53,6 +54,7 @@ from softrl.effects.marker_offset import MarkerOffset
 from softrl.effects.mount_tilt import MountTilt
 from softrl.effects.mullins import Mullins
 from softrl.effects.offset import Offset
+from softrl.effects.orifice import ATMOSPHERE_PA, CRITICAL, Orifice
 from softrl.effects.payload import Payload
 from softrl.effects.play import Play
 from softrl.effects.power_creep import PowerCreep
@@ -706,3 +708,32 @@ def test_flow_limit_fills_at_a_constant_rate_and_vents_in_proportion_to_the_pres
     falling = supplied[299:350]
     np.testing.assert_allclose(falling - low, (FULL - low) * np.exp(-DT * np.arange(51) / 0.8))
     np.testing.assert_allclose(supplied[-1], 0.2 * FULL)
+
+
+@pytest.mark.parametrize("high", [0.3 * FULL, FULL, 20.0 * FULL], ids=["a little", "full", "choked"])
+def test_orifice_passes_what_iso_6358_lets_through(high: float) -> None:
+    """Filling and venting of a constant volume, against the law itself, integrated; what is open is passed at once."""
+    effect = Orifice(fill_s=0.3, vent_s=0.2)
+    fill_s, vent_s = effect.pack(ROBOT)[:2]
+
+    def law(p: float, command: float) -> float:
+        upstream, downstream = (a + ATMOSPHERE_PA for a in (max(command, p), min(command, p)))
+        ratio = max(downstream / upstream, CRITICAL)
+        flow = math.sqrt(max(1.0 - ((ratio - CRITICAL) / (1.0 - CRITICAL)) ** 2, 0.0))
+        tau = fill_s if command > p else vent_s
+        return math.copysign((1.0 - CRITICAL) / tau * upstream * flow, command - p)
+
+    steps = 60
+    supplied = signal(effect, np.vstack([step_to(high, 300), step_to(0.0, steps)]))[:, 0]
+    begin, expected = np.concatenate([[0.0], supplied[:-1]]), []
+    for p, command in zip([*begin[:steps], *begin[300 : 300 + steps]], [high] * steps + [0.0] * steps, strict=True):
+        fine = 2000
+        for _ in range(fine):
+            after = p + law(p, command) * DT / fine
+            p = command if (after - command) * (p - command) <= 0.0 else after
+        expected.append(p)
+    np.testing.assert_allclose([*supplied[:steps], *supplied[300 : 300 + steps]], expected, atol=2e-3 * high)
+    assert supplied[299] == pytest.approx(high) and supplied[0] < 0.5 * high
+    if high == FULL:
+        assert supplied[28] < FULL and supplied[30] == pytest.approx(FULL)
+    np.testing.assert_array_equal(signal(Orifice(fill_s=0.0, vent_s=0.0), step_to(high, 5)), step_to(high, 5))

@@ -1,14 +1,18 @@
 """The hidden body obeys mechanics, its integrator converges, and a law without amplitude does nothing."""
 
+import dataclasses
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from softrl.pcc.simulator import PccSimulator
 from softrl.proof.generator import laws
 from softrl.proof.generator.catalogue import OUTSIDE, RIGHT, draw
 from softrl.proof.generator.plant import simulate, trace
 from softrl.proof.generator.sensing import reported
 from softrl.robots.robot import Robot
-from tests.proof.conftest import body_of
+from tests.proof.conftest import body_of, loaded
 
 HELD = np.array([20e3, 5e3, -8e3])
 
@@ -32,6 +36,25 @@ def test_links_bend_to_the_arc_of_constant_curvature(tripod: Robot) -> None:
         apart.append(np.linalg.norm(made.position[-1] - arc))
     orders = np.log2(np.array(apart[:-1]) / apart[1:])
     assert apart[1] < 2e-4 and np.allclose(orders, 2.0, atol=0.2), (apart, orders)
+
+
+@pytest.mark.parametrize("gravity", [(0.0, 0.0, -9.81), (4.0, 0.0, -8.0)])
+def test_a_chain_of_many_links_moves_as_the_lumped_body_does(tripod: Robot, gravity: tuple[float, float, float]) -> None:
+    """Two bodies that share no code, at equal numbers: a chain is a rod in the limit, and the lumped body has its first swing."""
+    robot = dataclasses.replace(tripod, gravity_m_s2=gravity)
+    body = PccSimulator(robot, **{k: v for k, v in loaded("simulator/pcc.yaml").items() if k != "_target_"})
+    time = 0.01 * np.arange(401)
+    command = np.repeat(np.random.default_rng(0).uniform(-1e4, 3e4, (8, 3)), 51, axis=0)[:401]
+    bending, _, axial = body.stiffness
+    rod = body_of(robot, links=16, bending_j=bending, axial_j=axial, damping_s=body.damping_s, gravity=np.array(gravity))
+    chain = simulate(rod, laws.neutral_table(), time, command, 1e-3)
+    lumped = body.simulate(time[1:], command[1:])
+    apart = np.linalg.norm(lumped.position - chain.position[1:], axis=1)
+    moved = np.linalg.norm(chain.position - chain.position.mean(axis=0), axis=1)
+    assert np.sqrt(np.mean(apart**2)) < 0.02 * np.sqrt(np.mean(moved**2)), (1e3 * apart).round(2).tolist()
+    axis = Rotation.from_quat(lumped.quaternion, scalar_first=True).as_matrix()[:, :, 2]
+    lean = np.arccos(np.clip(np.sum(axis * chain.rotation[1:, :, 2], axis=1), -1.0, 1.0))
+    assert np.rad2deg(np.sqrt(np.mean(lean**2))) < 0.5, np.rad2deg(lean).round(2).tolist()
 
 
 def test_the_integrator_converges(tripod: Robot) -> None:

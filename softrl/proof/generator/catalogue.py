@@ -53,7 +53,7 @@ SCALED = {laws.TILT: (0, 1), laws.MARKER: (0, 1, 2), laws.FRAME: (0, 1, 2, 3, 4)
 # entry -> (law, right names, largest amplitude); what else is drawn stands in ``draw``
 RIGHT: dict[str, tuple[int, tuple[str, ...], float]] = {
     "spool": (laws.SPOOL, ("lag", "tube_line"), 0.8),
-    "choke": (laws.CHOKE, ("rate_limit", "flow_limit", "lag"), 3.0),
+    "choke": (laws.CHOKE, ("orifice", "rate_limit", "flow_limit", "lag"), 3.0),
     "line": (laws.LINE, ("dead_time",), 0.4),
     "relay": (laws.RELAY, ("deadband",), 0.2),
     "ceiling": (laws.CEILING, ("supply_limit",), 0.7),
