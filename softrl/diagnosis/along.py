@@ -1,6 +1,6 @@
 """Where along the body the mismatch sits, told by markers between base and tip.
 
-The simulated centreline is the arc through the simulated pose of the tip, the measured one the markers. A piece between two
+The simulated centreline is that through the simulated pose of the tip, the measured one the markers. A piece between two
 markers that bends otherwise than simulated turns all that is above it, and nothing below.
 """
 
@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from softrl.diagnosis.flexible import pressures
 from softrl.diagnosis.locate import BLOCK_S, Finding
@@ -22,6 +23,7 @@ REST_SHARE = 0.02  # of a run's largest pressure: samples below show the body at
 REST_SAMPLES = 5  # of them at least, to place a marker
 SHRINK = 0.02  # of the squares: neighbouring pieces that bend against each other are noise of the marker between them
 APART = 0.05  # of the length: markers closer than this to the base, the tip or each other say nothing about a piece
+CLOSER = 6  # times that the centreline is brought closer to the tip
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
 
 
@@ -44,12 +46,13 @@ def along_the_body(problem: Problem, trial: Trial, site: str) -> list[Finding]:
         return []
     heights = np.array([0.0, *(marker.share for marker in markers), 1.0]) * problem.robot.length_m
     more, turns = _turns_of_pieces(problem, trial, markers, heights)
-    power = np.mean(np.concatenate([np.sum(run**2, axis=2) for run in turns]), axis=0)
+    power = np.maximum(sum(np.sum(run**2, axis=(0, 2)) - _noise(run) for run in turns), 0.0)
+    power /= max(power.sum(), np.finfo(float).tiny)
     names = ["the base", *(f"{marker.name} ({marker.share:.0%} of the length)" for marker in markers), "the tip"]
     found = []
     for j, (low, high) in enumerate(pairwise(names)):
         region = f"{BENDS} {'more' if more[j] else 'less'} than simulated between {low} and {high}"
-        found.append(Finding(site, None, None, region, float(power[j] / power.sum()), _chance(problem, turns, j)))
+        found.append(Finding(site, None, None, region, float(power[j]), _chance(problem, turns, j)))
     return found
 
 
@@ -97,7 +100,7 @@ def _points(
 ) -> list[np.ndarray]:
     """Return where (steps, 3) m a simulation has the markers and the tip."""
     return [
-        *(_seen_from(_on_the_arc(made, marker, length_m), placed) for marker in markers),
+        *(_seen_from(_on_the_centreline(made, marker, length_m), placed) for marker in markers),
         _seen_from(np.asarray(made.position), placed),
     ]
 
@@ -106,33 +109,38 @@ def _seen_from(points: np.ndarray, placed: Registration | None) -> np.ndarray:
     return points if placed is None else points @ placed.turn.T + placed.shift
 
 
-def _on_the_arc(made: Recording, marker: Marker, length_m: float) -> np.ndarray:
-    """Return where (steps, 3) the marker is on a centreline whose tangent turns evenly from the base to the tip's.
+def _on_the_centreline(made: Recording, marker: Marker, length_m: float) -> np.ndarray:
+    """Return where (steps, 3) the marker is on a centreline that ends where the tip is and as it leans.
 
-    The length that follows from the tip's distance; what the tip is off that curve is shared out along it.
+    Its tangent is turned by ``b s + c (s - s^2)`` at the share s of the length: b turns the tip, and c, which loads bring about,
+    moves it without turning it. Length and c follow from where the tip is; what it is off at the begin (an offset, or a load
+    that stays) is shared out along the body.
     """
-    quaternion, tip = np.asarray(made.quaternion), np.asarray(made.position)
-    half = np.arctan2(np.linalg.norm(quaternion[:, 1:], axis=1), quaternion[:, 0])
-    axis = quaternion[:, 1:] / np.maximum(np.linalg.norm(quaternion[:, 1:], axis=1), 1e-12)[:, None]
-    whole, part = (_integrated(axis, 2.0 * half, end) for end in (1.0, marker.share))
-    long = np.linalg.norm(tip, axis=1) / np.maximum(np.linalg.norm(whole, axis=1), 1e-12)
+    bend, tip = Rotation.from_quat(np.asarray(made.quaternion), scalar_first=True).as_rotvec(), np.asarray(made.position)
+    change = np.zeros_like(bend)
+    for _ in range(CLOSER):
+        whole = _integrated(bend, change, 1.0)
+        off = tip * (np.linalg.norm(whole, axis=1) / np.linalg.norm(tip, axis=1))[:, None] - whole
+        change[:, 0] -= 6.0 * off[:, 1]
+        change[:, 1] += 6.0 * off[:, 0]
+    change -= change[0]
+    whole, part = (_integrated(bend, change, end) for end in (1.0, marker.share))
+    long = np.linalg.norm(tip, axis=1) / np.linalg.norm(whole, axis=1)
     curve = long[:, None] * part + marker.share * (tip - long[:, None] * whole)
-    return np.asarray(curve + _turned(axis, 2.0 * half * marker.share, np.broadcast_to(marker.beside, tip.shape)))
+    return np.asarray(curve + _lean(bend, change, marker.share).apply(marker.beside))
 
 
-def _integrated(axis: np.ndarray, angle: np.ndarray, end: float) -> np.ndarray:
-    """Return the integral (steps, 3) over u from 0 to ``end`` of the base's axis turned by u ``angle`` about ``axis``."""
-    up = np.zeros_like(axis)
-    up[:, 2] = 1.0
-    parts = [0.5 * end * w * _turned(axis, 0.5 * end * (x + 1.0) * angle, up) for x, w in zip(NODES, WEIGHTS, strict=True)]
+def _lean(bend: np.ndarray, change: np.ndarray, share: float) -> Rotation:
+    return Rotation.from_rotvec(share * bend + (share - share**2) * change)
+
+
+def _integrated(bend: np.ndarray, change: np.ndarray, end: float) -> np.ndarray:
+    """Return the integral (steps, 3) of the tangent over the shares of the length from 0 to ``end``."""
+    parts = [
+        0.5 * end * w * _lean(bend, change, 0.5 * end * (x + 1.0)).apply([0.0, 0.0, 1.0])
+        for x, w in zip(NODES, WEIGHTS, strict=True)
+    ]
     return np.asarray(sum(parts))
-
-
-def _turned(axis: np.ndarray, angle: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Return ``vector`` (steps, 3) turned by ``angle`` (steps,) about ``axis`` (steps, 3), by Rodrigues' formula."""
-    cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    along = np.sum(axis * vector, axis=1)[:, None] * axis
-    return np.asarray(along + cos * (vector - along) + sin * np.cross(axis, vector))
 
 
 def _turns(points: Sequence[np.ndarray], heights: np.ndarray) -> np.ndarray:
@@ -146,6 +154,12 @@ def _turns(points: Sequence[np.ndarray], heights: np.ndarray) -> np.ndarray:
     turned = np.tril(np.ones((pieces, pieces)), -1) + 0.5 * np.eye(pieces)
     inverse = np.linalg.solve(turned.T @ turned + SHRINK * np.eye(pieces), turned.T)
     return np.asarray(np.einsum("jk,bkc->bjc", inverse, slopes))
+
+
+def _noise(turns: np.ndarray) -> np.ndarray:
+    """Return the squares (pieces,) of white noise in ``turns`` (bins, pieces, 2), summed: by second differences."""
+    second = np.diff(turns, n=2, axis=0)
+    return np.asarray(np.sum(second**2, axis=(0, 2)) / 6.0 * len(turns) / max(len(second), 1))
 
 
 def _chance(problem: Problem, turns: Sequence[np.ndarray], piece: int) -> float:

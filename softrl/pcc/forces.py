@@ -104,7 +104,8 @@ def fill_residual(
     """Fill ``out`` (m,) with inertia + damping + elasticity + effects - pressure - loads at ``y``, in J.
 
     The coordinates change from ``work[LAST]`` and their rates from ``work[VELOCITY]`` at ``per_s``, and load effects with them;
-    the body's effects act over ``dt`` from the beginning of the step. ``ports`` are the effects' two, and room for the shape, its
+    the body's effects act over ``dt`` from the beginning of the step; what the strain of a chamber's wall varies by along the rod
+    they resist by their slope at its mean. ``ports`` are the effects' two, and room for the shape, its
     rate and the loads on it (5,).
     """
     plane, stiffness, damping, mass, push, _, _, _, _, scalars, gravity, order = model
@@ -139,10 +140,16 @@ def fill_residual(
         out[apart + i] += scalars[3] * work[SEEN, i]
     if len(body_hook[0]) > 0:
         run_body_effects(body_hook, ports[0], y, model, pressure, strains, dt, False)
-        added = ports[0][ADDED]
-        for i in range(apart):
-            for k in range(len(pressure)):
+        added, slopes, stiff, to_elastic, rest = ports[0][ADDED], ports[0][ADDED_SLOPE], model[7], model[6], model[8]
+        for k in range(len(pressure)):
+            for i in range(apart):
                 out[i] += push[i, k] * (added[k] - pressure[k])
+            uneven = 0.0
+            for j in range(m - apart):
+                uneven += to_elastic[k, j] * (y[apart + j] - rest[apart + j])
+            uneven *= slopes[k] / (3.0 * stiff[k])
+            for i in range(m - apart):
+                out[apart + i] += push[i, k] * uneven
         return
     for i in range(apart):
         for k in range(len(pressure)):

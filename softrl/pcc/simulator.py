@@ -52,10 +52,10 @@ class PccSimulator:
     curvature ``b + c (1 - 2 s)`` at the share ``s`` of the length, with elastic energy ``K (b^2 + c^2 / 3) / 2``. Small bends
     under any loads across then move the tip as those of Euler and Bernoulli's rod do, exactly (``F L^3 / (3 E I)`` for a
     force at the tip), and its swing has the first frequency of that rod to 0.5 %. Of ``c``, first-order terms count, and its
-    square along the axis. Inertia is that of an evenly loaded, slightly bent rod (``softrl.pcc.modes``) and is held constant:
-    centrifugal terms are left out. The length at rest already includes the axial weight. A robot with one chamber bends
-    in its plane and does not elongate. Walls that creep or soften do so evenly along the rod: the stiffness against ``c``
-    is that at rest.
+    square along the axis. Inertia is that of an evenly loaded rod that is slightly bent so, along the axis that of its first
+    mode, and is held constant: centrifugal terms are left out. The length at rest already includes the axial weight. A robot
+    with one chamber bends in its plane and does not elongate. Effects of the wall are evaluated at a chamber's mean strain;
+    against ``c`` they act by their slope there, so that a wall that creeps does not creep in ``c``.
     """
 
     robot: Robot
