@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from softrl.diagnosis.hypothesis import Hypothesis
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, starts
 from softrl.diagnosis.problem import Numerics, Problem
+from softrl.pcc.simulator import PccSimulator
 
 LONGER = 2.0  # times the configured step, at most, where parameters are fitted; ``bin_s / 2`` where effects are ranked
 FITTED_SHARE = 0.3  # of the smallest difference that counts: what the longer step may change
@@ -22,15 +23,17 @@ def suited(problem: Problem, material: float) -> Numerics:
 
     Notes
     -----
-    Implicit steps damp and delay a body's motion by an error of first order. How large it is shows on the body without
-    effects, which is the fastest: lags, creep and friction only slow it down.
+    How large the steps' own error is shows on the body without effects, which is the fastest (lags, creep and friction only
+    slow it down), and, of a lumped one, on the body with a typical payload, which swings more. A reduced body is not asked
+    under a load that its samples may not hold.
     """
     numerics = problem.numerics
-    reference = _motion(problem)
+    reference = _motions(problem)
 
     def allowed(step: float, share: float) -> bool:
-        moved = _motion(replace(problem, numerics=replace(numerics, dt_s=step))) - reference
-        return bool(np.sqrt(np.mean(np.sum(moved**2, axis=1))) <= share * material)
+        coarse = _motions(replace(problem, numerics=replace(numerics, dt_s=step)))
+        apart = [np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1))) for a, b in zip(coarse, reference, strict=True)]
+        return max(apart) <= share * material
 
     fitted, ranked = LONGER * numerics.dt_s, 0.5 * numerics.bin_s
     dt_s = fitted if fitted <= ranked and allowed(fitted, FITTED_SHARE) else numerics.dt_s
@@ -38,6 +41,9 @@ def suited(problem: Problem, material: float) -> Numerics:
     return replace(numerics, dt_s=dt_s, rough_dt_s=max(rough_dt_s, dt_s))
 
 
-def _motion(problem: Problem) -> np.ndarray:
-    """Return what the body does less what was measured (bins, channels), runs joined."""
-    return np.concatenate(problem.residual(Hypothesis((), ()), np.zeros(0)).runs)
+def _motions(problem: Problem) -> list[np.ndarray]:
+    """Return what the body does, less what was measured (bins, channels), runs joined: alone, and with a load."""
+    load, tried = Choice("payload"), [(Hypothesis((), ()), np.zeros(0))]
+    if isinstance(problem.simulator, PccSimulator):
+        tried.append((Hypothesis((load,), ()), starts(load)[0]))
+    return [np.concatenate(problem.residual(hypothesis, at).runs) for hypothesis, at in tried]

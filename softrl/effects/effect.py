@@ -34,13 +34,14 @@ PORT_KERNEL = nb.void(_vector, _vector, _matrix, nb.float64, nb.boolean)
 EVERYWHERE = -1.0  # as ``above_share``: no pressure is below it
 TURN = 2.0 * math.pi  # rad, either way: bounds of a direction, so that a search may pass where it would jump
 
-# rows of a body port (8, chambers): one column per chamber
-STRAIN, RATE, ELASTIC, ELASTIC_SLOPE, PRESSURE, REST, ADDED, ADDED_SLOPE = range(8)
+# rows of a body port (9, chambers): one column per chamber
+STRAIN, RATE, ELASTIC, ELASTIC_SLOPE, PRESSURE, REST, ADDED, ADDED_SLOPE, UNEVEN = range(9)
 # STRAIN         chamber elongation e_i relative to rest, dimensionless (trial value)
 # RATE           (e_i - e_i at the last step) / dt, 1/s
 # ELASTIC        elastic resisting pressure of the bare body, Pa;  ELASTIC_SLOPE  its derivative by e_i, Pa
 # PRESSURE       pressure that acts in the chamber, Pa;  REST  stiffness scale Pa: ELASTIC_SLOPE at rest
 # ADDED          output: further resisting pressure, Pa (positive resists elongation);  ADDED_SLOPE  d ADDED / d e_i, Pa
+# UNEVEN         output: the same for strain that varies along the chamber with no mean, as a share of the bare body's resistance
 
 # rows of a load port (7, 3)
 TIP, TIP_VELOCITY, GRAVITY, FORCE, FORCE_SLOPE = 0, 1, 2, 3, 4
@@ -48,7 +49,7 @@ TIP, TIP_VELOCITY, GRAVITY, FORCE, FORCE_SLOPE = 0, 1, 2, 3, 4
 # GRAVITY        in/out: gravity felt by the body, m/s^2 (a tilt rotates it)
 # FORCE          output: further force on the tip, N;  FORCE_SLOPE .. +2  output: d FORCE / d TIP, N/m (rows: force)
 
-BODY_PORT_ROWS, LOAD_PORT_ROWS = 8, 7
+BODY_PORT_ROWS, LOAD_PORT_ROWS = 9, 7
 
 
 @borrowing

@@ -18,6 +18,7 @@ from softrl.effects.effect import (
     PORT_KERNEL,
     PRESSURE,
     SIGNAL_KERNEL,
+    UNEVEN,
     Effect,
 )
 from softrl.robots.robot import Robot
@@ -82,7 +83,7 @@ def gated_body(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: 
     late = _late(state[-1], dt, parameters)
     for i in range(port.shape[1]):
         share = late * _above(port[PRESSURE, i], parameters)
-        for row in (ADDED, ADDED_SLOPE):
+        for row in (ADDED, ADDED_SLOPE, UNEVEN):
             port[row, i] = before[row, i] + share * (port[row, i] - before[row, i])
     if commit:
         state[-1] = _after(state[-1], dt)

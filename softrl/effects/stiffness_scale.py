@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import ADDED, ADDED_SLOPE, PORT_KERNEL, Effect, parameter, wall
+from softrl.effects.effect import ADDED, ADDED_SLOPE, PORT_KERNEL, UNEVEN, Effect, parameter, wall
 
 
 @standing_as(PORT_KERNEL)
@@ -20,6 +20,7 @@ def stiffness_scale_kernel(
             elastic, slope = wall(port, chamber, i)
             port[ADDED, i] += more * elastic
             port[ADDED_SLOPE, i] += more * slope
+            port[UNEVEN, i] += more
 
 
 @dataclass(frozen=True)

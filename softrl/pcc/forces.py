@@ -20,6 +20,7 @@ from softrl.effects.effect import (
     STRAIN,
     TIP,
     TIP_VELOCITY,
+    UNEVEN,
 )
 from softrl.pcc.pose import fill_loads, squared_bend, stumpff, tip_motion
 
@@ -83,7 +84,7 @@ def run_body_effects(
         port[STRAIN, c], port[RATE, c] = strain, (strain - strains[c]) * per_s
         port[ELASTIC, c], port[ELASTIC_SLOPE, c] = elastic, stiff
         port[PRESSURE, c], port[REST, c] = pressure[c], stiff
-        port[ADDED, c], port[ADDED_SLOPE, c] = 0.0, 0.0
+        port[ADDED, c], port[ADDED_SLOPE, c], port[UNEVEN, c] = 0.0, 0.0, 0.0
     run_ports(hook, port, dt, commit)
 
 
@@ -104,8 +105,7 @@ def fill_residual(
     """Fill ``out`` (m,) with inertia + damping + elasticity + effects - pressure - loads at ``y``, in J.
 
     The coordinates change from ``work[LAST]`` and their rates from ``work[VELOCITY]`` at ``per_s``, and load effects with them;
-    the body's effects act over ``dt`` from the beginning of the step; what the strain of a chamber's wall varies by along the rod
-    they resist by their slope at its mean. ``ports`` are the effects' two, and room for the shape, its
+    the body's effects act over ``dt`` from the beginning of the step. ``ports`` are the effects' two, and room for the shape, its
     rate and the loads on it (5,).
     """
     plane, stiffness, damping, mass, push, _, _, _, _, scalars, gravity, order = model
@@ -140,14 +140,15 @@ def fill_residual(
         out[apart + i] += scalars[3] * work[SEEN, i]
     if len(body_hook[0]) > 0:
         run_body_effects(body_hook, ports[0], y, model, pressure, strains, dt, False)
-        added, slopes, stiff, to_elastic, rest = ports[0][ADDED], ports[0][ADDED_SLOPE], model[7], model[6], model[8]
+        added, share, to_elastic, rest = ports[0][ADDED], ports[0][UNEVEN], model[6], model[8]
         for k in range(len(pressure)):
             for i in range(apart):
                 out[i] += push[i, k] * (added[k] - pressure[k])
+            if share[k] == 0.0:
+                continue
             uneven = 0.0
             for j in range(m - apart):
-                uneven += to_elastic[k, j] * (y[apart + j] - rest[apart + j])
-            uneven *= slopes[k] / (3.0 * stiff[k])
+                uneven += share[k] / 3.0 * to_elastic[k, j] * (y[apart + j] - rest[apart + j])
             for i in range(m - apart):
                 out[apart + i] += push[i, k] * uneven
         return

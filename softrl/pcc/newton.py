@@ -8,7 +8,7 @@ from softrl.core.compiled import summing
 from softrl.effects.effect import ADDED_SLOPE
 from softrl.pcc.forces import MOVED, NEXT, OTHER, RESIDUAL, SEEN, STEP, TRIAL, fill_residual, stretching
 
-TOLERANCE = 1e-10  # rad or strain: a tenth of a nanometre at the tip of most robots
+TOLERANCE = 3e-11  # rad or strain: some picometres at the tip of most robots
 ACCEPTED = 1e-7  # at a kink of friction or contact: 20 nm at the tip of a robot of 0.2 m
 MAX_ITERATIONS = 60
 QUICK = 8  # steps with a Jacobian that is corrected on the way, before a careful search begins

@@ -54,8 +54,8 @@ class PccSimulator:
     force at the tip), and its swing has the first frequency of that rod to 0.5 %. Of ``c``, first-order terms count, and its
     square along the axis. Inertia is that of an evenly loaded rod that is slightly bent so, along the axis that of its first
     mode, and is held constant: centrifugal terms are left out. The length at rest already includes the axial weight. A robot
-    with one chamber bends in its plane and does not elongate. Effects of the wall are evaluated at a chamber's mean strain;
-    against ``c`` they act by their slope there, so that a wall that creeps does not creep in ``c``.
+    with one chamber bends in its plane and does not elongate. Effects of the wall are evaluated at a chamber's mean strain, so
+    that one which creeps or slips resists ``c`` as it does without; one that is stiffer does so by as much (``UNEVEN``).
     """
 
     robot: Robot

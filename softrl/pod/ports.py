@@ -23,6 +23,7 @@ from softrl.effects.effect import (
     STRAIN,
     TIP,
     TIP_VELOCITY,
+    UNEVEN,
 )
 from softrl.pod.potential import polynomial
 
@@ -94,7 +95,7 @@ def fill_ports(
         strains[1, i] = strain / tables.rest_volume[i]
         body[STRAIN, i], body[RATE, i] = strains[1, i], (strains[1, i] - strains[0, i]) / dt
         body[ELASTIC, i], body[PRESSURE, i], body[REST, i] = elastic, pressure[i], tables.rest_slope[i]
-        body[ADDED, i] = body[ADDED_SLOPE, i] = 0.0
+        body[ADDED, i] = body[ADDED_SLOPE, i] = body[UNEVEN, i] = 0.0
     for k in range(3):
         tips[1, k] = tables.rest_tip[k]
         for j in range(r):
@@ -213,7 +214,7 @@ def _add_body(
     if probe:
         for i in range(n):
             body[ELASTIC, i] += PROBE * tables.rest_slope[i]
-            body[ADDED, i] = body[ADDED_SLOPE, i] = 0.0
+            body[ADDED, i] = body[ADDED_SLOPE, i] = body[UNEVEN, i] = 0.0
         run_ports(calls, body, dt, False)
         for i in range(n):
             shares[0, i] = (body[ADDED, i] - shares[1, i]) / (PROBE * tables.rest_slope[i])

@@ -28,7 +28,7 @@ from softrl.sim2real.rollout import Pace, Rollout, follow
 from softrl.sim2real.surface import Surface
 from tests.sim2real.conftest import CONF, BenchDriver, surrogate_of, task_numbers
 
-PACE, SHARE = Pace(0.5, 2, 6), 0.35  # of the chambers' area: bends as far, but yields to forces as the tripod does
+PACE, SHARE = Pace(0.5, 2, 6), 0.5  # of the chambers' area: bends as far, but yields to forces as the tripod does
 PLANNING = build(yaml.safe_load((CONF / "stage" / "sim2real.yaml").read_text())["planning"], Planning, "planning")
 GROUNDS = {
     "as told": Ground(2000.0, 0.3, 0.0), "nearer": Ground(2000.0, 0.3, 1.0), "much nearer": Ground(2000.0, 0.3, 3.0),
