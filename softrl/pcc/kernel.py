@@ -13,18 +13,8 @@ import numpy as np
 
 from softrl.core.compiled import summing
 from softrl.effects.effect import BODY_PORT_ROWS, LOAD_PORT_ROWS, STRAIN
-from softrl.pcc.forces import (
-    GAINED,
-    LAST,
-    MOVED,
-    TRIAL,
-    VELOCITY,
-    WORK_ROWS,
-    fill_shape,
-    run_body_effects,
-    run_load_effects,
-    stretching,
-)
+from softrl.pcc.forces import run_body_effects, run_load_effects
+from softrl.pcc.model import GAINED, LAST, MOVED, TRIAL, VELOCITY, WORK_ROWS, fill_shape, stretching
 from softrl.pcc.newton import solve_step
 from softrl.pcc.pose import squared_bend, stumpff, tip_orientation, tip_position
 
@@ -62,8 +52,8 @@ def _advance(
     """Do what ``run_kernel`` does in its ``room`` of zeros; where arrays are made, every use of one counts its references."""
     work, jacobian, inverse, ports, strains, slopes, begun = room
     body_hook, load_hook = hooks
-    length, to_strain, rest = model[9][0], model[5], model[8]
-    m, chambers, shape, rate = len(model[11]), len(strains), ports[2], ports[3]
+    length, to_strain, rest = model.length, model.to_strain, model.rest
+    m, chambers, shape, rate = len(model.order), len(strains), ports[2], ports[3]
     for c in range(chambers):
         for j in range(stretching(model)):
             strains[c] += to_strain[c, j] * (y[j] - rest[j])

@@ -6,7 +6,8 @@ import numpy as np
 
 from softrl.core.compiled import summing
 from softrl.effects.effect import ADDED_SLOPE
-from softrl.pcc.forces import MOVED, NEXT, OTHER, RESIDUAL, SEEN, STEP, TRIAL, fill_residual, stretching
+from softrl.pcc.forces import fill_residual
+from softrl.pcc.model import MOVED, NEXT, OTHER, RESIDUAL, SEEN, STEP, TRIAL, stretching
 
 TOLERANCE = 3e-11  # rad or strain: some picometres at the tip of most robots
 ACCEPTED = 1e-7  # at a kink of friction or contact: 20 nm at the tip of a robot of 0.2 m
@@ -78,7 +79,7 @@ def _quick(
     ``work[RESIDUAL]`` belongs to ``work[TRIAL]`` before and, without success, after it.
     """
     trial, residual, step, following = work[TRIAL], work[RESIDUAL], work[STEP], work[NEXT]
-    order = model[11]
+    order = model.order
     m = len(order)
     _follow(inverse, slopes, ports[0], model, work)
     size = _newton_step(order, inverse, residual, step)
@@ -108,8 +109,8 @@ def _follow(inverse: np.ndarray, slopes: np.ndarray, port: np.ndarray, model: An
 
     Sherman and Morrison's formula, chamber by chamber.
     """
-    push, to_strain, rest, moved, seen = model[4], model[5], model[7], work[MOVED], work[SEEN]
-    m, moving, known = len(model[11]), stretching(model), True
+    push, to_strain, rest, moved, seen = model.push, model.to_strain, model.slope, work[MOVED], work[SEEN]
+    m, moving, known = len(model.order), stretching(model), True
     for c in range(len(slopes)):
         change = port[ADDED_SLOPE, c] - slopes[c]
         if abs(change) < SAME * rest[c]:
@@ -170,7 +171,7 @@ def solve_step(
     (friction and contact have kinks) is followed over a shorter way, until the next step is smaller.
     """
     trial, residual, step, other = work[TRIAL], work[RESIDUAL], work[STEP], work[OTHER]
-    order = model[11]
+    order = model.order
     m = len(order)
     fill_residual(trial, residual, work, dt, per_s, pressure, tip_force, model, hooks, ports, strains)
     if inverse[0, 0] != 0.0 and _quick(

@@ -98,7 +98,7 @@ def tip_orientation(shape: np.ndarray, quaternion: np.ndarray) -> None:
 
 
 @borrowing
-def fill_loads(
+def work_of_loads(
     shape: np.ndarray,
     length: float,
     c: tuple[float, ...],

@@ -10,8 +10,8 @@ import numpy as np
 from softrl.core.errors import ConfigError, SolverError
 from softrl.core.simulator import Hook, Motion
 from softrl.effects.call import Calls, pack, unpack
-from softrl.pcc.forces import fill_shape
 from softrl.pcc.kernel import run_kernel
+from softrl.pcc.model import Model, fill_shape
 from softrl.pcc.pose import tip_orientation, tip_position
 from softrl.robots.robot import Robot
 
@@ -121,11 +121,11 @@ class PccSimulator:
         return _maps_of(tuple(self.robot.chamber_angle_deg), self.robot.chamber_radius_m / self.robot.length_m)
 
     @cached_property
-    def _model(self) -> tuple[Any, ...]:
-        """The arrays that the kernel reads, in its order; ``rest`` is the equilibrium under gravity alone."""
+    def _model(self) -> Model:
+        """What the kernel reads, about the equilibrium under gravity alone."""
         return self._model_about(self._equilibrium((_NONE, _NONE)))
 
-    def _model_about(self, rest: np.ndarray) -> tuple[Any, ...]:
+    def _model_about(self, rest: np.ndarray) -> Model:
         r, length = self.robot, self.robot.length_m
         plane, to_strain, to_moving = self._maps
         mass = self.mass_scale * r.mass_kg
@@ -137,20 +137,22 @@ class PccSimulator:
         work = r.chamber_area_m2 * length  # of a pascal over a strain of 1
         to_elastic = np.ascontiguousarray(to_moving.T * stiffness[: len(to_moving)] / work)
         gravity = np.array(r.gravity_m_s2, dtype=float)
-        axial_weight = mass * gravity[2] * length / 2.0
-        return (
-            plane,
-            stiffness,
-            self.damping_s * stiffness,
-            inertia,
-            np.ascontiguousarray(work * to_strain.T),
-            to_strain,
-            to_elastic,
-            np.sum(to_elastic * to_moving.T, axis=1),
-            rest,
-            np.array([length, mass, axial_weight, mass * length**2 / 45.0]),
-            gravity,
-            (0.0,) * len(stiffness),
+        return Model(
+            plane=plane,
+            stiffness=stiffness,
+            damping=self.damping_s * stiffness,
+            inertia=inertia,
+            crossed=mass * length**2 / 45.0,
+            push=np.ascontiguousarray(work * to_strain.T),
+            to_strain=to_strain,
+            to_elastic=to_elastic,
+            slope=np.sum(to_elastic * to_moving.T, axis=1),
+            rest=rest,
+            length=float(length),
+            mass=float(mass),
+            axial_weight=float(mass * gravity[2] * length / 2.0),
+            gravity=gravity,
+            order=(0.0,) * len(stiffness),
         )
 
     def _equilibrium(self, hooks: tuple[Calls, Calls], pressure: np.ndarray | None = None) -> np.ndarray:
@@ -177,7 +179,7 @@ class PccSimulator:
         dt_s: float,
         pressure: np.ndarray,
         tip_force: np.ndarray,
-        model: tuple[Any, ...],
+        model: Model,
         hooks: tuple[Calls, Calls],
     ) -> tuple[np.ndarray, np.ndarray]:
         """Advance ``y`` and ``velocity`` in place; return positions (steps, 3) and quaternions (steps, 4)."""
@@ -197,7 +199,7 @@ class PccSimulator:
 
     def reset(self, rng: np.random.Generator | None = None) -> PccState:
         """Return the state at rest under zero pressure; ``rng`` is unused."""
-        rest = self._model[8].copy()
+        rest = self._model.rest.copy()
         return PccState(rest, np.zeros_like(rest))
 
     def step(
@@ -247,7 +249,7 @@ class PccSimulator:
         """
         hooks = pack(body) if body else _NONE, pack(load) if load else _NONE
         model = self._model_about(self._equilibrium(hooks)) if load else self._model
-        y, velocity = model[8].copy(), np.zeros_like(model[8])
+        y, velocity = model.rest.copy(), np.zeros_like(model.rest)
         held = np.ascontiguousarray(pressure, dtype=float)
         force = np.zeros((len(time), 3)) if tip_force is None else np.ascontiguousarray(tip_force, dtype=float)
         position, quaternion = self._run(y, velocity, float(time[1] - time[0]), held, force, model, hooks)

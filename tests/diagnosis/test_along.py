@@ -14,7 +14,7 @@ from softrl.diagnosis.search import Fit
 from softrl.diagnosis.trial import Trial
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.replay import replay
-from softrl.pcc.forces import fill_shape
+from softrl.pcc.model import fill_shape
 from softrl.pcc.simulator import PccSimulator, PccState
 from softrl.recordings.recording import Recording
 from tests.diagnosis.conftest import node, programs

@@ -24,8 +24,16 @@ from softrl.effects.hysteresis import Hysteresis
 from softrl.effects.lag import Lag
 from softrl.effects.payload import Payload
 from softrl.effects.viscoelasticity import Viscoelasticity
-from softrl.pcc.forces import fill_shape
-from softrl.pcc.pose import SERIES_BELOW, fill_loads, squared_bend, stumpff, tip_motion, tip_orientation, tip_position
+from softrl.pcc.model import fill_shape
+from softrl.pcc.pose import (
+    SERIES_BELOW,
+    squared_bend,
+    stumpff,
+    tip_motion,
+    tip_orientation,
+    tip_position,
+    work_of_loads,
+)
 from softrl.pcc.simulator import PccSimulator, PccState
 from softrl.robots.robot import Robot
 
@@ -109,7 +117,7 @@ def test_loads_are_the_slopes_of_their_work(bend: tuple[float, float]) -> None:
     for at_tip in (True, False):
         force = rng.standard_normal(3)
         weight, tip_force = (np.zeros(3), force) if at_tip else (force, np.zeros(3))
-        fill_loads(shape, 0.2, stumpff(squared_bend(shape)), *weight, *tip_force, out)
+        work_of_loads(shape, 0.2, stumpff(squared_bend(shape)), *weight, *tip_force, out)
         slopes = []
         for step in 1e-4 * np.eye(5):
             apart = [pose(at, 0.2)[0] if at_tip else 0.2 * backbone(at)[1] for at in (shape + step, shape - step)]

@@ -1,0 +1,66 @@
+"""What the lumped body's kernel reads of a robot, and the rows of what it works in."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from softrl.core.compiled import summing
+
+
+class Model(NamedTuple):
+    """A lumped body in its coordinates: five, which are its shape, or two, bend and loss of curvature in one plane.
+
+    Attributes
+    ----------
+    plane : (2,), that of a robot with one chamber
+    stiffness, damping, inertia : (m,) J, J s, J s^2, of each coordinate
+    crossed : J s^2, inertia that bend and loss of curvature share
+    push : (stretching, chambers) J/Pa, work of the pressures on the coordinates that stretch chambers
+    to_strain : (chambers, stretching), strains of those coordinates
+    to_elastic : (chambers, stretching) Pa, pressures that hold them
+    slope : (chambers,) Pa, of those by the chamber's own strain
+    rest : (m,), equilibrium from which strains count
+    length, mass : m, kg
+    axial_weight : N m, of the elongation, which the length at rest includes
+    gravity : (3,) m/s^2
+    order : m numbers: how many there are is known when loops over them are compiled
+    """
+
+    plane: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
+    inertia: np.ndarray
+    crossed: float
+    push: np.ndarray
+    to_strain: np.ndarray
+    to_elastic: np.ndarray
+    slope: np.ndarray
+    rest: np.ndarray
+    length: float
+    mass: float
+    axial_weight: float
+    gravity: np.ndarray
+    order: tuple[float, ...]
+
+
+# rows of the work array that one step fills, m numbers each
+LAST, VELOCITY, TRIAL, RESIDUAL, STEP, OTHER, NEXT, MOVED, SEEN, GAINED = range(10)
+WORK_ROWS = 10
+
+
+@summing
+def stretching(model: Any) -> int:
+    """Return how many of the coordinates, the first, stretch chambers; the others are losses of curvature."""
+    return len(model.order) - len(model.order) // 2
+
+
+@summing
+def fill_shape(model: Any, y: np.ndarray, shape: np.ndarray) -> None:
+    """Fill the ``shape`` (b_x, b_y, elongation, c_x, c_y) at the coordinates ``y`` (m,)."""
+    if len(model.order) == 5:
+        for i in range(5):
+            shape[i] = y[i]
+        return
+    for i in range(2):
+        shape[i], shape[3 + i] = model.plane[i] * y[0], model.plane[i] * y[1]
+    shape[2] = 0.0
