@@ -35,8 +35,7 @@ class Generator:
     sessions, session_s : recordings that the diagnosis gets, and how long each is
     share : of the pressure range that they use; the session out of distribution uses all of it
     tip_force_n : known force on the tip in the session out of distribution
-    orientation : whether orientations are recorded: under its weight this body's tip leans other than an arc of
-        constant curvature does (0.4 degrees on the default robot), whatever is retuned
+    orientation : whether orientations are recorded, or positions of the tip alone
     position_noise_m, orientation_noise_rad, pressure_noise_pa : standard deviation of one component
     coloured_share, noise_memory_s : share of the noise's variance that is coloured, and its correlation time
     dropped_share, late_share : of the samples
