@@ -48,6 +48,18 @@ def rate_limited(values: np.ndarray, pa_per_s: float) -> np.ndarray:
     return found
 
 
+def throttled(values: np.ndarray, conductance: float, critical: float = 0.4) -> np.ndarray:
+    """Return what stands behind a throttle, by compressible flow in absolute pressures (1 atm outside)."""
+    state, found = np.full(values.shape[1], 1.013e5), np.empty_like(values)
+    for k, value in enumerate(values + 1.013e5):
+        upstream, downstream = np.maximum(value, state), np.minimum(value, state)
+        beyond = np.clip((downstream / upstream - critical) / (1.0 - critical), 0.0, 1.0)
+        step = conductance * upstream * np.sqrt(1.0 - beyond**2) * DT
+        state = state + np.sign(value - state) * np.minimum(step, np.abs(value - state))
+        found[k] = state - 1.013e5
+    return found
+
+
 def late(values: np.ndarray, by_s: float) -> np.ndarray:
     steps = round(by_s / DT)
     return np.vstack([np.zeros((steps, values.shape[1])), values[:-steps]])

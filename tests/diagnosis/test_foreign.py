@@ -27,6 +27,7 @@ CASES = {
     "lag": ({"lag"}, lambda p: foreign.first_order(p, 0.3), {"fill_s": 0.3, "vent_s": 0.3}),
     "late": ({"dead_time", "delay"}, lambda p: foreign.late(p, 0.25), {"delay_s": 0.265}),
     "rate": ({"rate_limit"}, lambda p: foreign.rate_limited(p, 120e3), {"rise_per_s": 0.48}),
+    "throttle": ({"orifice"}, lambda p: foreign.throttled(p, 1.4), {"fill_s": 0.748}),
     "ceiling": ({"supply_limit", "knee"}, lambda p: np.minimum(p, 0.45 * foreign.FULL_PA), {}),
     "creep": ({"viscoelasticity"}, lambda p: 0.85 * p + 0.35 * foreign.first_order(p, 4.0), {}),
     "plays": ({"hysteresis", "play"}, lambda p: 0.4 * p + 0.6 * foreign.plays(p, (5e3, 15e3, 30e3)), {}),
