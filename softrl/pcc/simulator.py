@@ -32,7 +32,7 @@ class PccState(NamedTuple):
 
 @dataclass(frozen=True)
 class PccSimulator:
-    """One segment of constant curvature with linear stiffness, implemented as a Simulator.
+    """One rod with linear stiffness, whose curvature changes evenly along it, implemented as a Simulator.
 
     Attributes
     ----------
