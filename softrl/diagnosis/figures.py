@@ -239,5 +239,11 @@ def draw_screening(findings: Sequence[Finding]) -> Figure:
         factor, unit = shown_in(finding)
         before = factor * finding.judge.rms(finding.base.squares)
         ax.set_title(f"{finding.part.title}\n(retuned rms {before:.3g} {unit})", fontsize=9)
+        if not leads:
+            ax.set_axis_off()
+            told = "no effect was tried:\nretuning leaves less than counts"
+            ax.text(0.5, 0.5, told, ha="center", va="center", fontsize=9, transform=ax.transAxes)
+            continue
+        ax.set_xlim(left=0.0)
     figure.supxlabel("share of the squared error on runs left out that it saves, fitted roughly", fontsize=9)
     return figure
