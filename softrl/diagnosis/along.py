@@ -64,7 +64,7 @@ def _turns_of_pieces(
     placed = problem.residual(trial.hypothesis, trial.fit.point, trial.placed).registrations
     along, turns = np.zeros(len(heights) - 1), []
     for k, made in enumerate(simulated):
-        there = _points(made, markers, problem.robot.length_m, placed.get(made.session))
+        there = _points(made, markers, placed.get(made.session))
         seen = [problem.runs[k].markers[marker.name] for marker in markers] + [np.asarray(problem.runs[k].position)]
         apart = [problem.binned(k, a - b) for a, b in zip(seen, there, strict=True)]
         moved = [problem.binned(k, b - b[0]) for b in there]
@@ -95,12 +95,10 @@ def _at_rest(run: Recording) -> np.ndarray:
     return np.asarray(np.maximum.accumulate(acting) <= REST_SHARE * acting.max())
 
 
-def _points(
-    made: Recording, markers: Sequence[Marker], length_m: float, placed: Registration | None
-) -> list[np.ndarray]:
+def _points(made: Recording, markers: Sequence[Marker], placed: Registration | None) -> list[np.ndarray]:
     """Return where (steps, 3) m a simulation has the markers and the tip."""
     return [
-        *(_seen_from(_on_the_centreline(made, marker, length_m), placed) for marker in markers),
+        *(_seen_from(_on_the_centreline(made, marker), placed) for marker in markers),
         _seen_from(np.asarray(made.position), placed),
     ]
 
@@ -109,7 +107,7 @@ def _seen_from(points: np.ndarray, placed: Registration | None) -> np.ndarray:
     return points if placed is None else points @ placed.turn.T + placed.shift
 
 
-def _on_the_centreline(made: Recording, marker: Marker, length_m: float) -> np.ndarray:
+def _on_the_centreline(made: Recording, marker: Marker) -> np.ndarray:
     """Return where (steps, 3) the marker is on a centreline that ends where the tip is and as it leans.
 
     Its tangent is turned by ``b s + c (s - s^2)`` at the share s of the length: b turns the tip, and c, which loads bring about,

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from softrl.core.errors import SolverError
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, starts
 from softrl.diagnosis.problem import Numerics, Problem
 from softrl.pcc.simulator import PccSimulator
@@ -28,12 +29,15 @@ def suited(problem: Problem, material: float) -> Numerics:
     under a load that its samples may not hold.
     """
     numerics = problem.numerics
-    reference = _motions(problem)
+    tried = _tried(problem)
 
     def allowed(step: float, share: float) -> bool:
-        coarse = _motions(replace(problem, numerics=replace(numerics, dt_s=step)))
-        apart = [np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1))) for a, b in zip(coarse, reference, strict=True)]
-        return max(apart) <= share * material
+        coarser = replace(problem, numerics=replace(numerics, dt_s=step))
+        try:
+            apart = [_motion(coarser, load) - motion for load, motion in tried.items()]
+        except SolverError:
+            return False
+        return max(np.sqrt(np.mean(np.sum(moved**2, axis=1))) for moved in apart) <= share * material
 
     fitted, ranked = LONGER * numerics.dt_s, 0.5 * numerics.bin_s
     dt_s = fitted if fitted <= ranked and allowed(fitted, FITTED_SHARE) else numerics.dt_s
@@ -41,9 +45,18 @@ def suited(problem: Problem, material: float) -> Numerics:
     return replace(numerics, dt_s=dt_s, rough_dt_s=max(rough_dt_s, dt_s))
 
 
-def _motions(problem: Problem) -> list[np.ndarray]:
-    """Return what the body does, less what was measured (bins, channels), runs joined: alone, and with a load."""
-    load, tried = Choice("payload"), [(Hypothesis((), ()), np.zeros(0))]
-    if isinstance(problem.simulator, PccSimulator):
-        tried.append((Hypothesis((load,), ()), starts(load)[0]))
-    return [np.concatenate(problem.residual(hypothesis, at).runs) for hypothesis, at in tried]
+def _tried(problem: Problem) -> dict[tuple[Choice, ...], np.ndarray]:
+    """Return how the body moves under what it is tried with: nothing, and a load if it can bear one."""
+    load, bare = (Choice("payload"),), _motion(problem, ())
+    if not isinstance(problem.simulator, PccSimulator):
+        return {(): bare}
+    try:
+        return {(): bare, load: _motion(problem, load)}
+    except SolverError:
+        return {(): bare}
+
+
+def _motion(problem: Problem, load: tuple[Choice, ...]) -> np.ndarray:
+    """Return what the body does under a ``load``, less what was measured (bins, channels), runs joined."""
+    point = np.concatenate([np.zeros(0), *(starts(choice)[0] for choice in load)])
+    return np.concatenate(problem.residual(Hypothesis(load, ()), point).runs)

@@ -22,9 +22,10 @@ def _filled(here: float, source: float, share: float) -> float:
     z = (1.0 - here / source) / _WAY
     choked = min(share, max(z - 1.0, 0.0))
     z -= choked
-    angle = max(2.0 * math.asin(math.sqrt(min(0.5 * z, 1.0))) - (share - choked), 0.0) if z <= 1.0 else 0.0
-    closed = 2.0 * math.sin(0.5 * angle) ** 2 if z <= 1.0 else z
-    return source * (1.0 - _WAY * closed)
+    if z > 1.0:
+        return source * (1.0 - _WAY * z)
+    angle = max(2.0 * math.asin(math.sqrt(0.5 * z)) - (share - choked), 0.0)
+    return source * (1.0 - 2.0 * _WAY * math.sin(0.5 * angle) ** 2)
 
 
 @borrowing

@@ -1,15 +1,20 @@
 """A slow robot is replayed with longer steps, a fast one is not, and what that changes stays below what counts."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import pytest
 
-from softrl.diagnosis.hypothesis import Hypothesis
+from softrl.core.errors import SolverError
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, starts
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.step import FITTED_SHARE, suited
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.recording import Recording
 from tests.diagnosis.conftest import configured
+
+LOADED = Hypothesis((Choice("payload"),), ())
 
 
 def body_alone(body: PccSimulator, speed: float) -> Problem:
@@ -27,5 +32,19 @@ def test_steps_follow_the_motion(body: PccSimulator) -> None:
     assert longer.dt_s > slow.numerics.dt_s and longer.rough_dt_s > slow.numerics.rough_dt_s
     for problem in (slow, body_alone(body, 3.0), body_alone(body, 12.0)):
         stretched = replace(problem, numerics=suited(problem, material))
-        moved = [np.concatenate(p.residual(empty, np.zeros(0)).runs) for p in (problem, stretched)]
-        assert np.sqrt(np.mean(np.sum((moved[1] - moved[0]) ** 2, axis=1))) <= FITTED_SHARE * material
+        for hypothesis, point in ((empty, np.zeros(0)), (LOADED, starts(LOADED.effects[0])[0])):
+            moved = [np.concatenate(p.residual(hypothesis, point).runs) for p in (problem, stretched)]
+            assert np.sqrt(np.mean(np.sum((moved[1] - moved[0]) ** 2, axis=1))) <= FITTED_SHARE * material
+
+
+def test_a_body_that_bears_no_load_is_tried_without(body: PccSimulator, monkeypatch: pytest.MonkeyPatch) -> None:
+    solved = PccSimulator._run
+
+    def gives_way(self: PccSimulator, *arguments: Any) -> Any:
+        if len(arguments[-1][1][0]) > 0:
+            raise SolverError("it does not bear this")
+        return solved(self, *arguments)
+
+    monkeypatch.setattr(PccSimulator, "_run", gives_way)
+    problem = body_alone(body, 0.2)
+    assert suited(problem, 1e-4).dt_s > problem.numerics.dt_s
