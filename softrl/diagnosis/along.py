@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from softrl.diagnosis.flexible import pressures
 from softrl.diagnosis.locate import BLOCK_S, Finding
-from softrl.diagnosis.problem import Problem, Registration
+from softrl.diagnosis.placement import Registration
+from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.statistics import follows
 from softrl.diagnosis.trial import Trial
 from softrl.recordings.recording import Recording

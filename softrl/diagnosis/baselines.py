@@ -14,7 +14,8 @@ from softrl.diagnosis.flexible import (
     static_features,
 )
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, starts
-from softrl.diagnosis.problem import Problem, Registration, place
+from softrl.diagnosis.placement import Registration, place
+from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.trial import Search, fit_trials
 
 

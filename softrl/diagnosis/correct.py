@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from softrl.diagnosis.hypothesis import Hypothesis
-from softrl.diagnosis.problem import Problem, Registration
+from softrl.diagnosis.placement import Registration
+from softrl.diagnosis.problem import Problem
 from softrl.recordings.recording import Recording
 
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from softrl.diagnosis.problem import Registration, place
+from softrl.diagnosis.placement import Registration, place
 from softrl.recordings.recording import Recording
 
 log = logging.getLogger(__name__)

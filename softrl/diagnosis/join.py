@@ -19,9 +19,13 @@ log = logging.getLogger(__name__)
 
 
 def put_together(whole: Problem, findings: Sequence[Finding]) -> Problem:
-    """Return the problem from command to motion: its log may be late by as much as those of all its parts."""
+    """Return the problem from command to motion: its log may be late by as much as those of all its parts.
+
+    Where the first part, which begins with the commands, is understood by another clock of theirs, they act by that.
+    """
     most, parts = whole.late_max_s, len(findings)
-    return replace(whole, late_max_s=parts * most, late_apart_s=(parts - 1) * most)
+    later = findings[0].part.problem.later
+    return replace(whole, late_max_s=parts * most, late_apart_s=(parts - 1) * most, later=later)
 
 
 def joined(training: Problem, findings: Sequence[Finding], search: Search, thresholds: Thresholds) -> list[Finding]:

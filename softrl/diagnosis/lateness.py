@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from softrl.diagnosis.examine import Finding
 
 LATE_SHARE = 0.2  # of the interval between samples: a log that is less late goes without saying
@@ -10,7 +12,22 @@ LATE_SHARE = 0.2  # of the interval between samples: a log that is less late goe
 def lateness(findings: Sequence[Finding]) -> list[str]:
     """Return how late commands act by the log, and how late the motion is seen, where it counts beside the interval."""
     shifts = [line for finding in findings for line in _of_shifts(finding)]
-    return [*_of_commands(findings[0]), *(line for finding in findings[1:] for line in _of_motion(finding)), *shifts]
+    motions = [line for finding in findings[1:] for line in _of_motion(finding)]
+    return [*_of_clock(findings[0]), *_of_commands(findings[0]), *motions, *shifts]
+
+
+def _of_clock(finding: Finding) -> list[str]:
+    later, interval_s = finding.part.problem.later, finding.part.problem.interval_s
+    if not later:
+        return []
+    times = np.concatenate(list(later.values()))
+    apart_s = float(np.ptp(times[times != 0.0]))  # before a run's first move nothing is late
+    return [
+        f"Commands were sent by another clock than the log's: behind their rows some moves of the pressures come up to "
+        f"{1e3 * apart_s:.2g} ms later than others, of {1e3 * interval_s:.2g} ms between rows. Taken as how the log is written, with one "
+        "time free for each move, also where errors are told; a valve that holds a move back for less than a row would show so, "
+        "too. Write a row when a command is sent, to tell."
+    ]
 
 
 def _of_shifts(finding: Finding) -> list[str]:

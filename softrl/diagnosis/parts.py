@@ -103,7 +103,8 @@ def part_behind(valve: Finding, whole: Problem, data: Data, effects: list[str]) 
         body = replace(data, training=training, heldout=heldout)
         supply = {run.name: found for side in known for run, found in side}
     before = preludes(body.training, (*body.training, *body.heldout), whole.robot)
-    behind = replace(whole, drive="measured", runs=body.training, before=before, supply=supply)
+    later = valve.part.problem.later
+    behind = replace(whole, drive="measured", runs=body.training, before=before, supply=supply, later=later)
     sites = tuple(site for site in SITES if site != "valve")
     return _motion_part(behind, body, "measured pressure to motion", effects, sites)
 
@@ -128,7 +129,7 @@ def floor_in_bin(noise: float, data: Data, problem: Problem) -> float:
 
 def supplied(runs: Sequence[Recording], valve: Finding) -> list[Recording]:
     """Return what the valve as it is understood makes of the commands of ``runs``."""
-    problem = replace(valve.part.problem, runs=tuple(runs))
+    problem = valve.part.problem.on(runs)
     return problem.replayed(valve.final.hypothesis, valve.final.fit.point, ("pressure_meas",))
 
 

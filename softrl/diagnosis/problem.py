@@ -11,6 +11,7 @@ from softrl.core.errors import SolverError
 from softrl.core.identity import Same
 from softrl.core.simulator import Simulator
 from softrl.diagnosis.hypothesis import LASTING, LATE, Hypothesis, Space
+from softrl.diagnosis.placement import Registration, place
 from softrl.diagnosis.still_body import StillBody
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.driving import Supply
@@ -27,13 +28,6 @@ SAME_RATE = 0.1  # relative difference of sampling intervals that is jitter
 KEPT = 16  # bodies with other parameters: the columns of a Jacobian by effects' parameters share one
 REPLAYS = 4  # the last ones, kept: what a fit ends with is asked for again by all that judges it
 ORIENTATION_LEVER = 0.5  # lengths of the robot: turns orientation errors into displacements
-
-
-class Registration(NamedTuple):
-    """Rigid placement of the simulator's base frame in a session's frame: ``turn @ p + shift``."""
-
-    turn: np.ndarray
-    shift: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -89,6 +83,7 @@ class Problem:
     late_apart_s : the same where an effect shifts time that does so in a part examined apart: the other part has its own log
     interval_s : between samples, of most runs: where it is another a log is later or earlier as much
     supply : by run the valve, where it is understood, and what is measured beyond what it does
+    later : by run (rows,) s by which each row's command acts later still, see ``clock``
     defect : by run what is added to the residual (bins, channels), see ``rough_about``
     """
 
@@ -105,6 +100,7 @@ class Problem:
     late_apart_s: float = 0.0
     interval_s: float = 0.0
     supply: Mapping[str, Supply] = field(default_factory=dict)
+    later: Mapping[str, np.ndarray] = field(default_factory=dict)
     defect: tuple[np.ndarray, ...] = ()
 
     def on(self, runs: Sequence[Recording]) -> "Problem":
@@ -138,6 +134,12 @@ class Problem:
     def first(self) -> list[int]:
         """Sample of every run from which on it is compared: the first, or a little later if it does not begin at rest."""
         return [int(np.searchsorted(run.time, run.time[0] + self._unjudged(run))) for run in self.runs]
+
+    @cached_property
+    def _later(self) -> dict[str, np.ndarray]:
+        """``later`` of the runs, which fits may see cut short."""
+        longest = {run.name: len(run.time) for run in self.runs if run.name in self.later}
+        return {name: np.pad(self.later[name], (0, rows))[:rows] for name, rows in longest.items()}
 
     @cached_property
     def bins(self) -> list[np.ndarray]:
@@ -253,9 +255,9 @@ class Problem:
 
     def _replay(self, plant: Plant, run: Recording, channels: tuple[str, ...], late_s: float) -> Recording:
         settle = 0.0 if self._from_rest(run) else self.numerics.settle_s
-        before, supply = self.before.get(run.name), self.supply.get(run.name)
+        before, supply, later = self.before.get(run.name), self.supply.get(run.name), self._later.get(run.name)
         late_s *= self._rows_apart(run)
-        made = replay(plant, run, self.numerics.dt_s, self.drive, settle, before, channels, late_s, supply)
+        made = replay(plant, run, self.numerics.dt_s, self.drive, settle, before, channels, late_s, supply, later)
         for name in self._compared:
             if not np.isfinite(_present(getattr(made, name))).all():
                 raise SolverError(f"run {run.name}: the simulation did not stay finite; try a smaller dt_s")
@@ -316,20 +318,6 @@ class Problem:
 def _tuned(same: Same[Simulator], *values: tuple[str, float]) -> Simulator:
     """Return the simulator with other parameters, kept: what it works out of them is worked out once."""
     return same.thing.with_parameters(**dict(values)) if values else same.thing
-
-
-def place(points: np.ndarray, seen: np.ndarray) -> Registration:
-    """Return the rigid motion that brings ``points`` (steps, 3) closest to ``seen`` (steps, 3).
-
-    Notes
-    -----
-    Kabsch's solution by singular values, reflections excluded (textbook form, no equation number checked).
-    """
-    centre, target = points.mean(axis=0), seen.mean(axis=0)
-    u, _, vt = np.linalg.svd((points - centre).T @ (seen - target))
-    sign = np.sign(np.linalg.det(vt.T @ u.T))
-    turn = vt.T @ np.diag([1.0, 1.0, sign]) @ u.T
-    return Registration(turn, target - turn @ centre)
 
 
 def _turn_between(simulated: np.ndarray | None, measured: np.ndarray) -> np.ndarray:

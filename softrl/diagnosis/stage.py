@@ -12,6 +12,7 @@ from softrl.core.errors import ConfigError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
 from softrl.diagnosis.along import along_the_body
+from softrl.diagnosis.clock import sent_later
 from softrl.diagnosis.compete import add_calibrated, competitors, judged_on, with_map
 from softrl.diagnosis.conclusion import cannot_tell, conclude
 from softrl.diagnosis.correct import Traces, share_closed
@@ -207,7 +208,15 @@ def _examine(config: Config, whole: Problem, data: Data, full: Data) -> list[Fin
 
 
 def _look(config: Config, part: Part) -> Finding:
-    return examine(part, config.search, config.thresholds, config.seed)
+    """Return what is missing in a part; where that is unknown, with commands as another clock may have sent them."""
+    finding = examine(part, config.search, config.thresholds, config.seed)
+    later = sent_later(finding) if finding.unknown else {}
+    if not later:
+        return finding
+    log.info("commands may have been sent by another clock than the log's: %s is examined with their times free", part.title)
+    timed = replace(part, problem=replace(part.problem, later=later))
+    again = examine(timed, config.search, config.thresholds, config.seed)
+    return finding if again.unknown else again
 
 
 def _locate(finding: Finding) -> list[Any]:

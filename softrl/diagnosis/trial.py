@@ -12,7 +12,8 @@ from softrl.core.errors import ConfigError, SolverError
 from softrl.core.progress import quiet
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes
 from softrl.diagnosis.least_squares import left_out
-from softrl.diagnosis.problem import Problem, Registration
+from softrl.diagnosis.placement import Registration
+from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.search import Fit, Several, least_squares, moved_on
 from softrl.pcc.simulator import PccSimulator
 

@@ -25,13 +25,24 @@ class Supply(NamedTuple):
 
 
 def drive_on_grid(
-    recording: Recording, dt_s: float, drive: str, settle_s: float, late_s: float = 0.0, supply: Supply | None = None
+    recording: Recording,
+    dt_s: float,
+    drive: str,
+    settle_s: float,
+    late_s: float = 0.0,
+    supply: Supply | None = None,
+    later: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Return the uniform grid (steps,) s, the pressures (steps, chambers) Pa and forces (steps, 3) N on it."""
+    """Return the uniform grid (steps,) s, the pressures (steps, chambers) Pa and forces (steps, 3) N on it.
+
+    Commands act ``later`` (samples,) s than all rows do.
+    """
     time, first = _grid(recording, dt_s, settle_s)
     stamps, rows = recording.time + late_s, _driving(recording, drive)
+    if later is not None and drive == "command":
+        stamps = np.maximum.accumulate(stamps + later)
     if drive == "measured" and supply is not None:
-        _, command, _ = drive_on_grid(recording, dt_s, "command", settle_s, late_s + supply.late_s)
+        _, command, _ = drive_on_grid(recording, dt_s, "command", settle_s, late_s + supply.late_s, later=later)
         chain = replace(supply.chain, before_s=settle_s)
         pressure = chain.filter(["valve"], command, dt_s) + evenly(time, stamps, supply.apart)
     else:

@@ -32,6 +32,7 @@ def replay(
     channels: Sequence[str] = CHANNELS,
     late_s: float = 0.0,
     supply: Supply | None = None,
+    later: np.ndarray | None = None,
 ) -> Recording:
     """Return what the plant's sensors report under a recording's commands, at the recording's times.
 
@@ -50,6 +51,7 @@ def replay(
     channels : which are wanted; the others are None, and cost nothing
     late_s : how long after its time each row still acts, where a log was written so
     supply : the valve, where it is understood: at ten samples a second most of what it does to a step is over before the next
+    later : (samples,) s by which each row's command acts later still, where commands were sent by another clock
 
     Returns
     -------
@@ -63,7 +65,7 @@ def replay(
     Between grid points positions are interpolated linearly, quaternions likewise and normalised; pressures are held.
     """
     return replay_batch(
-        [plant], recording, dt_s, drive, settle_s, before=before, channels=channels, late_s=late_s, supply=supply
+        [plant], recording, dt_s, drive, settle_s, before=before, channels=channels, late_s=late_s, supply=supply, later=later
     )[0]
 
 
@@ -78,9 +80,10 @@ def replay_batch(
     channels: Sequence[str] = CHANNELS,
     late_s: float = 0.0,
     supply: Supply | None = None,
+    later: np.ndarray | None = None,
 ) -> list[Recording]:
     """Return what ``replay`` returns for each of ``plants``, whose robot is the same; see ``simulate_batch``."""
-    time, pressure, force = _kept_on_grid(Same(recording), dt_s, drive, settle_s, late_s, Same(supply))
+    time, pressure, force = _kept_on_grid(Same(recording), dt_s, drive, settle_s, late_s, Same(supply), Same(later))
     past = None if before is None else np.tile(np.asarray(before, dtype=float), (round(settle_s / dt_s), 1))
     if past is not None and drive == "command" and recording.pressure_meas is None:
         pressure, past = np.vstack([past, pressure[len(past) :]]), None
@@ -168,10 +171,16 @@ def _as_measured(
 
 @lru_cache(maxsize=KEPT)
 def _kept_on_grid(
-    same: Same[Recording], dt_s: float, drive: str, settle_s: float, late_s: float, supply: Same[Supply | None]
+    same: Same[Recording],
+    dt_s: float,
+    drive: str,
+    settle_s: float,
+    late_s: float,
+    supply: Same[Supply | None],
+    later: Same[np.ndarray | None],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Return what drives a recording on the grid, kept: fits replay the same few recordings thousands of times."""
-    return drive_on_grid(same.thing, dt_s, drive, settle_s, late_s, supply.thing)
+    return drive_on_grid(same.thing, dt_s, drive, settle_s, late_s, supply.thing, later.thing)
 
 
 def _reported(
