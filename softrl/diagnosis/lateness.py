@@ -24,9 +24,9 @@ def _of_clock(finding: Finding) -> list[str]:
     apart_s = float(np.ptp(times[times != 0.0]))  # before a run's first move nothing is late
     return [
         f"Commands were sent by another clock than the log's: behind their rows some moves of the pressures come up to "
-        f"{1e3 * apart_s:.2g} ms later than others, of {1e3 * interval_s:.2g} ms between rows. Taken as how the log is written, with one "
-        "time free for each move, also where errors are told; a valve that holds a move back for less than a row would show so, "
-        "too. Write a row when a command is sent, to tell."
+        f"{1e3 * apart_s:.2g} ms later than others, of {1e3 * interval_s:.2g} ms between rows. Taken as how the log is written, "
+        "with one time free for each move, also where errors are told; a valve that holds a move back for less than a row would "
+        "show so, too. Write a row when a command is sent, to tell."
     ]
 
 
