@@ -49,7 +49,10 @@ def sent_later(finding: Finding) -> dict[str, np.ndarray]:
     trial, before = finding.final, clock.error(finding.final, times)
     error = before
     for _ in range(ROUNDS):
-        towards = clock.towards(trial, times)
+        try:
+            towards = clock.towards(trial, times)
+        except SolverError:
+            break
         for share in SHARES:
             there = clock.moved(trial, times, towards, share)
             if (less := clock.error(*there)) < error:
@@ -79,8 +82,9 @@ class _Clock:
         """Return by run how much later (rows,) s each row acts: as its move, which lasts until the next one begins."""
         found = {}
         for run, begins, mine in zip(self.judge.problem.runs, self.moves, times, strict=True):
-            found[run.name] = np.zeros(len(run.time))
-            found[run.name][begins[0] - 1 if len(begins) else 0 :] = np.repeat(mine, np.diff(np.r_[begins, len(run.time) + 1]))
+            at_first = int(begins[0]) - 1 if len(begins) else len(run.time)
+            lasting = np.diff(np.r_[begins, len(run.time) + 1])[: len(begins)]
+            found[run.name] = np.r_[np.zeros(at_first), np.repeat(mine, lasting)]
         return found
 
     def residual(self, trial: Trial, times: list[np.ndarray]) -> Residual:
@@ -136,7 +140,7 @@ class _Clock:
         found = []
         for which, first, begins in zip(self.judge.problem.bins, self.judge.problem.first, self.moves, strict=True):
             edges = [int(which[min(max(row - 1 - first, 0), len(which) - 1)]) for row in begins]
-            ends = [*edges[1:], int(which[-1]) + 1]
+            ends = [*edges[1:], int(which[-1]) + 1][: len(edges)]
             found.append([slice(a, max(b, a + 1)) for a, b in zip(edges, ends, strict=True)])
         return found
 

@@ -121,7 +121,7 @@ def _steps(run: Recording) -> Iterator[tuple[int, slice, bool]]:
     """Yield (chamber, samples from the step to the next change of any command, whether it fills)."""
     change = np.diff(run.pressure_cmd, axis=0)
     moved = np.flatnonzero(np.any(change != 0.0, axis=1)) + 1
-    ends = np.r_[moved[1:], len(run.time)]
+    ends = np.r_[moved[1:], len(run.time)][: len(moved)]
     span = np.ptp(run.pressure_cmd, axis=0)
     for start, end in zip(moved, ends, strict=True):
         jump = change[start - 1]

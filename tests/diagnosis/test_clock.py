@@ -21,12 +21,13 @@ RIVALS = ["delay", "dead_time", "lag", "rate_limit", "deadband", "hysteresis"]
 
 
 def recorded(body: PccSimulator, effects: tuple[Effect, ...], rows_late: float, seed: int = 0) -> RecordingSet:
-    """Return five runs of held pressures, each of which was sent up to ``rows_late`` rows before the row that shows it."""
+    """Return runs of held pressures, each sent up to ``rows_late`` rows before the row that shows it; in the last none moves."""
     rng, runs = np.random.default_rng(seed), []
     plant = Plant(body, chain_of(body.robot, effects))
     time = PERIOD_S * np.arange(1, HOLD * MOVES + 1)
-    for number in range(5):
+    for number in range(6):
         levels = body.robot.pressure_max_pa * rng.uniform(0.0, 0.8, (MOVES, body.robot.chambers))
+        levels[:] = levels[0] if number == 5 else levels
         blank = Recording(f"run_{number}", f"day_{number}", time, levels.repeat(HOLD, axis=0))
         later = PERIOD_S * (1.0 - rng.uniform(0.0, rows_late, MOVES)).repeat(HOLD)
         ends = np.r_[later[1:], 0.0]  # a row acts until its time, and until the next one's command is sent

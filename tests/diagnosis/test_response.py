@@ -1,5 +1,7 @@
 """Response times read from steps are those of the system that made them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -60,3 +62,8 @@ def test_a_limited_rate_takes_longer_for_larger_steps_and_a_lag_does_not(
     assert found.pressure_fill_growth == pytest.approx(expected, rel=0.1)
     assert found.pressure_vent_growth == pytest.approx(expected, rel=0.1)
     assert word in str(found.sentence())
+
+
+def test_a_run_in_which_no_command_changes_has_no_steps() -> None:
+    still = replace(stepped(0.4, 0.4), pressure_cmd=np.full((3000, 1), 20e3))
+    assert step_responses([still]).steps == 0
