@@ -121,8 +121,13 @@ def prepare(
     reason = reason or unusable(whole, robot)
     if reason:
         return Refusal(found, reason)
-    sides = hold_out(replace(recordings, recordings=intact), heldout_share, seed, few_sessions)
+    moving = tuple(run for run in intact if np.ptp(run.pressure_cmd, axis=0).any())
+    still = [run for run in intact if not np.ptp(run.pressure_cmd, axis=0).any()]
+    if len(moving) < 2:
+        return Refusal(found, f"commands change in {len(moving)} of {len(intact)} runs only; a held-out error needs two")
+    sides = hold_out(replace(recordings, recordings=moving), heldout_share, seed, few_sessions)
     training, heldout = (tuple(part for run in side.recordings for part in parts[run.name]) for side in sides)
+    training += tuple(part for run in still for part in parts[run.name])  # which would judge nothing
     noise, pressure_noise = _noise(found, usable, robot, channel)
     travel = _travel(training, lambda run: _seen(run, robot))
     if travel < MIN_SIGNAL * noise:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrl.diagnosis.data import Data, prepare, within
+from softrl.diagnosis.data import Data, Refusal, prepare, within
 from softrl.diagnosis.gaps import rows
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.recording import Recording
@@ -33,3 +33,15 @@ def test_a_run_that_is_too_short_is_told(body: PccSimulator) -> None:
     assert isinstance(data, Data)
     assert any(line.startswith(f"{first.name}: 2.") and "left out" in line for line in data.mended)
     assert not prepare(whole, body.robot, 0.34, 0).mended
+
+
+def test_a_run_in_which_no_command_changes_judges_nothing(body: PccSimulator) -> None:
+    whole = made(body, sessions=3)
+    runs = list(whole.recordings)
+    still = [replace(run, pressure_cmd=np.zeros_like(run.pressure_cmd)) for run in runs]
+    for k in range(3):
+        found = prepare(replace(whole, recordings=(*runs[:k], still[k], *runs[k + 1 :])), body.robot, 0.34, 0)
+        assert isinstance(found, Data) and found.heldout
+        assert runs[k].name not in {run.name for run in found.heldout}
+    refused = prepare(replace(whole, recordings=(runs[0], *still[1:])), body.robot, 0.34, 0)
+    assert isinstance(refused, Refusal) and "commands change in 1 of 3 runs only" in refused.reason
