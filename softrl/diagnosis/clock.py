@@ -42,7 +42,7 @@ def sent_later(finding: Finding) -> dict[str, np.ndarray]:
     judge = finding.judge.on((*finding.part.problem.runs, *finding.part.heldout))
     if judge.problem.drive != "command" or judge.problem.interval_s <= 0.0:
         return {}
-    clock = _Clock(judge, finding.final, [_moves(run) for run in judge.problem.runs])
+    clock = _Clock(judge, [_moves(run) for run in judge.problem.runs])
     times = clock.punctual
     if sum(map(len, times)) < FEW:
         return {}
@@ -67,10 +67,9 @@ def sent_later(finding: Finding) -> dict[str, np.ndarray]:
 
 @dataclass(frozen=True)
 class _Clock:
-    """Rows (moves,) of every run with which moves begin, beside a judge of all runs and what a finding ended with."""
+    """Rows (moves,) of every run with which moves begin, beside a judge of all runs."""
 
     judge: Judge
-    final: Trial
     moves: list[np.ndarray]
 
     @property
@@ -89,7 +88,7 @@ class _Clock:
 
     def residual(self, trial: Trial, times: list[np.ndarray]) -> Residual:
         """Return what ``trial`` leaves with moves at these ``times``."""
-        return self._timed(times).residual(trial.hypothesis, trial.fit.point, self.final.placed)
+        return self._timed(times).residual(trial.hypothesis, trial.fit.point, trial.placed)
 
     def error(self, trial: Trial, times: list[np.ndarray]) -> float:
         """Return the rms error above the noise, about the mean of each hold; infinite where the body diverges."""
