@@ -21,6 +21,7 @@ from softrl.core.errors import SoftrlError
 HERE = Path(__file__).resolve().parent
 NOISE = ("full_key:", "object_type=", "reference_type=", "Config search path", "provider=", "Set the environment")
 _mistakes: list[SoftrlError] = []
+_home = os.getpid()  # points of a sweep may run in other processes, which get this number with ``run``
 CONF = next(folder for folder in (HERE / "conf", HERE.parent / "conf") if folder.is_dir())
 
 os.environ.setdefault("SOFTRL_HOME", str(CONF.parent))  # experiments/ is searched beside conf/
@@ -45,8 +46,8 @@ def run(cfg: DictConfig) -> None:
     try:
         run_configured(cfg)
     except SoftrlError as mistake:
-        if cfg.debug:
-            raise
+        if cfg.debug or os.getpid() != _home:
+            raise  # from another process Hydra brings it back, after the other points
         _mistakes.append(mistake)  # a sweep goes on with its other points
 
 
@@ -65,7 +66,7 @@ def main() -> None:
     except KeyboardInterrupt as interrupt:
         error = interrupt
         _leave("stopped; finished stages are kept, run the same command again to go on", 130)
-    except (HydraException, OmegaConfBaseException) as mistake:
+    except (HydraException, OmegaConfBaseException, SoftrlError) as mistake:
         error = mistake
         if "debug=true" in sys.argv:
             raise

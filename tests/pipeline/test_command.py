@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -77,6 +78,22 @@ def test_a_sweep_is_one_parent_with_a_child_per_point(tmp_path: Path) -> None:
     assert len(parents) == 1 and parents[0].info.status == "FINISHED"
     assert len(store.points(parents[0].info.run_id)) == 2
     assert parents[0].data.metrics  # the page shows a collapsed parent only
+
+
+def test_a_mistake_at_a_point_comes_back_from_its_process(tmp_path: Path) -> None:
+    words = ("-m", "stage=mesh", "profile=tiny", "launcher=joblib", "hydra.launcher.n_jobs=2")
+    done = softrl(tmp_path, *words, "stage.source=sample,missing.stl")
+    assert done.returncode == 2 and "Traceback" not in done.stderr, done.stderr
+    assert any(line.startswith("softrl: ") and "missing.stl" in line for line in done.stderr.splitlines()), done.stderr
+    assert "1 points of the sweep finished" in done.stderr  # the other was not lost
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("sinfo") is None, reason="needs a Slurm cluster")
+def test_a_sweep_runs_on_slurm(tmp_path: Path) -> None:
+    done = softrl(tmp_path, "-m", "stage=mesh", "profile=tiny", "launcher=slurm", "hydra.launcher.mem_gb=2", "seed=1,2")
+    assert done.returncode == 0, done.stderr
+    assert "\nseed=1 " in done.stderr and "\nseed=2 " in done.stderr
 
 
 def test_a_killed_stage_is_marked_failed_and_the_next_try_finishes(tmp_path: Path) -> None:
