@@ -73,8 +73,13 @@ class Rival(NamedTuple):
 
     @property
     def contests(self) -> bool:
-        """Whether it does as well and says something else: another effect, or the same one of another chamber."""
-        return self.equivalent and (self.choice.name != self.instead_of.name or _of_another_chamber(self.choice, self.instead_of))
+        """Whether it does as well and says something else: another effect, or the same one of another chamber.
+
+        A law that contains what is named cannot do worse, and says no more where it does no better.
+        """
+        if not self.equivalent or _of_another_chamber(self.choice, self.instead_of):
+            return self.equivalent
+        return self.instead_of.name not in (self.choice.name, effect_class(self.choice.name).contains)
 
 
 def _of_another_chamber(one: Choice, other: Choice) -> bool:

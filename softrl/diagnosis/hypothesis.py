@@ -270,8 +270,14 @@ def may_be_pinned(choice: Choice) -> list[str]:
     found = free_fields(choice)
     if len(found) < (3 if choice.gate else 2) or effect_class(choice.name).together:
         return []
-    return [f.name for f in found if f.name not in (*GATES, effect_class(choice.name).essence)
+    return [f.name for f in found if f.name not in GATES and not is_essential(choice, f.name)
             and not (f.metadata["log"] and f.metadata["low"] < f.metadata["neutral"] < f.metadata["high"])]  # fmt: skip
+
+
+def is_essential(choice: Choice, name: str) -> bool:
+    """Return whether the effect would be another one if its parameter ``name`` were held at its neutral value too."""
+    essence = effect_class(choice.name).essence
+    return name in essence and all(other in choice.pinned for other in essence if other != name)
 
 
 def has_chamber(name: str) -> bool:

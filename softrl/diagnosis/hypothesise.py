@@ -15,6 +15,7 @@ from softrl.diagnosis.pairs import best_pairs
 from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.rank import rank
+from softrl.diagnosis.relieve import relieved
 from softrl.diagnosis.search import Fit
 from softrl.diagnosis.slim import slim
 from softrl.diagnosis.trial import Search, Trial, columns_of, drop, fit_trials, join, raced
@@ -47,6 +48,12 @@ def forward(
     retuned = fit_trials(fitting, None, [(bare, fitting.space(bare).begins)], search)[0]
     path = Path(retuned, retuned)
     _grow(fitting, judge, choices, search, path, report)
+    for _ in range(search.max_effects):
+        better = relieved(fitting, judge, choices, search, path)
+        if better is None:
+            break
+        path.best = better
+        _grow(fitting, judge, choices, search, path, report)
     if _narrow(fitting, judge, choices, search, path, report) or _behind_a_map(fitting, judge, choices, search, path, report):
         _grow(fitting, judge, choices, search, path, report)
     _without_map(fitting, judge, choices, search, path, report)

@@ -18,6 +18,7 @@ from softrl.diagnosis.trial import Trial, columns_of
 AT_BOUND = 1e-3  # share of a range at whose ends a parameter is said to be at a bound
 NEAR = 0.02  # scaled, at most: the first minute is not the beginning of ten hours
 WIDER, WORSE = 0.02 * 2.0 ** np.arange(10), 1.02  # steps, scaled, from where nothing changes; times the cost that is a change
+POOLED = 0.25
 ALONE = 0.98  # of the squared derivatives by a parameter: told by one fold
 FORM_SHARE = 0.05  # of the residual; found on single hidden effects, each fitted by its own law
 
@@ -113,9 +114,22 @@ def _reach(problem: Problem, jacobian: np.ndarray, residual: np.ndarray, thresho
     freedom = max(int(blocks.max()) + 1 - len(spread), 1)
     folds = np.repeat(problem.folds, rows)
     apart = np.where(_of_one_fold(jacobian, folds), 0.0, jackknife(jacobian, residual, folds))
-    between = float(stats.t.ppf(thresholds.confidence, int(problem.folds.max()))) * apart
-    reach = np.maximum(float(stats.t.ppf(thresholds.confidence, freedom)) * spread, between)
+    reach = half_width(spread, freedom, apart, int(problem.folds.max()), thresholds.confidence)
     return np.asarray(np.hypot(reach, _form_error(jacobian, residual)))
+
+
+def half_width(within: np.ndarray, freedom: int, between: np.ndarray, apart: int, confidence: float) -> np.ndarray:
+    """Return half the intervals (p,) by standard errors within runs and between them, each with its degrees of freedom.
+
+    Few runs tell their own spread badly: the larger of two estimates of one error is too large. Both are pooled unless runs
+    differ by more than blocks within them say, by an F test at the level of ``POOLED`` that is advised where a test decides on
+    pooling (Bozivich, Bancroft and Hartley, Annals of Mathematical Statistics 27, 1956; the level as commonly quoted).
+    """
+    both = np.sqrt((freedom * within**2 + apart * between**2) / (freedom + apart))
+    differ = between**2 > stats.f.ppf(1.0 - POOLED, apart, freedom) * within**2
+    told = np.where(between > 0.0, both, within)  # 0: nearly one run alone tells, and no other could contradict it
+    quantile, few = (float(stats.t.ppf(confidence, n)) for n in (freedom + apart, apart))
+    return np.where(differ, np.maximum(few * between, quantile * told), quantile * told)
 
 
 def _of_one_fold(jacobian: np.ndarray, folds: np.ndarray) -> np.ndarray:

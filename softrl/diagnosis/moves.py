@@ -75,7 +75,7 @@ def addition(
     for old, new in zip(current.hypothesis.effects, best.hypothesis.effects[:-1], strict=True):
         if old != new:
             path.tried[new] = path.tried.get(old, [])
-    path.tried[best.hypothesis.effects[-1]] = _others(trials, best) + [
+    path.tried[best.hypothesis.effects[-1]] = others_of(trials, best) + [
         (lead.choice, lead.point[: len(effect_axes(lead.choice))])
         for lead in leads
         if lead.choice not in {*whole, *(t.hypothesis.effects[-1] for t in trials)}
@@ -173,7 +173,7 @@ def _same_name(path: Path, trial: Trial, old: Choice) -> list[tuple[Choice, np.n
     ][:SAME_NAME]
 
 
-def _others(trials: Sequence[Trial], best: Trial) -> list[tuple[Choice, np.ndarray]]:
+def others_of(trials: Sequence[Trial], best: Trial) -> list[tuple[Choice, np.ndarray]]:
     """Return the last effect of every trial but ``best``, with its scaled parameters, best first."""
     found = []
     for trial in sorted(trials, key=lambda t: t.mean_square):

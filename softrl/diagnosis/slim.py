@@ -2,13 +2,12 @@
 
 import numpy as np
 
-from softrl.diagnosis.hypothesis import GATES, Choice, Hypothesis, effect_axes, may_be_pinned
+from softrl.diagnosis.hypothesis import GATES, Choice, Hypothesis, effect_axes, is_essential, may_be_pinned
 from softrl.diagnosis.judge import Judge
 from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.search import jacobian_at
 from softrl.diagnosis.trial import Search, Trial, columns_of
-from softrl.effects.library import effect_class
 
 SILENT = 1e-6  # of the largest column: a parameter with less influence on the residual has none
 DIFFERENCE = 0.02  # scaled step of derivatives
@@ -73,8 +72,7 @@ def _without_silent(fitting: Problem, judge: Judge, trial: Trial, search: Search
     for choice in trial.hypothesis.effects[first:]:
         columns = columns_of(trial, choice)
         for column, axis in zip(columns, effect_axes(choice), strict=True):
-            essential = axis.name == effect_class(choice.name).essence
-            if size[column] > SILENT * size.max() or len(columns) == 1 or essential:
+            if size[column] > SILENT * size.max() or len(columns) == 1 or is_essential(choice, axis.name):
                 continue
             hypothesis, point, place = pinned(trial, choice, axis.name)
             fitted = path.fit(fitting, [(hypothesis, point)], search)

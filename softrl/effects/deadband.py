@@ -47,7 +47,7 @@ class Deadband(Effect):
     kernel: ClassVar = deadband_kernel
     sticks: ClassVar[bool] = True
     extends: ClassVar[str] = "rate_limit"  # without a band the flow is limited, and nothing else
-    essence: ClassVar[str] = "band"
+    essence: ClassVar[tuple[str, ...]] = ("band",)
 
     band: float = parameter("1", 0.0, 0.3, 0.0, typical=0.05, of="pressure")
     closes_at: float = parameter("1", 0.0, 1.0, 1.0, typical=1.0, scale=0.5, default=1.0)

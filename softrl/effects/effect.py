@@ -126,7 +126,9 @@ class Effect:
     piped : whether a valve's effect may be that of the line from the gauge to the chamber as well, see ``behind_gauge``
     of_area : whether a chamber's effect is that of the area on which its pressure acts, after all that changes the pressure
     needs : channel of a recording whose course it follows, "temperature", without which it does nothing; or empty
-    essence : name of the parameter without which it is another effect, which is never held at its neutral value; or empty
+    contains : name of the effect that this one is where all of its ``essence`` is neutral, or empty: where it does no better
+        it is that one
+    essence : names of the parameters without all of which it is another effect: never are all held at their neutral values
     sudden : whether it may begin from one moment to the next: a camera is knocked rather than a robot's mount
     layered : whether it changes the layers of the body itself, before anything moves: it has ``layers`` in place of a kernel,
         and no gate
@@ -157,7 +159,8 @@ class Effect:
     piped: ClassVar[bool] = False
     of_area: ClassVar[bool] = False
     needs: ClassVar[str] = ""
-    essence: ClassVar[str] = ""
+    contains: ClassVar[str] = ""
+    essence: ClassVar[tuple[str, ...]] = ()
     sudden: ClassVar[bool] = True
     layered: ClassVar[bool] = False
 

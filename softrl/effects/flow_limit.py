@@ -15,21 +15,23 @@ UNLIMITED_PER_S = 1e4
 
 @standing_as(SIGNAL_KERNEL)
 def flow_limit_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
-    """Let the supplied pressure rise by no more than its rate, and fall no faster than it decays to the lowest."""
-    rise, vent_s, lowest, chamber = parameters[0], parameters[1], parameters[2], int(parameters[3])
+    """Let the supplied pressure follow with its lag, rise at no more than its rate and fall no faster than to the lowest."""
+    rise, vent_s, lag_s, lowest, chamber = parameters[0], parameters[1], parameters[2], parameters[3], int(parameters[4])
+    share = 1.0 if lag_s <= 0.0 else -math.expm1(-dt / lag_s)
     for i in range(len(value)):
         if chamber < 0 or chamber == i:
-            vented = value[i] if vent_s <= 0.0 else lowest + math.exp(-dt / vent_s) * (state[i] - lowest)
-            state[i] = min(max(value[i], min(vented, state[i])), state[i] + rise * dt)
+            near = state[i] + share * (value[i] - state[i])
+            vented = near if vent_s <= 0.0 else lowest + math.exp(-dt / vent_s) * (state[i] - lowest)
+            state[i] = min(max(near, min(vented, state[i])), state[i] + rise * dt)
             value[i] = state[i]
 
 
 @dataclass(frozen=True)
 class FlowLimit(Effect):
-    """Filling at ``dp/dt = rise`` at most, venting at ``dp/dt = -(p - p_min) / tau`` at most.
+    """Filling at ``dp/dt = rise`` at most, venting at ``dp/dt = -(p - p_min) / tau`` at most, with a lag near the command.
 
     The rise is in the robot's largest pressure per second, at 1e4 there is no limit; ``p_min`` is the robot's smallest
-    pressure, towards which it vents.
+    pressure, towards which it vents. ``lag_s`` is that of ``rate_limit``.
 
     Notes
     -----
@@ -43,9 +45,12 @@ class FlowLimit(Effect):
     kernel: ClassVar = flow_limit_kernel
     piped: ClassVar[bool] = True
     variant_of: ClassVar[str] = "rate_limit"
+    contains: ClassVar[str] = "lag"
+    essence: ClassVar[tuple[str, ...]] = ("rise_per_s", "vent_s")
 
     rise_per_s: float = parameter("1/s", 0.02, UNLIMITED_PER_S, UNLIMITED_PER_S, typical=0.4, log=True, of="pressure")
     vent_s: float = parameter("s", 0.0, 10.0, 0.0, typical=0.5)
+    lag_s: float = parameter("s", 0.0, 2.0, 0.0, typical=0.05, default=0.0)
     chamber: int = -1
 
     @classmethod
@@ -54,7 +59,7 @@ class FlowLimit(Effect):
         return [{"rise_per_s": rate, "vent_s": 1.0 / rate} for rate in (1.0, 3.0, 9.0)]
 
     def pack(self, robot: Robot) -> np.ndarray:
-        """Return (rise Pa/s, time constant s, lowest pressure Pa, chamber)."""
-        rise, vent_s, chamber = super().pack(robot)
+        """Return (rise Pa/s, time constant s, lag s, lowest pressure Pa, chamber)."""
+        rise, vent_s, lag_s, chamber = super().pack(robot)
         rise_pa_per_s = rise * robot.pressure_max_pa if rise < UNLIMITED_PER_S else np.inf
-        return np.array([rise_pa_per_s, vent_s, robot.lowest_pa, chamber])
+        return np.array([rise_pa_per_s, vent_s, lag_s, robot.lowest_pa, chamber])

@@ -1,5 +1,6 @@
 """A supply that fills and vents no faster than its flow allows."""
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -14,11 +15,12 @@ UNLIMITED_PER_S = 1e4
 
 @standing_as(SIGNAL_KERNEL)
 def rate_limit_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
-    """Let the supplied pressure follow the command at no more than the two rates."""
-    chamber = int(parameters[2])
+    """Let the supplied pressure follow the command with its lag, at no more than the two rates."""
+    lag_s, chamber = parameters[2], int(parameters[3])
+    share = 1.0 if lag_s <= 0.0 else -math.expm1(-dt / lag_s)
     for i in range(len(value)):
         if chamber < 0 or chamber == i:
-            state[i] += min(max(value[i] - state[i], -parameters[1] * dt), parameters[0] * dt)
+            state[i] += min(max(share * (value[i] - state[i]), -parameters[1] * dt), parameters[0] * dt)
             value[i] = state[i]
 
 
@@ -28,17 +30,21 @@ class RateLimit(Effect):
 
     Notes
     -----
-    ``-fall <= dp/dt <= rise``. A source of constant flow fills a chamber of constant volume at a constant rate (no
-    equation number checked).
+    ``dp/dt = (p_cmd - p) / lag_s``, and ``-fall <= dp/dt <= rise``. A source of constant flow fills a chamber of constant
+    volume at a constant rate; a regulator that opens in proportion to its error does so until little is left (textbook, no
+    equation number checked). Without bounds it is a lag; without a lag the command is met at full rate.
     """
 
     site: ClassVar[str] = "valve"
     title: ClassVar[str] = "limited rate of pressure change"
     kernel: ClassVar = rate_limit_kernel
     piped: ClassVar[bool] = True
+    contains: ClassVar[str] = "lag"
+    essence: ClassVar[tuple[str, ...]] = ("rise_per_s", "fall_per_s")
 
     rise_per_s: float = parameter("1/s", 0.02, UNLIMITED_PER_S, UNLIMITED_PER_S, typical=0.4, log=True, of="pressure")
     fall_per_s: float = parameter("1/s", 0.02, UNLIMITED_PER_S, UNLIMITED_PER_S, typical=0.4, log=True, of="pressure")
+    lag_s: float = parameter("s", 0.0, 2.0, 0.0, typical=0.05, default=0.0)
     chamber: int = -1
 
     @classmethod
@@ -47,7 +53,7 @@ class RateLimit(Effect):
         return [{"rise_per_s": rate, "fall_per_s": rate} for rate in (1.0, 3.0, 9.0)]
 
     def pack(self, robot: Robot) -> np.ndarray:
-        """Return (rise Pa/s, fall Pa/s, chamber)."""
-        rise, fall, chamber = super().pack(robot)
+        """Return (rise Pa/s, fall Pa/s, lag s, chamber)."""
+        rise, fall, lag_s, chamber = super().pack(robot)
         rates = [rate * robot.pressure_max_pa if rate < UNLIMITED_PER_S else np.inf for rate in (rise, fall)]
-        return np.array([*rates, chamber])
+        return np.array([*rates, lag_s, chamber])

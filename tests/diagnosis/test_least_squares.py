@@ -1,8 +1,10 @@
 """Intervals cover under dependent errors, and what is left out is what a fit without it leaves."""
 
 import numpy as np
+import pytest
 
 from softrl.diagnosis.blocks import blocks_of
+from softrl.diagnosis.intervals import half_width
 from softrl.diagnosis.least_squares import jackknife, left_out, sandwich
 from tests.diagnosis.series import coloured
 
@@ -55,3 +57,14 @@ def test_jackknife_sees_what_differs_between_runs() -> None:
         hits += abs(fitted[0]) < 2.015 * jackknife(jacobian, left, folds)[0]
         narrow += abs(fitted[0]) < 1.645 * np.sqrt(sandwich(jacobian, left, np.arange(600))[0, 0])
     assert 165 <= hits <= 195 and narrow < 140, f"90 % interval covered {hits} and {narrow} of 200"
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0, 4.0])
+@pytest.mark.parametrize("runs", [4, 6])
+def test_intervals_of_few_runs_are_as_wide_as_they_say(runs: int, share: float) -> None:
+    """A mean of run means, each with a variance of one, and runs that differ by ``share`` of it: 90 % of 20 000 intervals."""
+    rng = np.random.default_rng(0)
+    means = np.sqrt(1.0 + share) * rng.standard_normal((20000, runs))
+    within = np.sqrt(rng.chisquare(40, 20000) / 40 / runs)
+    reach = half_width(within, 40, np.sqrt(means.var(axis=1, ddof=1) / runs), runs - 1, 0.95)
+    assert 0.875 <= np.mean(np.abs(means.mean(axis=1)) < reach) <= 0.93

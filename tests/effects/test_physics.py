@@ -193,6 +193,20 @@ def test_rate_limit_ramps_at_its_rates() -> None:
     np.testing.assert_allclose(np.diff(supplied[100:]), -0.25 * FULL * DT)
 
 
+@pytest.mark.parametrize("effect", [RateLimit(0.5, 0.25, lag_s=0.2), FlowLimit(0.5, 0.0, lag_s=0.2)], ids=["rate", "flow"])
+def test_a_regulator_meets_its_command_with_its_lag(effect: Effect) -> None:
+    """At the full rate until what is left would take one time constant, exponentially from there on; a lag without bounds."""
+    supplied = signal(effect, step_to(FULL, 400))[:, 0]
+    linear = int((1.0 - 0.5 * 0.2) / (0.5 * DT))
+    np.testing.assert_allclose(np.diff(supplied[:linear]), 0.5 * FULL * DT)
+    left = FULL - supplied[linear + 1 : linear + 100]
+    np.testing.assert_allclose(left, left[0] * np.exp(-DT * np.arange(len(left)) / 0.2), rtol=1e-9)
+    free = type(effect).neutral()
+    commands = np.vstack([step_to(FULL, 50), step_to(0.2 * FULL, 50)])
+    lag = signal(Lag(fill_s=0.2, vent_s=0.2), commands)
+    np.testing.assert_allclose(signal(replace(free, lag_s=0.2), commands), lag, rtol=1e-12)
+
+
 def test_chambers_share_one_pump_s_flow() -> None:
     """Alone a chamber fills at the pump's rate, three together at a third of it each; all vent at once."""
     alone = step_to(FULL, 100) * [1.0, 0.0, 0.0]

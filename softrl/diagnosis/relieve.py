@@ -1,0 +1,65 @@
+"""Another effect in the place of one beside which a retuned parameter goes to the end of its range."""
+
+import logging
+from collections.abc import Sequence
+
+import numpy as np
+
+from softrl.diagnosis.hypothesis import Choice, Hypothesis, starts
+from softrl.diagnosis.judge import Judge
+from softrl.diagnosis.moves import implausible, not_taken, others_of, pays
+from softrl.diagnosis.path import Path
+from softrl.diagnosis.problem import Problem
+from softrl.diagnosis.slim import slim
+from softrl.diagnosis.trial import Search, Trial, as_nominal, columns_of, drop, raced
+
+log = logging.getLogger(__name__)
+
+
+def relieved(fitting: Problem, judge: Judge, choices: Sequence[Choice], search: Search, path: Path) -> Trial | None:
+    """Return what does better than the best hypothesis of ``path`` where a retuned parameter of it is implausible.
+
+    That is one effect more, where it pays, or another in one's place that does as well with plausible parameters; None if there
+    is neither. A mass four times too large is in part the load that was left out; rough fits do not come from there to a load,
+    so that each effect is fitted in full here, from nominal parameters.
+    """
+    best = path.best
+    if not implausible(judge, best) or (judge.excess(best.mean_square) < judge.material and not best.hypothesis.effects):
+        return None
+    others = [c for c in not_taken(choices, best) if c.chamber < 0 and not (c.sessions or c.lasting)]
+    if len(best.hypothesis.effects) < search.max_effects:
+        beside = raced(fitting, None, [_with(best, other) for other in others], search, best).finished
+        paying = [trial for trial in beside if pays(judge, best, trial)]
+        if paying:
+            return _taken(fitting, judge, paying, beside, search, path)
+    for old in reversed(best.hypothesis.effects):
+        instead = raced(fitting, None, [_with(best, other, old) for other in others], search, best).finished
+        as_good = [t for t in instead if not (implausible(judge, t) or judge.tells(t.squares, best.squares))]
+        if as_good:
+            mine = (old, best.fit.point[columns_of(best, old)])
+            return _taken(fitting, judge, as_good, instead, search, path, [mine, *path.tried.pop(old, [])])
+    return None
+
+
+def _with(trial: Trial, new: Choice, old: Choice | None = None) -> tuple[Hypothesis, list[np.ndarray]]:
+    """Return the hypothesis of ``trial`` with ``new``, in the place of ``old`` if given, and where its fit begins."""
+    less = trial.hypothesis.without(old) if old else trial.hypothesis
+    point = as_nominal(drop(trial, old) if old else trial.fit.point, less)
+    place = len(point) - len(less.tuned)
+    return less.with_effect(new), [np.insert(point, place, starts(new)[0])]
+
+
+def _taken(
+    fitting: Problem,
+    judge: Judge,
+    trials: list[Trial],
+    every: list[Trial],
+    search: Search,
+    path: Path,
+    tried: Sequence[tuple[Choice, np.ndarray]] = (),
+) -> Trial:
+    """Return the simplest of ``trials`` with those numbers of its newest effect that pay; its rivals are ``every`` trial's."""
+    trial = judge.simplest(trials)
+    log.info("%s is best where each was fitted from nominal parameters", trial.hypothesis.label())
+    path.tried[trial.hypothesis.effects[-1]] = [*tried, *others_of(every, trial)]
+    return slim(fitting, judge, trial, search, path, len(trial.hypothesis.effects) - 1)
