@@ -319,6 +319,8 @@ def _rivals(
         alike = as_good(judge, both, trial, final)
         if alike and _freer(trial, final):
             trial = _slimmed(part, judge, path, trial, search)
+            if trial.hypothesis == final.hypothesis:
+                continue
             alike = as_good(judge, both, trial, final) and not _freer(trial, final)
         gap = judge.gap(trial.squares, final.squares)
         better = overtakes(judge, both, trial, final)

@@ -8,6 +8,7 @@ from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.search import jacobian_at
 from softrl.diagnosis.trial import Search, Trial, columns_of
+from softrl.effects.library import effect_class
 
 SILENT = 1e-6  # of the largest column: a parameter with less influence on the residual has none
 DIFFERENCE = 0.02  # scaled step of derivatives
@@ -27,8 +28,10 @@ def slim(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Pat
         for choice in trial.hypothesis.effects[first:]:
             forms = [pinned(trial, choice, name) for name in may_be_pinned(choice)]
             forms = [form for form in forms if effect_axes(form[0].effects[form[2]]) and not form[0].effects[form[2]].retunes]
+            forms += _contained(trial, choice)
             fitted = path.fit(fitting, [(hypothesis, point) for hypothesis, point, _ in forms], search, trial)
-            as_good = [t for t in fitted if not judge.tells(t.squares, trial.squares)]
+            fewer = [t for t in fitted if len(t.fit.point) <= len(trial.fit.point)]
+            as_good = [t for t in fewer if not judge.tells(t.squares, trial.squares)]
             if as_good:
                 slimmer = min(as_good, key=lambda t: t.mean_square)
                 place = trial.hypothesis.effects.index(choice)
@@ -45,6 +48,20 @@ def pinned(trial: Trial, choice: Choice, name: str) -> tuple[Hypothesis, np.ndar
     effects = tuple(less if effect == choice else effect for effect in trial.hypothesis.effects)
     column = columns_of(trial, choice)[[axis.name for axis in effect_axes(choice)].index(name)]
     return Hypothesis(effects, trial.hypothesis.tuned), np.delete(trial.fit.point, column), place
+
+
+def _contained(trial: Trial, choice: Choice) -> list[tuple[Hypothesis, np.ndarray, int]]:
+    """Return the same as ``pinned`` with the law that ``choice`` contains in its place: what is never bounded is a lag."""
+    law, axes, columns = effect_class(choice.name), effect_axes(choice), columns_of(trial, choice)
+    values = {axis.name: axis.physical(u) for axis, u in zip(axes, trial.fit.point[columns], strict=True)}
+    shared = [value for name, value in values.items() if name not in (*law.essence, *GATES)]
+    if not law.contains or not shared or law.contains in trial.hypothesis.names:
+        return []
+    less, place = choice._replace(name=law.contains, pinned=()), trial.hypothesis.effects.index(choice)
+    begin = [axis.scaled(values.get(axis.name, shared[0])) for axis in effect_axes(less)]
+    point = np.insert(np.delete(trial.fit.point, columns), columns[0], begin)
+    effects = tuple(less if effect == choice else effect for effect in trial.hypothesis.effects)
+    return [(Hypothesis(effects, trial.hypothesis.tuned), point, place)]
 
 
 def without_gate(choice: Choice) -> Choice:
