@@ -18,7 +18,7 @@ from softrl.diagnosis.trial import Trial, columns_of
 AT_BOUND = 1e-3  # share of a range at whose ends a parameter is said to be at a bound
 NEAR = 0.02  # scaled, at most: the first minute is not the beginning of ten hours
 WIDER, WORSE = 0.02 * 2.0 ** np.arange(10), 1.02  # steps, scaled, from where nothing changes; times the cost that is a change
-POOLED = 0.25
+POOLED = 0.25  # level of the test by which runs differ
 ALONE = 0.98  # of the squared derivatives by a parameter: told by one fold
 FORM_SHARE = 0.05  # of the residual; found on single hidden effects, each fitted by its own law
 

@@ -26,7 +26,8 @@ def slim(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Pat
     while again:
         again = False
         for choice in trial.hypothesis.effects[first:]:
-            forms = [pinned(trial, choice, name) for name in may_be_pinned(choice)]
+            fields = [*may_be_pinned(choice), *([choice.gate.field] if choice.gate else [])]
+            forms = [pinned(trial, choice, name) for name in fields]
             forms = [form for form in forms if effect_axes(form[0].effects[form[2]]) and not form[0].effects[form[2]].retunes]
             forms += _contained(trial, choice)
             fitted = path.fit(fitting, [(hypothesis, point) for hypothesis, point, _ in forms], search, trial)

@@ -8,6 +8,7 @@ import numpy as np
 
 from softrl.core.compiled import standing_as
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
+from softrl.effects.free_motion import free_motion
 from softrl.robots.robot import Robot
 
 
@@ -19,14 +20,7 @@ def tube_line_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarra
     if unit_s <= 0.0:
         return
     decay, square = zeta / unit_s, (zeta * zeta - 1.0) / (unit_s * unit_s)
-    turn = math.sqrt(abs(square))
-    if square > 0.0:
-        slow, fast = math.exp((turn - decay) * dt), math.exp(-(turn + decay) * dt)
-        even, odd = 0.5 * (slow + fast), 0.5 * (slow - fast) / turn
-    else:
-        even, odd = math.exp(-decay * dt) * math.cos(turn * dt), math.exp(-decay * dt) * dt
-        if turn * dt > 1e-8:
-            odd *= math.sin(turn * dt) / (turn * dt)
+    even, odd = free_motion(decay, square, dt)
     for i in range(n):
         if chamber < 0 or chamber == i:
             apart, rate = state[i] - value[i], state[n + i]
@@ -56,6 +50,11 @@ class TubeLine(Effect):
     period_s: float = parameter("s", 0.0, 6.3, 0.0, typical=0.6)
     damping_ratio: float = parameter("1", 0.1, 3.0, 1.0, typical=0.4)
     chamber: int = -1
+
+    @classmethod
+    def shapes(cls) -> list[dict[str, float]]:
+        """Return lines that ring at other periods: a fit finds its own only from a period nearby."""
+        return [{"period_s": period, "damping_ratio": ratio} for period in (0.1, 0.2, 0.35, 1.2) for ratio in (0.2, 0.6)]
 
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (T s, damping ratio, chamber)."""

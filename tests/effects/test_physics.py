@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from softrl.core.simulator import Motion
@@ -56,6 +57,7 @@ from softrl.effects.mullins import Mullins
 from softrl.effects.offset import Offset
 from softrl.effects.orifice import ATMOSPHERE_PA, CRITICAL, Orifice
 from softrl.effects.payload import Payload
+from softrl.effects.pi_regulator import PiRegulator
 from softrl.effects.play import Play
 from softrl.effects.power_creep import PowerCreep
 from softrl.effects.pressure_sensor import PressureSensor
@@ -205,6 +207,25 @@ def test_a_regulator_meets_its_command_with_its_lag(effect: Effect) -> None:
     commands = np.vstack([step_to(FULL, 50), step_to(0.2 * FULL, 50)])
     lag = signal(Lag(fill_s=0.2, vent_s=0.2), commands)
     np.testing.assert_allclose(signal(replace(free, lag_s=0.2), commands), lag, rtol=1e-12)
+
+
+@pytest.mark.parametrize("rate", [1e4, 1.5], ids=["free", "bounded"])
+@pytest.mark.parametrize(("lag_s", "integral_s"), [(0.1, 0.15), (0.1, 0.4), (0.1, 1.0)], ids=["rings", "critical", "creeps"])
+def test_pi_regulator_follows_its_law(lag_s: float, integral_s: float, rate: float) -> None:
+    """Against the law itself, integrated: steps up and down, with the integral that goes on while the flow is bounded."""
+    commands = np.vstack([step_to(FULL, 150), step_to(0.3 * FULL, 150)])
+    supplied = signal(PiRegulator(lag_s=lag_s, integral_s=integral_s, rate_per_s=rate), commands)[:, 0]
+
+    def law(_: float, x: np.ndarray, command: float) -> list[float]:
+        error = command - x[0]
+        return [float(np.clip((error + x[1] / integral_s) / lag_s, -rate * FULL, rate * FULL)), error]
+
+    state, expected = np.zeros(2), []
+    for command in commands[:, 0]:
+        state = solve_ivp(law, (0.0, DT), state, args=(command,), rtol=1e-9, atol=1e-6, max_step=0.1 * DT).y[:, -1]
+        expected.append(state[0])
+    np.testing.assert_allclose(supplied, expected, atol=1e-6 * FULL if rate > 1e3 else 5e-3 * FULL)
+    assert supplied.max() > 1.05 * FULL
 
 
 def test_chambers_share_one_pump_s_flow() -> None:
