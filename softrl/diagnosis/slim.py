@@ -17,8 +17,8 @@ DIFFERENCE = 0.02  # scaled step of derivatives
 def slim(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Path, first: int = 0) -> Trial:
     """Return ``trial`` without the parameters that do not pay: each is pinned at its neutral value and the rest refitted.
 
-    A gate that opens below all pressures, or before anything moves, has no influence: it goes first. Effects before the
-    ``first``, counted from 0, stay as they are.
+    A gate that opens below all pressures, or before anything moves, has no influence: it goes first. A law that says no more
+    than one that it contains gives way to it. Effects before the ``first``, counted from 0, stay as they are.
     """
     if any(choice.gate for choice in trial.hypothesis.effects[first:]):
         trial = _without_silent(fitting, judge, trial, search, path, first)
