@@ -9,7 +9,7 @@ import numpy as np
 
 from softrl.core.errors import SolverError
 from softrl.diagnosis.choices import alike, may_be_gated
-from softrl.diagnosis.hypothesis import Choice, Gate, Hypothesis, effect_axes
+from softrl.diagnosis.hypothesis import Choice, Gate, Hypothesis, effect_axes, neutral
 from softrl.diagnosis.judge import Judge
 from softrl.diagnosis.leftover import heldout_residual
 from softrl.diagnosis.problem import Problem
@@ -96,10 +96,11 @@ class Dating:
         if "since_s" not in may_be_gated(choice) or between_fits(self.fitting.runs, self.judge.problem.runs, begin) is None:
             return None
         effects = tuple(form if effect == choice else effect for effect in trial.hypothesis.effects)
-        column = int(columns_of(trial, choice)[-1]) + 1
+        own = len(effect_axes(choice))
+        columns = [int(columns_of(trial, choice)[-1]) + 1] * (len(effect_axes(form)) - own)
         fit = trial.fit._replace(
-            point=np.insert(trial.fit.point, column, effect_axes(form)[-1].scaled(begin)),
-            jacobian=np.insert(trial.fit.jacobian, column, 0.0, axis=1),
+            point=np.insert(trial.fit.point, columns, neutral(form)[own:]),
+            jacobian=np.insert(trial.fit.jacobian, columns, 0.0, axis=1),
         )
         begun = trial._replace(hypothesis=Hypothesis(effects, trial.hypothesis.tuned), fit=fit)
         return self._at_a_moment(begun, form)

@@ -10,7 +10,7 @@ import numpy as np
 
 from softrl.core.simulator import Simulator
 from softrl.effects.effect import Effect
-from softrl.effects.gate import GATES
+from softrl.effects.gate import GATES, WIDTHS
 from softrl.effects.library import effect_class
 
 NEW = (0.0, 0.0, 0.0)  # how long a run, its session and all sessions had gone on before the first sample
@@ -230,10 +230,11 @@ class Space:
 
 @cache
 def free_fields(choice: Choice) -> tuple[Any, ...]:
-    """Return the fields of one effect's parameters that are free, the gate's last."""
+    """Return the fields of one effect's parameters that are free, where its gate opens last of all."""
     effect, gate = effect_class(choice.name), choice.gate
+    of_gate = (gate.field, WIDTHS.get(gate.field)) if gate else ()
     found = [f for f in effect.parameter_fields() if f.name not in choice.pinned]
-    return (*found, *(f for f in effect.gate_fields() if gate and f.name == gate.field))
+    return (*found, *(f for f in effect.gate_fields() if f.name in of_gate and f.name not in choice.pinned))
 
 
 @cache
@@ -267,10 +268,10 @@ def may_be_pinned(choice: Choice) -> list[str]:
 
     A time constant or a width with a neutral value inside its range only shapes what another parameter switches on.
     """
-    found = free_fields(choice)
-    if len(found) < (3 if choice.gate else 2) or effect_class(choice.name).together:
+    found = [f for f in free_fields(choice) if "gate" not in f.metadata]
+    if len(found) < 2 or effect_class(choice.name).together:
         return []
-    return [f.name for f in found if f.name not in GATES and not is_essential(choice, f.name)
+    return [f.name for f in found if not is_essential(choice, f.name)
             and not (f.metadata["log"] and f.metadata["low"] < f.metadata["neutral"] < f.metadata["high"])]  # fmt: skip
 
 
@@ -300,7 +301,7 @@ def starts(choice: Choice, seen: Sequence[dict[str, float]] = ()) -> list[np.nda
     found = [typical]
     for k, (axis, field) in enumerate(zip(axes, fields_, strict=True)):
         turned = (-2.1 / axis.scale, 2.1 / axis.scale) if axis.is_direction else ()
-        shifts: tuple[float, ...] = (-1.4, 1.4) if axis.log else turned
+        shifts: tuple[float, ...] = (-1.4, 1.4) if axis.log and "gate" not in field.metadata else turned
         if axis.log and field.metadata["neutral"] in (axis.low, axis.high):
             shifts = (-1.0,)
         for shift in shifts:

@@ -1,7 +1,7 @@
 """The steps of a search: the best addition, another effect in one's place, one less."""
 
 import logging
-from collections.abc import Hashable, Sequence
+from collections.abc import Collection, Hashable, Sequence
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from softrl.effects.library import effect_class
 log = logging.getLogger(__name__)
 SAME_NAME = 2  # forms of one effect (all chambers, one chamber) that are fitted in full
 LEAD_GAIN = 0.03  # share of the squared error: a rough fit that saves less will not save what counts when fitted in full
+CLOSE = 1.3  # times the best mean square of a round: what came as near is fitted in full in later rounds, too
 REFORMED = 2  # fits of a round, the best, in which older effects are tried in their other forms
 
 
@@ -62,9 +63,11 @@ def addition(
     leads = rank(fitting, current, not_taken(choices, current), search) if leads is None else leads
     if not taken or len(path.screened) < len(taken) + 1:
         path.screened.append(leads)
-    trials = fit_leads(fitting, current, leads, search, against)
+    trials = fit_leads(fitting, current, leads, search, path.close, against)
     if not trials:
         return None
+    least = CLOSE * min(trial.mean_square for trial in trials)
+    path.close |= {trial.hypothesis.effects[-1] for trial in trials if trial.mean_square <= least}
     every = trials + _otherwise(fitting, trials, search, path)
     paying = [trial for trial in every if pays(judge, current, trial)]  # the simplest of all may be too simple to pay
     best = judge.simplest(paying or every)
@@ -185,7 +188,12 @@ def others_of(trials: Sequence[Trial], best: Trial) -> list[tuple[Choice, np.nda
 
 
 def fit_leads(
-    fitting: Problem, current: Trial, leads: Sequence[Lead], search: Search, against: Trial | None = None
+    fitting: Problem,
+    current: Trial,
+    leads: Sequence[Lead],
+    search: Search,
+    close: Collection[Choice] = (),
+    against: Trial | None = None,
 ) -> list[Trial]:
     """Return ``current`` with each of the best leads added, fitted in full; at most ``SAME_NAME`` forms of one.
 
@@ -193,14 +201,17 @@ def fit_leads(
     """
     tasks = [
         (current.hypothesis.with_effect(forms[0].choice), starting_points(current, forms, search.starts))
-        for forms in _contenders(leads, search.keep)
+        for forms in _contenders(leads, search.keep, close)
     ]
     race = raced(fitting, None, tasks, search, against)
     return [*race.finished, *race.beaten]
 
 
-def _contenders(leads: Sequence[Lead], keep: int) -> list[list[Lead]]:
+def _contenders(leads: Sequence[Lead], keep: int, close: Collection[Choice] = ()) -> list[list[Lead]]:
     """Return the ``keep`` best effects of ``leads``, best first, each with the leads that differ by where its gate began only.
+
+    Beside them are those that came ``close`` to the best before: a rough fit does not show what an effect does where others
+    have to move far with it.
 
     Laws that contain the same one are much alike and take one place together: a delay is no worse for four bounded lags. Of one
     name ``SAME_NAME`` forms are among them. That for all chambers counts as much as the best of them: alone in one
@@ -226,7 +237,8 @@ def _contenders(leads: Sequence[Lead], keep: int) -> list[list[Lead]]:
         if same < SAME_NAME and (beside or places < keep):
             taken.append(group)
             places += not beside
-    return taken
+    among = {lead.choice for group in taken for lead in group}
+    return taken + [[lead] for lead in leads if lead.choice in close and lead.choice not in among and lead.gain > LEAD_GAIN]
 
 
 def _contained_in(name: str) -> str:

@@ -21,6 +21,7 @@ class Path:
     retuned : the one without effects
     screened : the leads of every round
     tried : for each named effect the alternatives fitted in its place, best first, with their points
+    close : effects that in some round were fitted about as well as the best
     fitted : fits of hypotheses with less than others, by where they began and what they competed with; None if beaten
     """
 
@@ -28,6 +29,7 @@ class Path:
     retuned: Trial
     screened: list[list[Lead]] = field(default_factory=list)
     tried: dict[Choice, list[tuple[Choice, np.ndarray]]] = field(default_factory=dict)
+    close: set[Choice] = field(default_factory=set)
     fitted: dict[tuple[Hypothesis, bytes, bytes], Trial | None] = field(default_factory=dict)
 
     def fit(

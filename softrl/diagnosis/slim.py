@@ -8,6 +8,7 @@ from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.search import jacobian_at
 from softrl.diagnosis.trial import Search, Trial, columns_of
+from softrl.effects.gate import WIDTHS
 from softrl.effects.library import effect_class
 
 SILENT = 1e-6  # of the largest column: a parameter with less influence on the residual has none
@@ -47,15 +48,16 @@ def pinned(trial: Trial, choice: Choice, name: str) -> tuple[Hypothesis, np.ndar
     place = trial.hypothesis.effects.index(choice)
     less = without_gate(choice) if name in GATES else choice._replace(pinned=(*choice.pinned, name))
     effects = tuple(less if effect == choice else effect for effect in trial.hypothesis.effects)
-    column = columns_of(trial, choice)[[axis.name for axis in effect_axes(choice)].index(name)]
-    return Hypothesis(effects, trial.hypothesis.tuned), np.delete(trial.fit.point, column), place
+    gone = (name, WIDTHS.get(name))
+    columns = columns_of(trial, choice)[[axis.name in gone for axis in effect_axes(choice)]]
+    return Hypothesis(effects, trial.hypothesis.tuned), np.delete(trial.fit.point, columns), place
 
 
 def _contained(trial: Trial, choice: Choice) -> list[tuple[Hypothesis, np.ndarray, int]]:
     """Return the same as ``pinned`` with the law that ``choice`` contains in its place: what is never bounded is a lag."""
     law, axes, columns = effect_class(choice.name), effect_axes(choice), columns_of(trial, choice)
     values = {axis.name: axis.physical(u) for axis, u in zip(axes, trial.fit.point[columns], strict=True)}
-    shared = [value for name, value in values.items() if name not in (*law.essence, *GATES)]
+    shared = [value for name, value in values.items() if name not in (*law.essence, *GATES, *WIDTHS.values())]
     if not law.contains or not shared or law.contains in trial.hypothesis.names:
         return []
     less, place = choice._replace(name=law.contains, pinned=()), trial.hypothesis.effects.index(choice)

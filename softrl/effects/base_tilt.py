@@ -1,7 +1,7 @@
 """A base that leans over before a camera that stays where it is."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -42,8 +42,9 @@ class BaseTilt(Effect):
     def parts(self) -> tuple[Effect, ...]:
         """Return the tilt that the body feels and the turn that the camera sees."""
         seen = Rotation.from_euler("xy", [self.about_x_rad, self.about_y_rad]).inv().as_rotvec()
-        felt = MountTilt(self.about_x_rad, self.about_y_rad, since_s=self.since_s, begun_s=self.begun_s)
-        turned = Frame(seen[0], seen[1], seen[2], 0.0, 0.0, 0.0, since_s=self.since_s, begun_s=self.begun_s)
+        when: dict[str, Any] = {"since_s": self.since_s, "over_s": self.over_s, "begun_s": self.begun_s}
+        felt = MountTilt(self.about_x_rad, self.about_y_rad, **when)
+        turned = Frame(seen[0], seen[1], seen[2], 0.0, 0.0, 0.0, **when)
         return felt, turned
 
     def pack(self, robot: Robot) -> np.ndarray:

@@ -95,9 +95,10 @@ def parameter(
     return dataclasses.field(default=default, metadata=metadata)
 
 
-def _gate(unit: str, low: float, high: float, typical: float) -> dict[str, Any]:
-    """Return what is known of a number of the gate; it is neutral at ``low``."""
-    known = {"unit": unit, "low": low, "high": high, "neutral": low, "typical": typical, "log": False, "gate": True}
+def _gate(unit: str, low: float, high: float, typical: float, log: bool = False) -> dict[str, Any]:
+    """Return what is known of a number of the gate; it is neutral at ``low``, or where ``log`` as good as typical."""
+    neutral = typical if log else low
+    known = {"unit": unit, "low": low, "high": high, "neutral": neutral, "typical": typical, "log": log, "gate": True}
     return known | {"scale": typical - low, "of": "pressure" if unit == "1" else ""}
 
 
@@ -137,6 +138,7 @@ class Effect:
     begun_s : how long the clock, and that of ``since_s``, had gone on already at the first sample of a run, s
     behind_gauge : whether an effect of valves lies between where pressures are measured and the chambers: gauges do not show it
     above_share : share of the robot's largest pressure above which it acts; ``EVERYWHERE`` for all pressures
+    over_s : how long it takes from there until it acts in full, s: a camera is knocked in a moment, a leak tears open
     since_s : time of each run from which it acts, s; 0 for always
     """
 
@@ -165,6 +167,7 @@ class Effect:
     layered: ClassVar[bool] = False
 
     above_share: float = dataclasses.field(default=EVERYWHERE, kw_only=True, metadata=_gate("1", EVERYWHERE, 1.0, 0.3))
+    over_s: float = dataclasses.field(default=1.0, kw_only=True, metadata=_gate("s", 0.05, 20.0, 1.0, log=True))
     since_s: float = dataclasses.field(default=0.0, kw_only=True, metadata=_gate("s", 0.0, 3.6e4, 10.0))
     begun_s: float = dataclasses.field(default=0.0, kw_only=True)
     before_gauge: bool = dataclasses.field(default=False, kw_only=True)

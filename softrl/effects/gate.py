@@ -24,10 +24,10 @@ from softrl.effects.effect import (
 from softrl.robots.robot import Robot
 
 GATES = {"above_share": "above a pressure", "since_s": "from a time on"}  # the fields of an effect, in words
+WIDTHS = {"since_s": "over_s"}  # the field that says how sudden a gate opens, where that is one
 BAND = 0.05  # of the largest pressure: from nothing to all
-RAMP_S = 1.0
 LONG_S = 1e3  # a step as long as this finds an equilibrium, for which no time passes
-GATE = 4  # numbers behind an effect's own parameters: pressure and band Pa, time s, address of the kernel
+GATE = 5  # numbers behind an effect's own parameters: pressure and band Pa, time and how long it takes s, address of the kernel
 
 
 @nb.njit(cache=True)
@@ -38,7 +38,7 @@ def _after(clock: float, dt: float) -> float:
 @nb.njit(cache=True)
 def _late(clock: float, dt: float, parameters: np.ndarray) -> float:
     since = parameters[2 - GATE]
-    return min(max((_after(clock, dt) - since) / RAMP_S, 0.0), 1.0) if since > 0.0 else 1.0
+    return min(max((_after(clock, dt) - since) / parameters[3 - GATE], 0.0), 1.0) if since > 0.0 else 1.0
 
 
 @nb.njit(cache=True)
@@ -118,7 +118,7 @@ def hook_of(effect: Effect, robot: Robot, before_s: float = 0.0, temperature: np
     if not effect.gated:
         return Hook(kernel, parameters, state)
     above = effect.above_share * robot.pressure_max_pa if effect.above_share > EVERYWHERE else -np.inf
-    behind = np.array([above, BAND * robot.pressure_max_pa, effect.since_s, 0.0])
+    behind = np.array([above, BAND * robot.pressure_max_pa, effect.since_s, effect.over_s, 0.0])
     behind[-1:].view(np.int64)[0] = address_of(kernel)
     gate = gated_flow if effect.stores else KERNELS.get(effect.site, gated_signal)
     return Hook(gate, np.r_[parameters, behind], np.r_[state, effect.begun_s - before_s])

@@ -32,6 +32,18 @@ def test_forms_that_differ_by_where_the_gate_began_are_one_fit_with_several_star
     assert [[one.choice for one in group] for group in groups] == [[early, late], [Choice("payload")]]
 
 
+def test_bounded_lags_do_not_crowd_out_a_delay() -> None:
+    lags = [lead(Choice(name), 0.9 - 0.01 * k) for k, name in enumerate(("lag", "rate_limit", "flow_limit", "pi_regulator"))]
+    groups = _contenders([*lags, lead(Choice("delay"), 0.8)], 2)
+    assert [group[0].choice.name for group in groups] == ["lag", "rate_limit", "flow_limit", "pi_regulator", "delay"]
+
+
+def test_what_came_close_before_is_fitted_again_unless_it_saves_nothing() -> None:
+    leads = [lead(Choice("tube_line"), 0.8), lead(Choice("gain"), 0.7), lead(Choice("delay"), 0.1), lead(Choice("offset"), 0.0)]
+    groups = _contenders(leads, 2, close={Choice("delay"), Choice("offset")})
+    assert [group[0].choice.name for group in groups] == ["tube_line", "gain", "delay"]
+
+
 def test_a_deadband_is_never_left_without_its_band() -> None:
     choice = Choice("deadband")
     assert "band" in [axis.name for axis in effect_axes(choice)] and "band" not in may_be_pinned(choice)

@@ -76,18 +76,18 @@ def test_alternatives_are_told_as_they_were_fitted_so_that_a_program_can_be_plan
     def rival(choice: Choice, values: list[float]) -> Any:
         hypothesis = Hypothesis((Choice("lag"), choice), ())
         point = [0.0, 0.0, *(axis.scaled(v) for axis, v in zip(effect_axes(choice), values, strict=True))]
-        gap = SimpleNamespace(value=len(values), low=0.0, high=1.0)
+        gap = SimpleNamespace(value=values[-1], low=0.0, high=1.0)
         trial = SimpleNamespace(hypothesis=hypothesis, fit=SimpleNamespace(point=np.array(point)))
         return SimpleNamespace(choice=choice, instead_of=named, gap=gap, equivalent=True, trial=trial)
 
-    rivals = [rival(gated, [0.7, 12.0]), rival(lasting, [0.3, 40.0])]
+    rivals = [rival(gated, [0.7, 0.5, 12.0]), rival(lasting, [0.3, 40.0])]
     finding: Any = SimpleNamespace(part=SimpleNamespace(problem=problem, heldout=runs[1:]), rivals=rivals)
     rows = rival_entries([finding], body.robot)
     first, second = (row["effect"] for row in rows)
-    assert first["parameters"] == pytest.approx({"threshold": 0.7, "since_s": 12.0})
+    assert first["parameters"] == pytest.approx({"threshold": 0.7, "over_s": 0.5, "since_s": 12.0})
     assert first["pinned"] == {"slope": 1.0, "before_gauge": True} and not first["past"]
     assert second["past"] and second["pinned"] == {"begun_s": 60.0} and second["lasting"] == "ever"
     assert form_of(rows[0]["replaces"]).same_as(form_of({"name": "gain", "chamber": 1}))
     made = form_of(json.loads(json.dumps(first))).build()
     assert isinstance(made, Knee) and (made.slope, made.chamber, made.before_gauge) == (1.0, 1, True)
-    assert (made.threshold, made.since_s) == pytest.approx((0.7, 12.0))
+    assert (made.threshold, made.over_s, made.since_s) == pytest.approx((0.7, 0.5, 12.0))

@@ -14,6 +14,7 @@ from softrl.diagnosis.search import Fit
 from softrl.diagnosis.slim import pinned
 from softrl.diagnosis.stage import run
 from softrl.diagnosis.trial import Trial
+from softrl.effects.frame import Frame
 from softrl.effects.gain import Gain
 from softrl.effects.hysteresis import Hysteresis
 from softrl.effects.lag import Lag
@@ -24,22 +25,26 @@ from softrl.robots.robot import Robot
 from tests.diagnosis.conftest import configured, made, node
 
 
-def test_a_gate_is_one_parameter_more_that_begins_where_it_is_told() -> None:
+def test_a_gate_begins_where_it_is_told_and_how_suddenly_is_free() -> None:
     form = Choice("leak", gate=Gate("since_s", 12.0))
-    assert [axis.name for axis in effect_axes(form)] == ["leak_per_s", "refill_s", "exponent", "since_s"]
+    assert [axis.name for axis in effect_axes(form)] == ["leak_per_s", "refill_s", "exponent", "over_s", "since_s"]
     for point in (neutral(form), *starts(form)):
         assert effect_axes(form)[-1].physical(float(point[-1])) == pytest.approx(12.0)
-    assert build_effect(form, [0.1, 3.0, 1.0, 15.0]).since_s == 15.0
+    made = build_effect(form, [0.1, 3.0, 1.0, 0.5, 15.0])
+    assert (made.since_s, made.over_s) == (15.0, 0.5)
+    held = form._replace(pinned=("over_s",))
+    assert [axis.name for axis in effect_axes(held)][-2:] == ["exponent", "since_s"]
+    assert build_effect(held, [0.1, 3.0, 1.0, 15.0]).over_s == 1.0
     assert not [form for form in gated(Choice("drift"), 30.0, 0.8) if form.gate and form.gate.field == "since_s"]
 
 
 def test_a_gate_without_influence_is_dropped() -> None:
     form = Choice("leak", gate=Gate("since_s", 12.0))
     hypothesis, point = Hypothesis((form,), ()), starts(form)[0]
-    trial = Trial(hypothesis, Fit(point, np.zeros(4), np.zeros((4, 3)), 0.0, 1), {}, np.zeros(4), np.zeros(4))
+    trial = Trial(hypothesis, Fit(point, np.zeros(4), np.zeros((4, 5)), 0.0, 1), {}, np.zeros(4), np.zeros(4))
     less, rest, place = pinned(trial, form, "since_s")
     assert less.effects[place] == Choice("leak")
-    np.testing.assert_array_equal(rest, point[:-1])
+    np.testing.assert_array_equal(rest, point[:-2])
     assert len(rest) == len(effect_axes(less.effects[place]))
 
 
@@ -88,6 +93,23 @@ def test_what_begins_late_in_one_chamber_is_found_there(body: PccSimulator) -> N
     found = run(config, body.robot, recordings, body, tracker=NullTracker())
     assert [(effect["name"], effect["chamber"]) for effect in found.effects] == [("gain", 1)], found.sentences
     assert abs(found.effects[0]["parameters"]["since_s"]["value"] - 14.0) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("hidden", "within"),
+    [
+        (Frame(0.0, 0.01, 0.05, 0.0, 0.0, 0.0, since_s=14.0, over_s=0.05), (0.05, 0.3)),
+        pytest.param(Gain(1.15, since_s=10.0, over_s=6.0), (4.0, 8.0), marks=pytest.mark.slow),
+    ],
+)
+def test_how_suddenly_it_begins_is_told(body: PccSimulator, hidden: Frame | Gain, within: tuple[float, float]) -> None:
+    """What is taken to begin within a second leaves jumps where a camera was knocked, and a bend where a wall gave way."""
+    config = configured(candidates=[hidden.name(), "mount_tilt", "failure"])
+    found = run(config, body.robot, made(body, (hidden,), sessions=3), body, tracker=NullTracker())
+    assert [effect["name"] for effect in found.effects] == [hidden.name()] and found.verdict == "named", found.sentences
+    told = found.effects[0]["parameters"]
+    assert within[0] <= told["over_s"]["value"] <= within[1]
+    assert abs(told["since_s"]["value"] - hidden.since_s) < 0.3 + 0.1 * hidden.over_s
 
 
 def test_behind_a_calibration_map_physics_is_named_first(body: PccSimulator) -> None:
