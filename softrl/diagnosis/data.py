@@ -12,6 +12,7 @@ from softrl.diagnosis.gaps import mend_all, rows
 from softrl.diagnosis.problem import MIN_FOLDS
 from softrl.diagnosis.quality import torn, unusable
 from softrl.diagnosis.spikes import without_spikes
+from softrl.recordings.acting import is_known
 from softrl.recordings.check import DataCheck, check, driven
 from softrl.recordings.gone import in_order
 from softrl.recordings.marked import DISTURBED, OUTSIDE, named, without
@@ -46,6 +47,7 @@ class Data:
     pressure_noise : the same of the measured pressure, Pa
     travel, pressure_travel : rms about the mean of what the training runs measured, m and Pa
     mended : what was done about wrong samples and pauses, a sentence each
+    punctual : whether the dataset says when a row's command acts, so that its log is late by nothing
     """
 
     check: DataCheck
@@ -60,6 +62,7 @@ class Data:
     travel: float
     pressure_travel: float
     mended: tuple[str, ...] = ()
+    punctual: bool = False
 
     @property
     def splits(self) -> dict[str, tuple[Recording, ...]]:
@@ -148,6 +151,7 @@ def prepare(
         travel,
         _travel([r for r in training if r.pressure_meas is not None], lambda run: np.asarray(run.pressure_meas)),
         (*_too_short(recordings), *copies, *spiked, *mended),
+        is_known(recordings),
     )
 
 

@@ -15,6 +15,7 @@ from softrl.proof.generator.plant import Body
 from softrl.proof.generator.program import Range, Session, outside, sessions
 from softrl.proof.generator.sensing import Noise, Sensed, sensed
 from softrl.proof.signal import StaticMap, Truth, calibrated, left_over, same, to_level
+from softrl.recordings.acting import ACTS, UNTIL
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.write import write
 from softrl.robots.robot import Robot
@@ -39,6 +40,7 @@ class Generator:
     position_noise_m, orientation_noise_rad, pressure_noise_pa : standard deviation of one component
     coloured_share, noise_memory_s : share of the noise's variance that is coloured, and its correlation time
     dropped_share, late_share : of the samples
+    says_when : whether the dataset says that commands act until their row's time, as they do
     """
 
     links: int
@@ -55,6 +57,7 @@ class Generator:
     noise_memory_s: float
     dropped_share: float
     late_share: float
+    says_when: bool
 
 
 @dataclass(frozen=True)
@@ -103,7 +106,7 @@ def make(case: Case, generator: Generator, robot: Robot, nominal: PccSimulator, 
     loud = [_ratio(nominal, replace(bare, hidden=(law,), amplitudes=(size,)), probes, mapped, own, floor)
             for law, size in zip(drawn, sizes, strict=True)]  # fmt: skip
     name = rng.bytes(8).hex()
-    record(truth, runs, last, noise, mapped, case.measured_pressure, generator.orientation, robot, folder, name, rng)
+    record(truth, runs, last, noise, mapped, case.measured_pressure, generator, robot, folder, name, rng)
     return {
         "case": case.number,
         "folder": name,
@@ -127,7 +130,7 @@ def record(
     noise: Noise,
     mapped: Any,
     measured_pressure: bool,
-    orientation: bool,
+    generator: Generator,
     robot: Robot,
     folder: Path,
     name: str,
@@ -135,14 +138,15 @@ def record(
 ) -> None:
     """Write the recordings, the session out of distribution, and the clean truth of all."""
     taken, clean = [], {}
+    notes = {ACTS: UNTIL} if generator.says_when else {}
     for number, session in enumerate([*runs, last]):
         seen = sensed(truth.table, session.time, truth.moved(session, number), robot.length_m, noise, rng)
         label = rng.bytes(6).hex()
         made = _recording(label, rng.bytes(6).hex(), session, seen, mapped, measured_pressure, number == len(runs))
-        taken.append(made if orientation else replace(made, quaternion=None))
+        taken.append(made if generator.orientation else replace(made, quaternion=None))
         clean[label] = seen.clean
     for part, chosen in ((RECORDINGS, taken[:-1]), (OUTSIDE, taken[-1:])):
-        write(folder / part / name, RecordingSet(robot_name=robot.name, recordings=tuple(chosen)))
+        write(folder / part / name, RecordingSet(robot.name, tuple(chosen), notes))
     (folder / TRUTH).mkdir(parents=True, exist_ok=True)
     np.savez_compressed(folder / TRUTH / f"{name}.npz", allow_pickle=False, **clean)
 

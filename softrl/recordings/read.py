@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from softrl.core.errors import RecordingError
+from softrl.recordings.acting import until_rows
 from softrl.recordings.load import load_runs
 from softrl.recordings.marked import DISTURBED, OUTSIDE, named
 from softrl.recordings.recording import RecordingSet
@@ -22,7 +23,8 @@ def read(folder: Path | str, robot: Robot | None) -> RecordingSet:
     -------
     RecordingSet
         In SI units and in the robot's base frame. A dataset without ``sessions`` has one session a run. Times that count
-        from an epoch, such as Unix time, are counted from their session's first sample.
+        from an epoch, such as Unix time, are counted from their session's first sample. Commands act until their row's time;
+        those of a dataset whose ``command_acts`` is ``from_row`` stand a row later for that.
 
     Raises
     ------
@@ -45,4 +47,7 @@ def read(folder: Path | str, robot: Robot | None) -> RecordingSet:
                 f"{Path(folder) / DATASET}: {note} names '{name}', which is no run and no session; found "
                 f"{', '.join(sorted(known))}"
             )
-    return recordings
+    try:
+        return until_rows(recordings)
+    except RecordingError as error:
+        raise RecordingError(f"{Path(folder) / DATASET}: {error}") from error

@@ -15,6 +15,7 @@ from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
 from softrl.effects.chain import EffectChain, Plant
 from softrl.effects.replay import replay
+from softrl.recordings.acting import ACTS, UNTIL
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.store import DATASET
 from softrl.recordings.write import write
@@ -102,7 +103,7 @@ def run(
         simulated.append(add_noise(clean, config, np.random.default_rng(stream)))
     seconds = time.perf_counter() - started
     # the effects stay out of the notes: whoever diagnoses the data shall not read the answer beside them
-    notes = {SIMULATED: type(simulator).__name__, "seed": config.seed}
+    notes = {SIMULATED: type(simulator).__name__, "seed": config.seed, ACTS: UNTIL}
     result = RecordingSet(robot_name=robot.name, recordings=tuple(simulated), notes=notes)
     _report(recordings, result, seconds, tracker)
     if config.out is not None:
