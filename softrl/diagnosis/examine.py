@@ -16,6 +16,7 @@ from softrl.diagnosis.leftover import Offer, explained_by, heldout_residual, off
 from softrl.diagnosis.moves import implausible
 from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem, Residual
+from softrl.diagnosis.rivalry import as_good, asked_again, overtakes
 from softrl.diagnosis.slim import slim
 from softrl.diagnosis.trial import Search, Trial, columns_of, drop, fit_trials, from_nominal, join, raced
 from softrl.effects.library import effect_class
@@ -161,8 +162,9 @@ def _switched(finding: Finding, judge: Judge, better: Rival, why: str, search: S
         f"{better.choice.label()} takes the place of {better.instead_of.label()}, which the training runs preferred: {why}."
     )
     log.info("%s", told)
-    final = _put_in(finding.path, finding.final, better)
-    found = _judged(finding.part, judge, finding.path, finding.base, final, search)
+    part, path = finding.part, finding.path
+    final = _put_in(part, judge, path, finding.final, better, search)
+    found = _judged(part, judge, path, finding.base, final, search)
     return replace(found, switched=(*finding.switched, told))
 
 
@@ -190,12 +192,16 @@ def _judged(part: Part, judge: Judge, path: Path, base: Trial, final: Trial, sea
     )  # fmt: skip
 
 
-def _put_in(path: Path, final: Trial, better: Rival) -> Trial:
-    """Return ``final`` with a rival in the place of one of its effects, which is the rival's rival from now on."""
+def _put_in(part: Part, judge: Judge, path: Path, final: Trial, better: Rival, search: Search) -> Trial:
+    """Return ``final`` with a rival in the place of one of its effects, which is the rival's rival from now on.
+
+    The other effects are put to the test again beside it.
+    """
     mine = final.fit.point[columns_of(final, better.instead_of)]
     others = [pair for pair in path.tried[better.instead_of] if pair[0] != better.choice]
     path.tried[better.choice] = [(better.instead_of, mine), *others]
-    return better.trial
+    inside = part.judge(part.problem.runs, judge.thresholds, judge.seed)
+    return asked_again(part.problem, inside, judge, better.trial, part.choices, search, path)
 
 
 def stand_in(judge: Judge, without: Trial, rivals: Sequence[Rival]) -> Rival | None:
@@ -223,30 +229,6 @@ def _extended(rival: Rival) -> bool:
     """Return whether the effect whose place ``rival`` would take extends its law, where it acts."""
     named, other = rival.instead_of, rival.choice
     return effect_class(named.name).extends == other.name and named.chamber == other.chamber
-
-
-def as_good(judge: Judge, both: Judge, rival: Trial, final: Trial) -> bool:
-    """Return whether ``rival`` does as well as ``final``: it may be better held out, or all runs left out cannot tell.
-
-    A rival that may be better, and is worse by what nobody would notice, is as good: where a body is not quite the robot's, all
-    runs together tell apart what no run to come does.
-    """
-    unnoticed = judge.removed(rival.squares, final.squares) < judge.material
-    if unnoticed and judge.gap(rival.squares, final.squares).low <= 0.0:
-        return True
-    return not both.tells(rival.everywhere, final.everywhere)
-
-
-def overtakes(judge: Judge, both: Judge, rival: Trial, final: Trial) -> bool:
-    """Return whether ``rival`` is better than ``final`` for sure on held-out runs, and on all runs left out of fits.
-
-    The few held-out runs alone are easily in favour of either of two that are nearly alike. A map without physics bends to
-    anything, and so does a law with more numbers: what they remove beyond the other has to be as large as what counts.
-    """
-    if judge.gap(final.squares, rival.squares).low <= 0.0 or both.gap(final.everywhere, rival.everywhere).low <= 0.0:
-        return False
-    freer = len(rival.fit.point) > len(final.fit.point) or effect_class(rival.hypothesis.effects[-1].name).together
-    return not freer or judge.stands_out(final.squares, rival.squares)
 
 
 def in_full(final: Trial, choice: Choice) -> tuple[Hypothesis, list[np.ndarray]]:
@@ -286,7 +268,7 @@ def _confirm(
         gone.append(weakest)
         rivals = _rivals(part, judge, path, final, without[weakest], weakest, search) if len(gaps) > 1 else []
         instead = stand_in(judge, without[weakest], [rival for rival in rivals if rival.choice not in gone])
-        final = _put_in(path, final, instead) if instead else without[weakest]
+        final = _put_in(part, judge, path, final, instead, search) if instead else without[weakest]
     return base, [], {}
 
 

@@ -93,9 +93,15 @@ def _grow(
 def _settled(
     fitting: Problem, judge: Judge, added: Trial, choices: Sequence[Choice], search: Search, path: Path
 ) -> Trial:
-    """Return ``added`` slimmed, its effects put to the test, those dropped that no longer pay, and slimmed to what is left."""
+    """Return ``added`` slimmed, its effects put to the test, those dropped that no longer pay, and slimmed to what is left.
+
+    Without what was dropped the others may be others: they are put to the test again.
+    """
     added = swap(fitting, judge, slim(fitting, judge, added, search, path), choices, search, path)
-    return slim(fitting, judge, prune(fitting, judge, added, search, path), search, path)
+    fewer = prune(fitting, judge, added, search, path)
+    if fewer is not added:
+        fewer = swap(fitting, judge, fewer, choices, search, path)
+    return slim(fitting, judge, fewer, search, path)
 
 
 def _narrow(

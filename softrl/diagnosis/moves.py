@@ -6,7 +6,7 @@ from collections.abc import Collection, Hashable, Sequence
 import numpy as np
 
 from softrl.diagnosis.choices import may_be_gated
-from softrl.diagnosis.hypothesis import Choice, Gate, Hypothesis, effect_axes, starts
+from softrl.diagnosis.hypothesis import Choice, Gate, Hypothesis, effect_axes, has_chamber, starts
 from softrl.diagnosis.judge import SHOWN, SHOWN_BESIDE, Judge
 from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem
@@ -141,13 +141,16 @@ def swap(fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice]
 def where_it_acts(trial: Trial, old: Choice, choices: Sequence[Choice]) -> list[Choice]:
     """Return the ``choices`` that may act where ``old``, an effect of ``trial``, acts: above its pressure or from its time on.
 
-    What acts everywhere is no rival of what acts there alone, however like it its law may be.
+    What acts everywhere is no rival of what acts there alone, however like it its law may be; nor is what acts in all chambers
+    of what acts in one. A load or a camera that knows no chambers is one of whatever begins at a time.
     """
     if old.gate is None:
         return []
     begin = effect_axes(old)[-1].physical(float(trial.fit.point[columns_of(trial, old)[-1]]))
     gate = Gate(old.gate.field, begin)
-    others = [c for c in choices if c.name != old.name and c.chamber == old.chamber and not c.sessions]
+    at_a_time = gate.field == "since_s"
+    others = [c for c in choices if c.name != old.name and not c.sessions
+              and (c.chamber == old.chamber or (at_a_time and not has_chamber(c.name)))]  # fmt: skip
     return [old, *(c._replace(gate=gate, lasting=old.lasting or c.lasting) for c in others if gate.field in may_be_gated(c))]
 
 

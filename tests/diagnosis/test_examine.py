@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softrl.diagnosis.examine import Rival, _better, as_good, in_full, overtakes, plainer, stand_in
+from softrl.diagnosis.examine import Rival, _better, in_full, plainer, stand_in
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, starts
 from softrl.diagnosis.judge import Gap, Judge
 from softrl.diagnosis.problem import Problem
+from softrl.diagnosis.rivalry import as_good, overtakes
 from softrl.pcc.simulator import PccSimulator
 from tests.diagnosis.conftest import configured, made
 
