@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from softrl.effects.gate import WIDTHS
 from softrl.effects.library import effect_class
 from softrl.robots.robot import Robot
 
@@ -12,6 +13,7 @@ WORDS = {
     "load": "in the load on the tip",
     "sensor": "in the sensor",
 }
+SUDDEN_S = 0.1  # what begins within this time is told to begin at once
 SHARES = {"pressure": ("pressure_max_pa", 1e-3, "kPa"), "length": ("length_m", 1e3, "mm"), "mass": ("mass_kg", 1e3, "g")}
 
 
@@ -19,10 +21,17 @@ def effect_sentence(effect: dict[str, Any], robot: Robot) -> str:
     """Return what a named ``effect`` is: name, place, the parameters worth a word with their intervals, and its evidence."""
     values = ", ".join(
         f"{name} {p['value']:.3g} ({p['low']:.3g} to {p['high']:.3g}){'' if p['unit'] == '1' else ' ' + p['unit']}"
-        f"{_of_the_robot(effect['name'], name, p['value'], robot)}{', at the end of its range' if p['at_bound'] else ''}"
+        f"{_of_the_robot(effect['name'], name, p['value'], robot)}{_at_an_end(name, p)}"
         for name, p in _telling(effect).items()
     )
     return f"{effect['name']} {WORDS[effect['site']]}, {effect['where']}: {values}. {effect['evidence']}."
+
+
+def _at_an_end(name: str, p: dict[str, Any]) -> str:
+    """Return that a parameter is at an end of its range; what begins within the shortest time begins at once."""
+    if not p["at_bound"]:
+        return ""
+    return ", at once" if name in WIDTHS.values() and p["value"] < SUDDEN_S else ", at the end of its range"
 
 
 def _of_the_robot(effect: str, name: str, value: float, robot: Robot) -> str:

@@ -65,6 +65,13 @@ def test_shares_are_told_in_units_of_the_robot(name: str, parameter: str, unit: 
     assert f"{parameter} 0.03 (0.02 to 0.04)" in effect_sentence(effect, robot) and told in effect_sentence(effect, robot)
 
 
+def test_what_begins_within_the_shortest_time_begins_at_once() -> None:
+    entry = {"value": 0.05, "low": 0.05, "high": 0.2, "unit": "s", "at_bound": True}
+    effect = {"name": "frame", "site": "sensor", "where": "pose sensor", "parameters": {"over_s": entry}, "evidence": "so"}
+    robot: Any = SimpleNamespace(pressure_max_pa=35e3, length_m=0.2, mass_kg=0.1)
+    assert "over_s 0.05 (0.05 to 0.2) s, at once" in effect_sentence(effect, robot)
+
+
 def test_alternatives_are_told_as_they_were_fitted_so_that_a_program_can_be_planned(body: PccSimulator) -> None:
     named = Choice("gain", 1)
     gated = Choice("knee", 1, ("slope",), Gate("since_s", 5.0), before_gauge=True)

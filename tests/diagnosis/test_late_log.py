@@ -20,6 +20,7 @@ from softrl.effects.payload import Payload
 from softrl.effects.replay import replay
 from softrl.pcc.simulator import PccSimulator
 from softrl.proof.judging import built
+from softrl.recordings.acting import ACTS, UNTIL
 from softrl.recordings.recording import Recording
 from tests.diagnosis.conftest import configured, made
 
@@ -102,6 +103,18 @@ def test_a_dead_time_before_a_slow_log_is_known_to_within_a_row(body: PccSimulat
     assert any("up to 50 ms of it, the interval between rows, may be how rows are written" in s for s in found.sentences)
     known = found.effects[0]["parameters"]["delay_s"]
     assert 0.04 <= known["low"] <= 0.1 <= known["high"] <= 0.18, known
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_delay_within_a_row_is_told_where_it_is_known_when_commands_act(body: PccSimulator, known: bool) -> None:
+    recordings = made(body, (Delay(delay_s=0.03),), sessions=3, period_s=0.05)
+    said = replace(recordings, notes={ACTS: UNTIL} if known else {})
+    found = run(configured(candidates=["delay", "gain", "lag"]), body.robot, said, body, tracker=NullTracker())
+    assert [effect["name"] for effect in found.effects] == ["delay"] * known, found.sentences
+    assert found.late_s.get("corrected", 0.0) == (0.0 if known else pytest.approx(0.03, abs=0.005))
+    if known:
+        told = found.effects[0]["parameters"]["delay_s"]
+        assert 0.02 < told["low"] <= 0.03 <= told["high"] < 0.04, told
 
 
 def test_a_delay_longer_than_an_interval_is_named_whole(body: PccSimulator) -> None:

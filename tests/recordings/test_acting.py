@@ -1,0 +1,41 @@
+"""When a row's command acts, as a dataset says it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softrl.core.errors import RecordingError
+from softrl.recordings.acting import ACTS, FROM, UNTIL, is_known
+from softrl.recordings.read import read
+from softrl.recordings.recording import Recording, RecordingSet
+from softrl.recordings.write import write
+
+
+def written(folder: Path, notes: dict[str, str]) -> Path:
+    time = 0.1 * np.arange(4)
+    pressure = np.outer([1e3, 2e3, 3e3, 4e3], [1.0, 2.0, 3.0])
+    run = Recording("steps", "monday", time, pressure, position=np.tile([0.0, 0.0, 0.1], (4, 1)))
+    write(folder, RecordingSet("robot", (run,), notes))
+    return folder
+
+
+def test_commands_that_act_from_their_row_on_stand_a_row_later(tmp_path: Path) -> None:
+    found = read(written(tmp_path, {ACTS: FROM}), None)
+    np.testing.assert_allclose(found.recordings[0].pressure_cmd[:, 0], [1e3, 1e3, 2e3, 3e3])
+    assert found.notes[ACTS] == UNTIL and is_known(found), "told once, and shifted once"
+    write(tmp_path / "again", found)
+    again = read(tmp_path / "again", None)
+    np.testing.assert_allclose(again.recordings[0].pressure_cmd, found.recordings[0].pressure_cmd)
+
+
+@pytest.mark.parametrize(("notes", "known"), [({ACTS: UNTIL}, True), ({}, False)])
+def test_else_commands_stay_where_they_are(tmp_path: Path, notes: dict[str, str], known: bool) -> None:
+    found = read(written(tmp_path, notes), None)
+    np.testing.assert_allclose(found.recordings[0].pressure_cmd[:, 0], [1e3, 2e3, 3e3, 4e3])
+    assert is_known(found) == known
+
+
+def test_anything_else_is_refused_with_what_is_expected(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"dataset.yaml: command_acts is 'late'; expected until_row or from_row"):
+        read(written(tmp_path, {ACTS: "late"}), None)
