@@ -69,7 +69,9 @@ def _contained(trial: Trial, choice: Choice) -> list[tuple[Hypothesis, np.ndarra
 
 def without_gate(choice: Choice) -> Choice:
     """Return ``choice`` as it acts always and everywhere; a clock that counted for the gate goes with it."""
-    return choice._replace(gate=None, lasting="" if choice.gate and choice.gate.field == "since_s" else choice.lasting)
+    at_a_time = choice.gate is not None and choice.gate.field == "since_s"
+    own = tuple(name for name in choice.pinned if name not in WIDTHS.values())
+    return choice._replace(gate=None, pinned=own, lasting="" if at_a_time else choice.lasting)
 
 
 def _influence(fitting: Problem, trial: Trial) -> np.ndarray:

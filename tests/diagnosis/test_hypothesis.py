@@ -11,7 +11,7 @@ from softrl.diagnosis.choices import candidates, gated
 from softrl.diagnosis.hypothesis import Choice, Gate, Hypothesis, build_effect, effect_axes, neutral, starts
 from softrl.diagnosis.moves import where_it_acts
 from softrl.diagnosis.search import Fit
-from softrl.diagnosis.slim import pinned
+from softrl.diagnosis.slim import pinned, without_gate
 from softrl.diagnosis.stage import run
 from softrl.diagnosis.trial import Trial
 from softrl.effects.frame import Frame
@@ -46,6 +46,7 @@ def test_a_gate_without_influence_is_dropped() -> None:
     assert less.effects[place] == Choice("leak")
     np.testing.assert_array_equal(rest, point[:-2])
     assert len(rest) == len(effect_axes(less.effects[place]))
+    assert without_gate(form._replace(pinned=("exponent", "over_s"))) == Choice("leak", pinned=("exponent",))
 
 
 def test_in_the_place_of_what_acts_somewhere_alone_others_are_asked_there() -> None:
