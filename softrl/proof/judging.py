@@ -128,15 +128,15 @@ def without_relation(
     The residual keeps its size and colour and loses all relation to the commands: there is nothing to be found. Without measured
     pressures a log may be late by one interval, beside them by one against each; what is later than that would be physics.
     """
-    recorded, rng, taken = read(source, robot).recordings, np.random.default_rng(seed), []
-    interval_s = float(np.median([np.median(np.diff(run.time)) for run in recorded]))
+    recorded, rng, taken = read(source, robot), np.random.default_rng(seed), []
+    interval_s = float(np.median([np.median(np.diff(run.time)) for run in recorded.recordings]))
     plant = built(late(min(given["retuned_late_s"], interval_s)), given["retuned"], robot, nominal)
-    for run in recorded:
+    for run in recorded.recordings:
         predicted = seen(replay(plant, run, dt_s))
         left = seen(run) - predicted
         mixed = predicted + redrawn(left, rng)
         taken.append(replace(run, position=mixed, quaternion=None, pressure_meas=None))
-    return RecordingSet(robot_name=robot.name, recordings=tuple(taken))
+    return replace(recorded, recordings=tuple(taken))
 
 
 def seen(run: Recording) -> np.ndarray:
