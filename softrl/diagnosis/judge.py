@@ -8,13 +8,17 @@ import numpy as np
 
 from softrl.core.errors import ConfigError
 from softrl.diagnosis.blocks import MIN_BLOCKS, blocks_of, bootstrap_means, correlation_time
+from softrl.diagnosis.hypothesis import Choice, effect_axes
 from softrl.diagnosis.problem import Problem
+from softrl.diagnosis.trial import columns_of
+from softrl.effects.gate import WIDTHS
 from softrl.effects.library import effect_class
 from softrl.recordings.recording import Recording
 
 SHOWN = 1.25  # times what counts: the first effect removes this much, in squares; less may be a detail of the body
 SHOWN_BESIDE = 3.0  # the same where a retuned parameter stays at the end of its range: the body has another form
 ROUNDED = 1e-3  # of the mean square: equal laws that were fitted apart differ by as much
+ABRUPT_S = 0.5  # what takes longer to come about is not sudden
 OVERLOOKED = 0.02  # of the noise's mean square: a difference that no data tell
 
 
@@ -148,8 +152,9 @@ class Judge:
     def simplest(self, trials: Sequence[Any]) -> Any:
         """Return the best trial, or a simpler one from which the data cannot tell it.
 
-        One with fewer free parameters is simpler, and a law than one that extends it; then what may come about suddenly, where
-        something begins at a moment. A map of many parameters, which has no physics, must pay against the best of the others.
+        What did come about suddenly is first of all what may. Then one with fewer free parameters is simpler, and a law than one
+        that extends it; then what may come about suddenly, where something begins at a time. A map of many parameters, which has
+        no physics, must pay against the best of the others.
         """
         best = min(trials, key=lambda trial: trial.mean_square)
         physics = [trial for trial in trials if not _by_map(trial)]
@@ -175,17 +180,29 @@ def _by_map(trial: Any) -> bool:
     return effect_class(trial.hypothesis.effects[-1].name).together
 
 
-def _plainness(trial: Any) -> tuple[int, int, int, int]:
-    return len(trial.fit.point), _extended(trial), _strange(trial), _picked(trial)
+def _plainness(trial: Any) -> tuple[int, int, int, int, int]:
+    strange = _strange(trial)
+    abrupt = sum(_takes_s(trial, choice) < ABRUPT_S for choice in strange)
+    return abrupt, len(trial.fit.point), _extended(trial), len(strange), _picked(trial)
 
 
 def _extended(trial: Any) -> int:
     return sum(bool(effect_class(choice.name).extends) for choice in trial.hypothesis.effects)
 
 
-def _strange(trial: Any) -> int:
-    begun = [choice.name for choice in trial.hypothesis.effects if choice.gate and choice.gate.field == "since_s"]
-    return sum(not effect_class(name).sudden for name in begun)
+def _strange(trial: Any) -> list[Choice]:
+    """Return the effects that begin at a time and are none that begin suddenly."""
+    begun = [choice for choice in trial.hypothesis.effects if choice.gate and choice.gate.field == "since_s"]
+    return [choice for choice in begun if not effect_class(choice.name).sudden]
+
+
+def _takes_s(trial: Any, choice: Choice) -> float:
+    """Return how long it takes an effect of ``trial`` that begins at a time until it acts in full, s."""
+    axes = {axis.name: (axis, k) for axis, k in zip(effect_axes(choice), columns_of(trial, choice), strict=True)}
+    if WIDTHS["since_s"] not in axes:
+        return np.inf
+    axis, column = axes[WIDTHS["since_s"]]
+    return axis.physical(float(trial.fit.point[column]))
 
 
 def _picked(trial: Any) -> int:

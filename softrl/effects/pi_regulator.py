@@ -55,6 +55,7 @@ class PiRegulator(Effect):
     title: ClassVar[str] = "regulator with an integral part, which overshoots"
     kernel: ClassVar = pi_regulator_kernel
     piped: ClassVar[bool] = True
+    extends: ClassVar[str] = "rate_limit"
     contains: ClassVar[str] = "lag"
     essence: ClassVar[tuple[str, ...]] = ("integral_s",)
 

@@ -48,6 +48,10 @@ def test_of_equals_the_better_takes_over_only_if_it_is_not_rounding(judge: Judge
     moment = Gate("since_s", 5.0)
     tilted, turned = (fitted(Choice(name, gate=moment), 1.0, 3) for name in ("mount_tilt", "frame"))
     assert takes_over(turned, tilted) and not takes_over(tilted, turned)
+    tilted, turned = (fitted(Choice(name, gate=moment), 1.0, free) for name, free in (("mount_tilt", 4), ("frame", 8)))
+    assert takes_over(tilted, turned) and not takes_over(turned, tilted), "within a second a mount may lean over"
+    tilted.fit.point[2], turned.fit.point[6] = -2.5, -2.5
+    assert takes_over(turned, tilted) and not takes_over(tilted, turned), "what moves at once is a camera, for all its numbers"
     two = Choice("frame", pinned=("shift_x", "shift_y", "shift_z", "turn_z_rad"))
     tilt, turn = fitted(Choice("mount_tilt"), 1.0, 2), fitted(two, 0.99, 2)
     assert takes_over(tilt, turn) and not takes_over(turn, tilt), "two numbers picked from six are not as plain as two"
