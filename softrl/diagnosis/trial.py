@@ -214,12 +214,14 @@ def raced(
     """Return the fitted hypotheses; those that are beaten after a few iterations are not fitted to the end.
 
     They compete with each other and with ``against``, a fitted trial. Whatever is compared was simulated with the same steps:
-    long ones leave errors of their own. If ``patient``, those that have settled compete with each other only: the last
-    shorter steps take a law with jumps farther than a smooth one.
+    long ones leave errors of their own, which differ by law, so that a valve, which costs little, has short ones from the
+    beginning. If ``patient``, those that have settled compete with each other only: the last shorter steps take a law with jumps
+    farther than a smooth one.
     """
     first = replace(search, iterations=FIRST_ITERATIONS)
-    rival = _with_long_steps(fitting, against) if against and tasks else np.inf
-    heat = fit_trials(fitting.rough, unseen, tasks, first, rival)
+    steps = fitting if fitting.target == "pressure" else fitting.rough
+    rival = _as_in(steps, against) if against and tasks else np.inf
+    heat = fit_trials(steps, unseen, tasks, first, rival)
     others = min((float(trial.inside.mean()) for trial in heat), default=np.inf)
     ahead = min(rival, others)
     settled = PLAINLY * (others if patient else ahead)
@@ -234,10 +236,10 @@ def raced(
     return Race(finished, [trial for trial in heat if trial.hypothesis not in done])
 
 
-def _with_long_steps(fitting: Problem, trial: Trial) -> float:
-    """Return the mean squared error on runs left out that ``trial`` has with the steps of rough fits."""
+def _as_in(steps: Problem, trial: Trial) -> float:
+    """Return the mean squared error on runs left out that ``trial`` has with the steps of the problem ``steps``."""
     try:
-        rough = fitting.rough.residual(trial.hypothesis, trial.fit.point).flat
+        rough = steps.residual(trial.hypothesis, trial.fit.point).flat
     except SolverError:
         return np.inf
     return float(trial.inside.mean()) * float(rough @ rough) / max(2.0 * trial.fit.cost, 1e-300)
