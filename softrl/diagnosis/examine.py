@@ -11,7 +11,7 @@ from softrl.diagnosis.dated import Dating, told_of_dates
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes, neutral
 from softrl.diagnosis.hypothesise import forward
 from softrl.diagnosis.intervals import Interval, by_effect, intervals
-from softrl.diagnosis.judge import SHOWN_BESIDE, Gap, Judge, Thresholds
+from softrl.diagnosis.judge import SHOWN_BESIDE, Gap, Judge, Thresholds, too_sudden
 from softrl.diagnosis.leftover import Offer, explained_by, heldout_residual, offer_of, reasons_of, varies
 from softrl.diagnosis.moves import implausible
 from softrl.diagnosis.path import Path
@@ -132,7 +132,8 @@ def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Fi
     """Return what is missing in one part, searched on training runs and judged on held-out runs.
 
     A rival that predicts the held-out runs better for sure, and all runs that its fits did not see, takes the place of the
-    effect that the training runs alone preferred; so does a law that it extends by less than counts.
+    effect that the training runs alone preferred; so does a law that it extends by less than counts, and what may begin suddenly
+    where that began so and does not.
     """
     inside = part.judge(part.problem.runs, thresholds, seed)
     path = forward(part.problem, inside, part.problem.tuned, part.choices, search, lambda line: log.info("%s", line))
@@ -153,6 +154,9 @@ def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Fi
     plain = plainer(judge, finding.rivals, finding.final)
     if plain is not None:
         finding = _switched(finding, judge, plain, "what that adds to its law is less than anybody would notice", search)
+    sudden = suddenly(finding.rivals, finding.final)
+    if sudden is not None:
+        finding = _switched(finding, judge, sudden, "it does as well, and came about sooner than that may", search)
     return finding
 
 
@@ -223,6 +227,16 @@ def plainer(judge: Judge, rivals: Sequence[Rival], final: Trial) -> Rival | None
     most = len(final.fit.point)
     plain = [rival for rival in rivals if _extended(rival) and len(rival.trial.fit.point) <= most]
     return next((r for r in plain if judge.removed(r.trial.squares, final.squares) < judge.material), None)
+
+
+def suddenly(rivals: Sequence[Rival], final: Trial) -> Rival | None:
+    """Return the best of ``rivals`` that do as well as an effect of ``final`` which began suddenly and is none that does.
+
+    A mount does not lean over in a moment; a camera is knocked.
+    """
+    strange = too_sudden(final)
+    ready = [r for r in rivals if r.instead_of in strange and r.equivalent and not too_sudden(r.trial)]
+    return min(ready, key=lambda rival: rival.gap.value, default=None)
 
 
 def _extended(rival: Rival) -> bool:

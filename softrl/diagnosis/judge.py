@@ -182,8 +182,7 @@ def _by_map(trial: Any) -> bool:
 
 def _plainness(trial: Any) -> tuple[int, int, int, int, int]:
     strange = _strange(trial)
-    abrupt = sum(_takes_s(trial, choice) < ABRUPT_S for choice in strange)
-    return abrupt, len(trial.fit.point), _extended(trial), len(strange), _picked(trial)
+    return len(too_sudden(trial)), len(trial.fit.point), _extended(trial), len(strange), _picked(trial)
 
 
 def _extended(trial: Any) -> int:
@@ -194,6 +193,11 @@ def _strange(trial: Any) -> list[Choice]:
     """Return the effects that begin at a time and are none that begin suddenly."""
     begun = [choice for choice in trial.hypothesis.effects if choice.gate and choice.gate.field == "since_s"]
     return [choice for choice in begun if not effect_class(choice.name).sudden]
+
+
+def too_sudden(trial: Any) -> list[Choice]:
+    """Return the effects of ``trial`` that begin suddenly, and are none that do."""
+    return [choice for choice in _strange(trial) if _takes_s(trial, choice) < ABRUPT_S]
 
 
 def _takes_s(trial: Any, choice: Choice) -> float:

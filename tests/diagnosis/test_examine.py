@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softrl.diagnosis.examine import Rival, _better, in_full, plainer, stand_in
-from softrl.diagnosis.hypothesis import Choice, Hypothesis, starts
+from softrl.diagnosis.examine import Rival, _better, in_full, plainer, stand_in, suddenly
+from softrl.diagnosis.hypothesis import Choice, Gate, Hypothesis, effect_axes, starts
 from softrl.diagnosis.judge import Gap, Judge
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.rivalry import as_good, overtakes
@@ -120,6 +120,21 @@ def test_the_law_that_is_extended_in_vain_takes_the_place(
     final, other = trial(judges, named, 5.0, 5.0), trial(judges, name, heldout, heldout)
     rival = Rival(Choice(named), Choice(name), Gap(0.0, -0.1, 0.1), True, other, False)
     assert (plainer(judges[0], [rival], final) is rival) == taken
+
+
+@pytest.mark.parametrize(("over_s", "alike", "taken"), [(0.06, True, True), (0.06, False, False), (3.0, True, False)])
+def test_a_camera_takes_the_place_of_a_mount_that_leant_over_at_once(over_s: float, alike: bool, taken: bool) -> None:
+    def begun(name: str) -> Any:
+        choice = Choice(name, gate=Gate("since_s", 5.0))
+        point = starts(choice)[0]
+        point[-2] = effect_axes(choice)[-2].scaled(over_s)
+        return SimpleNamespace(hypothesis=Hypothesis((choice,), ()), fit=SimpleNamespace(point=point))
+
+    mount, camera, base = (begun(name) for name in ("mount_tilt", "frame", "base_tilt"))
+    named, gap = mount.hypothesis.effects[0], Gap(0.0, -0.1, 0.1)
+    rivals = [Rival(named, t.hypothesis.effects[0], gap, alike, t, False) for t in (base, camera)]
+    assert (suddenly(rivals, mount) is rivals[1]) == taken
+    assert suddenly(rivals, camera) is None
 
 
 def test_in_full_an_effect_does_what_it_did_before() -> None:
