@@ -7,7 +7,7 @@ import numpy as np
 
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, starts
 from softrl.diagnosis.judge import Judge
-from softrl.diagnosis.moves import implausible, not_taken, others_of, pays
+from softrl.diagnosis.moves import implausible, not_taken, others_of, pays, prune
 from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.slim import slim
@@ -68,8 +68,12 @@ def _taken(
     path: Path,
     tried: Sequence[tuple[Choice, np.ndarray]] = (),
 ) -> Trial:
-    """Return the simplest of ``trials`` with those numbers of its newest effect that pay; its rivals are ``every`` trial's."""
+    """Return the simplest of ``trials``, without what no longer pays beside its newest effect or of its numbers.
+
+    That effect's rivals are ``every`` trial's.
+    """
     trial = judge.simplest(trials)
     log.info("%s is best where each was fitted from nominal parameters", trial.hypothesis.label())
     path.tried[trial.hypothesis.effects[-1]] = [*tried, *others_of(every, trial)]
-    return slim(fitting, judge, trial, search, path, len(trial.hypothesis.effects) - 1)
+    trial = slim(fitting, judge, trial, search, path, len(trial.hypothesis.effects) - 1)
+    return prune(fitting, judge, trial, search, path)
