@@ -181,8 +181,7 @@ def _by_map(trial: Any) -> bool:
 
 
 def _plainness(trial: Any) -> tuple[int, int, int, int, int]:
-    strange = _strange(trial)
-    return len(too_sudden(trial)), len(trial.fit.point), _extended(trial), len(strange), _picked(trial)
+    return len(too_sudden(trial)), len(trial.fit.point), _extended(trial), len(_strange(trial)), _picked(trial)
 
 
 def _extended(trial: Any) -> int:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from softrl.diagnosis.examine import Finding
+from softrl.recordings.acting import ACTS
 
 LATE_SHARE = 0.2  # of the interval between samples: a log that is less late goes without saying
 
@@ -33,11 +34,17 @@ def _of_clock(finding: Finding) -> list[str]:
 def _of_shifts(finding: Finding) -> list[str]:
     interval_s = finding.part.problem.late_max_s
     shifts = [named.choice.label() for named in finding.named if named.choice.shifts_time]
+    if interval_s == 0.0:
+        row_s = float(np.median([np.median(np.diff(run.time)) for run in finding.part.problem.runs]))
+        return [
+            f"{label} rests on the dataset's {ACTS}: were that wrong, up to {1e3 * row_s:.2g} ms of it would be how rows are "
+            "written."
+            for label in shifts
+        ]
     return [
         f"{label} holds what the log is late by, too: up to {1e3 * interval_s:.2g} ms of it, the interval between rows, may be "
         "how rows are written."
         for label in shifts
-        if interval_s > 0.0
     ]
 
 

@@ -138,7 +138,7 @@ class Effect:
     begun_s : how long the clock, and that of ``since_s``, had gone on already at the first sample of a run, s
     behind_gauge : whether an effect of valves lies between where pressures are measured and the chambers: gauges do not show it
     above_share : share of the robot's largest pressure above which it acts; ``EVERYWHERE`` for all pressures
-    over_s : how long it takes from there until it acts in full, s: a camera is knocked in a moment, a leak tears open
+    over_s : how long it takes from ``since_s`` until it acts in full, s: a camera is knocked in a moment, a leak tears open
     since_s : time of each run from which it acts, s; 0 for always
     """
 

@@ -35,7 +35,7 @@ def until_rows(recordings: RecordingSet) -> RecordingSet:
 
 def is_known(recordings: RecordingSet) -> bool:
     """Return whether it is known when commands act: then a log is late by nothing."""
-    return ACTS in recordings.notes
+    return recordings.notes.get(ACTS) is not None
 
 
 def _a_row_later(run: Recording) -> Recording:

@@ -115,6 +115,7 @@ def test_a_delay_within_a_row_is_told_where_it_is_known_when_commands_act(body: 
     if known:
         told = found.effects[0]["parameters"]["delay_s"]
         assert 0.02 < told["low"] <= 0.03 <= told["high"] < 0.04, told
+        assert any("rests on the dataset's command_acts: were that wrong, up to 50 ms" in line for line in found.sentences)
 
 
 def test_a_delay_longer_than_an_interval_is_named_whole(body: PccSimulator) -> None:

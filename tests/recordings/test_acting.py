@@ -12,7 +12,7 @@ from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.write import write
 
 
-def written(folder: Path, notes: dict[str, str]) -> Path:
+def written(folder: Path, notes: dict[str, str | None]) -> Path:
     time = 0.1 * np.arange(4)
     pressure = np.outer([1e3, 2e3, 3e3, 4e3], [1.0, 2.0, 3.0])
     run = Recording("steps", "monday", time, pressure, position=np.tile([0.0, 0.0, 0.1], (4, 1)))
@@ -29,8 +29,8 @@ def test_commands_that_act_from_their_row_on_stand_a_row_later(tmp_path: Path) -
     np.testing.assert_allclose(again.recordings[0].pressure_cmd, found.recordings[0].pressure_cmd)
 
 
-@pytest.mark.parametrize(("notes", "known"), [({ACTS: UNTIL}, True), ({}, False)])
-def test_else_commands_stay_where_they_are(tmp_path: Path, notes: dict[str, str], known: bool) -> None:
+@pytest.mark.parametrize(("notes", "known"), [({ACTS: UNTIL}, True), ({}, False), ({ACTS: None}, False)])
+def test_else_commands_stay_where_they_are(tmp_path: Path, notes: dict[str, str | None], known: bool) -> None:
     found = read(written(tmp_path, notes), None)
     np.testing.assert_allclose(found.recordings[0].pressure_cmd[:, 0], [1e3, 2e3, 3e3, 4e3])
     assert is_known(found) == known
