@@ -14,6 +14,7 @@ from softrl.diagnosis.judge import Judge
 from softrl.diagnosis.leftover import heldout_residual
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.trial import Trial, columns_of
+from softrl.effects.gate import WIDTHS
 from softrl.recordings.gone import sessions_in_order
 from softrl.recordings.recording import Recording
 
@@ -84,7 +85,30 @@ class Dating:
             best = axis.physical(float(trial.fit.point[column]))
             moments = np.clip(np.linspace(best - step, best + step, FINE), low, high)
             step *= 2.0 / (FINE - 1)
-        return trial
+        return self._seen_beside(self._how_suddenly(trial, choice), low, high)
+
+    def _how_suddenly(self, trial: Trial, choice: Choice) -> Trial:
+        """Return the trial with the time that its gate takes to open as held-out runs favour it, about the same middle."""
+        columns = map(int, columns_of(trial, choice))
+        axes = {axis.name: (axis, column) for axis, column in zip(effect_axes(choice), columns, strict=True)}
+        if WIDTHS["since_s"] not in axes:
+            return trial
+        (since, at), (over, beside) = axes["since_s"], axes[WIDTHS["since_s"]]
+        begin, width = since.physical(float(trial.fit.point[at])), over.physical(float(trial.fit.point[beside]))
+        others = []
+        for other in np.geomspace(over.low, over.high, COARSE):
+            moved = _with(trial, at, since.scaled(begin + 0.5 * (width - float(other))))
+            others.append(_with(moved, beside, over.scaled(float(other))))
+        return self._best(trial, others)
+
+    def _seen_beside(self, trial: Trial, low: float, high: float) -> Trial:
+        """Return the trial with its own errors on the runs that end at ``low`` or begin at ``high``.
+
+        Fits that one of these is left out of know even less of when it began, which says nothing against the hypothesis.
+        """
+        beside = [k for k, run in enumerate(self.fitting.runs) if _span(run)[1] == low or _span(run)[0] == high]
+        seen = self.fitting.residual(trial.hypothesis, trial.fit.point, trial.placed).squares
+        return trial._replace(inside=np.where(np.isin(self.fitting.run_of_bin, beside), seen, trial.inside))
 
     def _from_a_moment(self, trial: Trial, choice: Choice) -> Trial | None:
         """Return the trial with what acts from a session on acting from some moment on; None if it does not, or cannot."""

@@ -11,12 +11,13 @@ from softrl.diagnosis.dated import Dating, told_of_dates
 from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes, neutral
 from softrl.diagnosis.hypothesise import forward
 from softrl.diagnosis.intervals import Interval, by_effect, intervals
-from softrl.diagnosis.judge import SHOWN_BESIDE, Gap, Judge, Thresholds, too_sudden
+from softrl.diagnosis.judge import SHOWN_BESIDE, Gap, Judge, Thresholds
 from softrl.diagnosis.leftover import Offer, explained_by, heldout_residual, offer_of, reasons_of, varies
 from softrl.diagnosis.moves import implausible
 from softrl.diagnosis.path import Path
 from softrl.diagnosis.problem import Problem, Residual
 from softrl.diagnosis.rivalry import as_good, asked_again, overtakes
+from softrl.diagnosis.rivals import Rival, better, of_another_chamber, plainer, simpler, stand_in, suddenly
 from softrl.diagnosis.slim import slim
 from softrl.diagnosis.trial import Search, Trial, columns_of, drop, fit_trials, from_nominal, join, raced
 from softrl.effects.library import effect_class
@@ -57,34 +58,6 @@ class Named(NamedTuple):
     choice: Choice
     intervals: list[Interval]
     gap: Gap
-
-
-class Rival(NamedTuple):
-    """An alternative to a named effect: how much worse it is held out, and whether the data can tell; its fit.
-
-    ``better`` says that it is better for sure, held out and on all runs that its fits did not see, see ``overtakes``.
-    """
-
-    instead_of: Choice
-    choice: Choice
-    gap: Gap
-    equivalent: bool
-    trial: Trial
-    better: bool
-
-    @property
-    def contests(self) -> bool:
-        """Whether it does as well and says something else: another effect, or the same one of another chamber.
-
-        A law that contains what is named cannot do worse, and says no more where it does no better.
-        """
-        if not self.equivalent or _of_another_chamber(self.choice, self.instead_of):
-            return self.equivalent
-        return self.instead_of.name not in (self.choice.name, effect_class(self.choice.name).contains)
-
-
-def _of_another_chamber(one: Choice, other: Choice) -> bool:
-    return one.name == other.name and min(one.chamber, other.chamber) >= 0 and one.chamber != other.chamber
 
 
 @dataclass(frozen=True)
@@ -146,11 +119,15 @@ def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Fi
     finding = _judged(part, judge, path, base, final, search)
     finding = replace(finding, switched=told_of_dates(before, final, [named.choice for named in finding.named]))
     for _ in range(SWITCHES):
-        better = _better(finding)
-        if better is None:
+        ahead = better(finding.rivals)
+        if ahead is None:
             break
         why = "it predicts the held-out runs better, whose error is then the best of several"
-        finding = _switched(finding, judge, better, why, search)
+        finding = _switched(finding, judge, ahead, why, search)
+    redated = set(final.hypothesis.effects) - set(before.hypothesis.effects)
+    fewer = simpler(judge, finding.rivals, finding.final, [*redated])
+    if fewer is not None:
+        finding = _switched(finding, judge, fewer, "it does as well, and needs fewer numbers to say when it began", search)
     plain = plainer(judge, finding.rivals, finding.final)
     if plain is not None:
         finding = _switched(finding, judge, plain, "what that adds to its law is less than anybody would notice", search)
@@ -206,43 +183,6 @@ def _put_in(part: Part, judge: Judge, path: Path, final: Trial, better: Rival, s
     path.tried[better.choice] = [(better.instead_of, mine), *others]
     inside = part.judge(part.problem.runs, judge.thresholds, judge.seed)
     return asked_again(part.problem, inside, judge, better.trial, part.choices, search, path)
-
-
-def stand_in(judge: Judge, without: Trial, rivals: Sequence[Rival]) -> Rival | None:
-    """Return the best of ``rivals`` that pay held out beside what ``without`` has, if any does."""
-    paying = [rival for rival in rivals if judge.pays(without.squares, rival.trial.squares)]
-    return min(paying, key=lambda rival: rival.gap.value, default=None)
-
-
-def _better(finding: Finding) -> Rival | None:
-    """Return the best of the rivals that are better for sure, held out."""
-    return min((r for r in finding.rivals if r.better), key=lambda rival: rival.gap.value, default=None)
-
-
-def plainer(judge: Judge, rivals: Sequence[Rival], final: Trial) -> Rival | None:
-    """Return the one of ``rivals`` whose law what is named extends by less than counts, if there is one.
-
-    A ceiling that yields by a hundredth is a ceiling; but a law that needs more numbers for it is no plainer.
-    """
-    most = len(final.fit.point)
-    plain = [rival for rival in rivals if _extended(rival) and len(rival.trial.fit.point) <= most]
-    return next((r for r in plain if judge.removed(r.trial.squares, final.squares) < judge.material), None)
-
-
-def suddenly(rivals: Sequence[Rival], final: Trial) -> Rival | None:
-    """Return the best of ``rivals`` that do as well as an effect of ``final`` which began suddenly and is none that does.
-
-    A mount does not lean over in a moment; a camera is knocked.
-    """
-    strange = too_sudden(final)
-    ready = [r for r in rivals if r.instead_of in strange and r.equivalent and not too_sudden(r.trial)]
-    return min(ready, key=lambda rival: rival.gap.value, default=None)
-
-
-def _extended(rival: Rival) -> bool:
-    """Return whether the effect whose place ``rival`` would take extends its law, where it acts."""
-    named, other = rival.instead_of, rival.choice
-    return effect_class(named.name).extends == other.name and named.chamber == other.chamber
 
 
 def in_full(final: Trial, choice: Choice) -> tuple[Hypothesis, list[np.ndarray]]:
@@ -303,7 +243,7 @@ def _rivals(
     """Return the best alternatives to ``choice``, the other effects staying, judged on held-out runs."""
     tried = path.tried.get(choice, [])
     others = [pair for pair in tried if pair[0].name not in final.hypothesis.names][: search.rivals]
-    others += [pair for pair in tried if _of_another_chamber(pair[0], choice)][:1]
+    others += [pair for pair in tried if of_another_chamber(pair[0], choice)][:1]
     tasks = [
         (without.hypothesis.with_effect(other), [start, *from_nominal(start, without.hypothesis)][: search.starts])
         for other, point in others

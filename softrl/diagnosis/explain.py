@@ -9,13 +9,14 @@ import numpy as np
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.diagnosis.along import BENDS
 from softrl.diagnosis.correct import Model
-from softrl.diagnosis.examine import Finding, Named, Part, Rival
+from softrl.diagnosis.examine import Finding, Named, Part
 from softrl.diagnosis.hypothesis import AT_END, GATES, LASTING, LATE, Choice, effect_axes, has_chamber, pinned_values
 from softrl.diagnosis.lateness import lateness
 from softrl.diagnosis.leftover import UNEVEN_FACTOR
 from softrl.diagnosis.locate import significant
 from softrl.diagnosis.parameters import effect_sentence
 from softrl.diagnosis.problem import Problem
+from softrl.diagnosis.rivals import Rival
 from softrl.diagnosis.separate import separating_program
 from softrl.diagnosis.trial import columns_of
 from softrl.diagnosis.verdict import AS_GOOD, alternatives, misleads

@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softrl.diagnosis.examine import Rival, _better, in_full, plainer, stand_in, suddenly
+from softrl.diagnosis.examine import in_full
 from softrl.diagnosis.hypothesis import Choice, Gate, Hypothesis, effect_axes, starts
 from softrl.diagnosis.judge import Gap, Judge
 from softrl.diagnosis.problem import Problem
 from softrl.diagnosis.rivalry import as_good, overtakes
+from softrl.diagnosis.rivals import Rival, better, plainer, simpler, stand_in, suddenly
 from softrl.pcc.simulator import PccSimulator
 from tests.diagnosis.conftest import configured, made
 
@@ -38,15 +39,13 @@ def trial(judges: tuple[Judge, Judge], name: str, inside: float, heldout: float)
 
 
 def test_the_best_of_those_that_are_better_takes_the_place() -> None:
-    def rival(name: str, value: float, better: bool) -> Rival:
+    def rival(name: str, value: float, sure: bool) -> Rival:
         fit: Any = None
-        return Rival(Choice("mullins"), Choice(name), Gap(value, value - 0.1, value + 0.1), True, fit, better)
+        return Rival(Choice("mullins"), Choice(name), Gap(value, value - 0.1, value + 0.1), True, fit, sure)
 
-    finding: Any = SimpleNamespace(rivals=[rival("lag", -1.0, True), rival("leak", -2.0, True), rival("play", -3.0, False)])
-    better = _better(finding)
-    assert better is not None and better.choice.name == "leak"
-    finding.rivals = [rival("play", -3.0, False)]
-    assert _better(finding) is None
+    ahead = better([rival("lag", -1.0, True), rival("leak", -2.0, True), rival("play", -3.0, False)])
+    assert ahead is not None and ahead.choice.name == "leak"
+    assert better([rival("play", -3.0, False)]) is None
 
 
 @pytest.mark.parametrize(
@@ -122,6 +121,22 @@ def test_the_law_that_is_extended_in_vain_takes_the_place(
     assert (plainer(judges[0], [rival], final) is rival) == taken
 
 
+@pytest.mark.parametrize(
+    ("named", "rival", "contests"),
+    [
+        (Choice("failure", 1), Choice("gain", 1, gate=Gate("since_s", 5.0)), False),
+        (Choice("failure", 1), Choice("gain", 1), True),
+        (Choice("failure", 1), Choice("gain", 0, gate=Gate("since_s", 5.0)), True),
+        (Choice("failure", 1), Choice("leak", 1, gate=Gate("since_s", 5.0)), True),
+        (Choice("lag"), Choice("rate_limit"), False),
+        (Choice("rate_limit"), Choice("lag"), True),
+    ],
+)
+def test_what_is_the_same_by_another_name_contests_nothing(named: Choice, rival: Choice, contests: bool) -> None:
+    fit: Any = None
+    assert Rival(named, rival, Gap(0.0, -0.1, 0.1), True, fit, False).contests == contests
+
+
 @pytest.mark.parametrize(("over_s", "alike", "taken"), [(0.06, True, True), (0.06, False, False), (3.0, True, False)])
 def test_a_camera_takes_the_place_of_a_mount_that_leant_over_at_once(over_s: float, alike: bool, taken: bool) -> None:
     def begun(name: str) -> Any:
@@ -135,6 +150,24 @@ def test_a_camera_takes_the_place_of_a_mount_that_leant_over_at_once(over_s: flo
     rivals = [Rival(named, t.hypothesis.effects[0], gap, alike, t, False) for t in (base, camera)]
     assert (suddenly(rivals, mount) is rivals[1]) == taken
     assert suddenly(rivals, camera) is None
+
+
+@pytest.mark.parametrize(
+    ("redated", "alike", "heldout", "taken"),
+    [
+        (True, True, 5.0, True),
+        (False, True, 5.0, False),  # what fits have seen begin, they have weighed
+        (True, False, 5.0, False),
+        (True, True, 9.0, True),  # with fewer numbers, and no data tell
+    ],
+)
+def test_what_held_out_runs_date_gives_way_to_what_needs_fewer_numbers(
+    judges: tuple[Judge, Judge], redated: bool, alike: bool, heldout: float, taken: bool
+) -> None:
+    final, other = trial(judges, "gain", 5.0, 5.0), trial(judges, "failure", 5.0, heldout)
+    final.fit.point, named = np.zeros(3), Choice("gain")
+    rival = Rival(named, Choice("failure"), Gap(0.0, -0.1, 0.1), alike, other, False)
+    assert (simpler(judges[0], [rival], final, [named] * redated) is rival) == taken
 
 
 def test_in_full_an_effect_does_what_it_did_before() -> None:
