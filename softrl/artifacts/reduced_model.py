@@ -43,7 +43,7 @@ class ReducedModel(Artifact):
     layer_energy : (layers, monomials) J, what each layer of the wall stores, from below; zero at rest
     layer_give : (layers (layers + 1) / 2, monomials) J, upper triangle;  layer_drop : (3 layers, monomials) kg m, for each axis
         all layers;  layer_spin : (3 layers, monomials) rad, likewise: how the body gives where layers are stiffer, see
-        ``pod.layers``
+        ``pod.step.layers``
     rest_tip : (3,) m;  rest_volume : (n,) m^3;  mass : kg
     gravity_m_s2 : (3,) in the base frame, acting unless another is given
     pressure_min_pa, pressure_max_pa : the robot's limits

@@ -19,7 +19,7 @@ from softrl.effects.effect import Effect
 from softrl.fem.sampling import step_program
 from softrl.fem.simulator import FemSimulator
 from softrl.pcc.simulator import PccSimulator
-from softrl.pod.galerkin_simulator import GalerkinSimulator
+from softrl.pod.galerkin.simulator import GalerkinSimulator
 from softrl.pod.rom import roll
 from softrl.pod.simulator import RomSimulator
 from softrl.robots.robot import Robot

@@ -10,7 +10,7 @@ from softrl.core.progress import progress
 from softrl.core.simulator import Simulator
 from softrl.pod.rom import pressure_for_tip, static_points
 from softrl.pod.simulator import RomSimulator
-from softrl.pod.tables import tables_of
+from softrl.pod.step.tables import tables_of
 from softrl.robots.robot import Robot
 
 # weights of a misplaced tip and of a pressure away from the commanded one; the latter only decides what the

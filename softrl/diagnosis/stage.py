@@ -11,28 +11,28 @@ from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.errors import ConfigError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
-from softrl.diagnosis.along import along_the_body
-from softrl.diagnosis.clock import sent_later
-from softrl.diagnosis.compete import add_calibrated, competitors, judged_on, with_map
-from softrl.diagnosis.conclusion import cannot_tell, conclude
-from softrl.diagnosis.correct import Traces, share_closed
-from softrl.diagnosis.data import Data, Refusal, prepare, require_robot, within
-from softrl.diagnosis.examine import Finding, Part, examine
-from softrl.diagnosis.figures import draw_all
-from softrl.diagnosis.frames import in_other_frames
-from softrl.diagnosis.hypothesis import Hypothesis
-from softrl.diagnosis.join import joined, put_together
-from softrl.diagnosis.judge import Judge, Thresholds
-from softrl.diagnosis.locate import corrected, locate
-from softrl.diagnosis.mistaken import mistaken
-from softrl.diagnosis.own import differing, told_of
-from softrl.diagnosis.parts import both_at_once, floor_in_bin, part_behind, punctual, valve_part
-from softrl.diagnosis.prelude import preludes
-from softrl.diagnosis.problem import Numerics, Problem
-from softrl.diagnosis.quality import mixed
-from softrl.diagnosis.report import page
-from softrl.diagnosis.step import suited
-from softrl.diagnosis.trial import Search
+from softrl.diagnosis.checks.data import Data, Refusal, prepare, require_robot, within
+from softrl.diagnosis.checks.frames import in_other_frames
+from softrl.diagnosis.checks.mistaken import mistaken
+from softrl.diagnosis.checks.prelude import preludes
+from softrl.diagnosis.checks.quality import mixed
+from softrl.diagnosis.fitting.hypothesis import Hypothesis
+from softrl.diagnosis.fitting.judge import Judge, Thresholds
+from softrl.diagnosis.fitting.problem import Numerics, Problem
+from softrl.diagnosis.fitting.step import suited
+from softrl.diagnosis.fitting.trial import Search
+from softrl.diagnosis.judging.along import along_the_body
+from softrl.diagnosis.judging.clock import sent_later
+from softrl.diagnosis.judging.compete import add_calibrated, competitors, judged_on, with_map
+from softrl.diagnosis.judging.correct import Traces, share_closed
+from softrl.diagnosis.judging.examine import Finding, Part, examine
+from softrl.diagnosis.judging.join import joined, put_together
+from softrl.diagnosis.judging.locate import corrected, locate
+from softrl.diagnosis.judging.own import differing, told_of
+from softrl.diagnosis.judging.parts import both_at_once, floor_in_bin, part_behind, punctual, valve_part
+from softrl.diagnosis.telling.conclusion import cannot_tell, conclude
+from softrl.diagnosis.telling.figures import draw_all
+from softrl.diagnosis.telling.report import page
 from softrl.effects.library import names
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.recording import RecordingSet

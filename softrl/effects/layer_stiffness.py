@@ -16,7 +16,7 @@ class LayerStiffness(Effect):
     -----
     Layer ``i`` of ``L``, from below, is ``1 + (scale - 1) max(0, 1 - |i - (L - 1) height_share|)`` times as stiff (no equation
     number checked): a layer at ``height_share = i / (L - 1)``, between two layers both. The body itself changes, see
-    ``pod.layers``, with what it costs in rotation and weight; a body without layers, as the lumped one, cannot show it. What
+    ``pod.step.layers``, with what it costs in rotation and weight; a body without layers, as the lumped one, cannot show it. What
     tells one layer from another is how far the tip turns for how far it moves.
     """
 

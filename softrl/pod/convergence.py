@@ -8,12 +8,12 @@ import numpy as np
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
 from softrl.core.tracking import Tracker
-from softrl.pod.basis import PodBasis
-from softrl.pod.candidates import Choice
-from softrl.pod.equilibria import Equilibria
-from softrl.pod.fit import fit_model, folds_of, linear_model
+from softrl.pod.fitting.basis import PodBasis
+from softrl.pod.fitting.candidates import Choice
+from softrl.pod.fitting.equilibria import Equilibria
+from softrl.pod.fitting.fit import fit_model, folds_of, linear_model
+from softrl.pod.fitting.settings import FitSettings
 from softrl.pod.report import motions, rms, statics
-from softrl.pod.settings import FitSettings
 from softrl.robots.robot import Robot
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from softrl.pod.candidates import Choice
 from softrl.pod.convergence import Point
+from softrl.pod.fitting.candidates import Choice
 from softrl.pod.report import Prediction
 
 

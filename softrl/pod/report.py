@@ -9,10 +9,10 @@ from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
 from softrl.core.polynomial import basis, degree_of
 from softrl.core.tracking import Tracker
-from softrl.pod.equilibria import Equilibria, rotation_vector
-from softrl.pod.kernel import run_kernel
+from softrl.pod.fitting.equilibria import Equilibria, rotation_vector
 from softrl.pod.rom import NO_HOOKS, STILL, roll_poses, static_coordinates, static_points, tip_poses
-from softrl.pod.tables import tables_of
+from softrl.pod.step.kernel import run_kernel
+from softrl.pod.step.tables import tables_of
 
 NO_WEIGHT = np.zeros(3)  # the equilibria are without weight
 SPEED_STEPS = 20_000

@@ -8,13 +8,13 @@ import numpy as np
 from softrl.artifacts.reduced_model import SHAPES, ReducedModel
 from softrl.core.errors import SolverError
 from softrl.effects.call import pack
-from softrl.pod.batch import run_batch
-from softrl.pod.inverse import solve_pressures
-from softrl.pod.kernel import run_kernel
-from softrl.pod.pose import tip_pose
-from softrl.pod.potential import Tables
-from softrl.pod.reach import reach, warn_beyond
-from softrl.pod.tables import tables_of
+from softrl.pod.lanes.batch import run_batch
+from softrl.pod.step.inverse import solve_pressures
+from softrl.pod.step.kernel import run_kernel
+from softrl.pod.step.pose import tip_pose
+from softrl.pod.step.potential import Tables
+from softrl.pod.step.reach import reach, warn_beyond
+from softrl.pod.step.tables import tables_of
 
 log = logging.getLogger(__name__)
 

@@ -12,12 +12,12 @@ from softrl.artifacts.reduced_model import ReducedModel
 from softrl.core.errors import ArtifactError, ConfigError, SolverError
 from softrl.core.simulator import Hook, Motion
 from softrl.effects.call import Calls, pack, unpack
-from softrl.pod.kernel import run_kernel
-from softrl.pod.pose import tip_pose
-from softrl.pod.potential import Tables
-from softrl.pod.reach import warn_beyond
 from softrl.pod.rom import LOAD_STEPS, NO_HOOKS, QUASI_STATIC_S, STILL
-from softrl.pod.tables import tables_of
+from softrl.pod.step.kernel import run_kernel
+from softrl.pod.step.pose import tip_pose
+from softrl.pod.step.potential import Tables
+from softrl.pod.step.reach import warn_beyond
+from softrl.pod.step.tables import tables_of
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
@@ -29,7 +29,7 @@ FAILED_SHARE = 0.01
 class RomState(NamedTuple):
     """Coordinates z (n + 3,), chambers' volumes then tip relative to stress-free rest, m^3 and m; their velocity.
 
-    ``inner`` (2, 6) is how far the body's inside gives beyond what weight makes it give, and its rate, see ``pod.inside``.
+    ``inner`` (2, 6) is how far the body's inside gives beyond what weight makes it give, and its rate, see ``pod.step.inside``.
     """
 
     coordinates: np.ndarray
@@ -52,7 +52,7 @@ class RomSimulator:
 
     Notes
     -----
-    Implicit Euler, see ``pod.kernel``. A chamber's strain is ``(V - V_rest) / V_stressfree``; its elastic pressure is
+    Implicit Euler, see ``pod.step.kernel``. A chamber's strain is ``(V - V_rest) / V_stressfree``; its elastic pressure is
     ``dW/dV`` less the weight's share, zero at rest. An added pressure resists the volume itself, so it enters the step
     exactly. ``ELASTIC_SLOPE`` holds the other volumes and leaves the tip free.
     """

@@ -12,13 +12,13 @@ from softrl.core.parallel import LOCAL, Parallel
 from softrl.core.threads import one_thread
 from softrl.core.tracking import Tracker
 from softrl.fem.sampling import at_corners
-from softrl.pod.basis import PodBasis, pod_basis, projection_errors
 from softrl.pod.convergence import by_equilibria, report_coordinates, report_equilibria
-from softrl.pod.equilibria import equilibria
 from softrl.pod.figures import draw_choice, draw_convergence, draw_motion, draw_parity, draw_spectrum
-from softrl.pod.fit import fit_model, folds_of, linear_model, tell_choice
+from softrl.pod.fitting.basis import PodBasis, pod_basis, projection_errors
+from softrl.pod.fitting.equilibria import equilibria
+from softrl.pod.fitting.fit import fit_model, folds_of, linear_model, tell_choice
+from softrl.pod.fitting.settings import FitSettings
 from softrl.pod.report import report_motions, report_speed, report_statics, report_weight, statics
-from softrl.pod.settings import FitSettings
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)

@@ -12,7 +12,7 @@ import numpy as np
 from softrl.artifacts.diagnosis import Diagnosis, late
 from softrl.core.errors import SolverError
 from softrl.core.progress import quiet
-from softrl.diagnosis.noise import redrawn
+from softrl.diagnosis.series.noise import redrawn
 from softrl.diagnosis.stage import Config as DiagnosisConfig
 from softrl.diagnosis.stage import diagnose
 from softrl.effects.chain import Plant, chain_of

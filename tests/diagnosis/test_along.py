@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from softrl.core.config import build
-from softrl.diagnosis.along import along_the_body
-from softrl.diagnosis.hypothesis import Hypothesis
-from softrl.diagnosis.problem import Numerics, Problem
-from softrl.diagnosis.search import Fit
-from softrl.diagnosis.trial import Trial
+from softrl.diagnosis.fitting.hypothesis import Hypothesis
+from softrl.diagnosis.fitting.minimise import Fit
+from softrl.diagnosis.fitting.problem import Numerics, Problem
+from softrl.diagnosis.fitting.trial import Trial
+from softrl.diagnosis.judging.along import along_the_body
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.replay import replay
 from softrl.pcc.model import fill_shape

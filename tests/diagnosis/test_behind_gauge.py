@@ -4,8 +4,8 @@ import pytest
 
 from softrl.core.errors import ConfigError
 from softrl.core.tracking import NullTracker
-from softrl.diagnosis.choices import candidates
-from softrl.diagnosis.hypothesis import Choice
+from softrl.diagnosis.fitting.choices import candidates
+from softrl.diagnosis.fitting.hypothesis import Choice
 from softrl.diagnosis.stage import run
 from softrl.effects.library import effect_class
 from softrl.pcc.simulator import PccSimulator

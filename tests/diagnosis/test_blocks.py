@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrl.diagnosis.blocks import blocks_of, bootstrap_means, correlation_time
+from softrl.diagnosis.series.blocks import blocks_of, bootstrap_means, correlation_time
 from tests.diagnosis.series import coloured
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrl.diagnosis.changing import follows_at_times
+from softrl.diagnosis.series.changing import follows_at_times
 from tests.diagnosis.series import coloured
 
 WINDOW = 60

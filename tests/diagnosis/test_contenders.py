@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from softrl.diagnosis.hypothesis import Choice, Gate, effect_axes, may_be_pinned, neutral
-from softrl.diagnosis.moves import _contenders
-from softrl.diagnosis.rank import Lead
+from softrl.diagnosis.fitting.hypothesis import Choice, Gate, effect_axes, may_be_pinned, neutral
+from softrl.diagnosis.search.moves import _contenders
+from softrl.diagnosis.search.rank import Lead
 
 
 def lead(choice: Choice, gain: float) -> Lead:

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrl.diagnosis.data import Data, Refusal, prepare, within
-from softrl.diagnosis.gaps import rows
+from softrl.diagnosis.checks.data import Data, Refusal, prepare, within
+from softrl.diagnosis.checks.gaps import rows
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.recording import Recording
 from tests.diagnosis.conftest import made

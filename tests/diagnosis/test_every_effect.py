@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from softrl.core.tracking import NullTracker
-from softrl.diagnosis.hypothesis import has_chamber
+from softrl.diagnosis.fitting.hypothesis import has_chamber
 from softrl.diagnosis.stage import run
 from softrl.effects.effect import Effect
 from softrl.effects.library import effect_class, names

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softrl.diagnosis.examine import in_full
-from softrl.diagnosis.hypothesis import Choice, Gate, Hypothesis, effect_axes, starts
-from softrl.diagnosis.judge import Gap, Judge
-from softrl.diagnosis.problem import Problem
-from softrl.diagnosis.rivalry import as_good, overtakes
-from softrl.diagnosis.rivals import Rival, better, plainer, simpler, stand_in, suddenly
+from softrl.diagnosis.fitting.hypothesis import Choice, Gate, Hypothesis, effect_axes, starts
+from softrl.diagnosis.fitting.judge import Gap, Judge
+from softrl.diagnosis.fitting.problem import Problem
+from softrl.diagnosis.judging.examine import in_full
+from softrl.diagnosis.judging.rivalry import as_good, overtakes
+from softrl.diagnosis.judging.rivals import Rival, better, plainer, simpler, stand_in, suddenly
 from softrl.pcc.simulator import PccSimulator
 from tests.diagnosis.conftest import configured, made
 

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softrl.diagnosis.explain import _at_the_end, _but, _ungauged, rival_entries
-from softrl.diagnosis.hypothesis import Choice, Gate, Hypothesis, Space, effect_axes
-from softrl.diagnosis.parameters import effect_sentence
-from softrl.diagnosis.verdict import verdict_of
+from softrl.diagnosis.fitting.hypothesis import Choice, Gate, Hypothesis, Space, effect_axes
+from softrl.diagnosis.judging.verdict import verdict_of
+from softrl.diagnosis.telling.entries import rival_entries
+from softrl.diagnosis.telling.explain import _at_the_end, _but, _ungauged
+from softrl.diagnosis.telling.parameters import effect_sentence
 from softrl.effects.knee import Knee
 from softrl.excite.form import form_of
 from softrl.pcc.simulator import PccSimulator

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrl.diagnosis.form import pinned_jacobian, taken_up, weight_error
-from softrl.diagnosis.hypothesis import Choice, Hypothesis, effect_axes
-from softrl.diagnosis.intervals import intervals
-from softrl.diagnosis.problem import Problem
-from softrl.diagnosis.trial import Trial, fit_trials
+from softrl.diagnosis.fitting.form import pinned_jacobian, taken_up, weight_error
+from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, effect_axes
+from softrl.diagnosis.fitting.intervals import intervals
+from softrl.diagnosis.fitting.problem import Problem
+from softrl.diagnosis.fitting.trial import Trial, fit_trials
 from softrl.effects.contact import Contact
 from softrl.effects.library import effect_class
 from softrl.effects.power_creep import PowerCreep

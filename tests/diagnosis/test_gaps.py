@@ -4,8 +4,8 @@
 import numpy as np
 import pytest
 
-from softrl.diagnosis.gaps import MIN_PART_S, mend, rows
-from softrl.diagnosis.spikes import LONGEST, spikes, without_spikes
+from softrl.diagnosis.checks.gaps import MIN_PART_S, mend, rows
+from softrl.diagnosis.checks.spikes import LONGEST, spikes, without_spikes
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.replay import replay
 from softrl.pcc.simulator import PccSimulator

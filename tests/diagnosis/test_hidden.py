@@ -3,7 +3,7 @@
 import numpy as np
 
 from softrl.artifacts.calibration import Calibration
-from softrl.diagnosis.hidden import in_words, read_map
+from softrl.diagnosis.judging.hidden import in_words, read_map
 
 
 def linear_map(gain: np.ndarray, shift_pa: np.ndarray) -> Calibration:

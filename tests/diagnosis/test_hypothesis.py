@@ -7,13 +7,13 @@ import pytest
 
 from softrl.core.config import build
 from softrl.core.tracking import NullTracker
-from softrl.diagnosis.choices import candidates, gated
-from softrl.diagnosis.hypothesis import Choice, Gate, Hypothesis, build_effect, effect_axes, neutral, starts
-from softrl.diagnosis.moves import where_it_acts
-from softrl.diagnosis.search import Fit
-from softrl.diagnosis.slim import pinned, without_gate
+from softrl.diagnosis.fitting.choices import candidates, gated
+from softrl.diagnosis.fitting.hypothesis import Choice, Gate, Hypothesis, build_effect, effect_axes, neutral, starts
+from softrl.diagnosis.fitting.minimise import Fit
+from softrl.diagnosis.fitting.trial import Trial
+from softrl.diagnosis.search.moves import where_it_acts
+from softrl.diagnosis.search.slim import pinned, without_gate
 from softrl.diagnosis.stage import run
-from softrl.diagnosis.trial import Trial
 from softrl.effects.frame import Frame
 from softrl.effects.gain import Gain
 from softrl.effects.hysteresis import Hysteresis

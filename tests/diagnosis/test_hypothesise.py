@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softrl.diagnosis import hypothesise
-from softrl.diagnosis.hypothesis import Choice, Hypothesis
-from softrl.diagnosis.path import Path
-from softrl.diagnosis.search import Fit
-from softrl.diagnosis.trial import Trial
+from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis
+from softrl.diagnosis.fitting.minimise import Fit
+from softrl.diagnosis.fitting.trial import Trial
+from softrl.diagnosis.search import hypothesise
+from softrl.diagnosis.search.path import Path
 
 LAG, PLAY = Choice("lag"), Choice("play")
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softrl.diagnosis.join import _spoilt
+from softrl.diagnosis.judging.join import _spoilt
 
 
 class Bowl:

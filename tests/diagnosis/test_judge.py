@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softrl.diagnosis.hypothesis import Choice, Gate, Hypothesis
-from softrl.diagnosis.judge import Judge
-from softrl.diagnosis.problem import Problem
+from softrl.diagnosis.fitting.hypothesis import Choice, Gate, Hypothesis
+from softrl.diagnosis.fitting.judge import Judge
+from softrl.diagnosis.fitting.problem import Problem
 from softrl.pcc.simulator import PccSimulator
 from tests.diagnosis.conftest import configured, made
 

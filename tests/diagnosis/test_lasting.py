@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from softrl.core.tracking import NullTracker
-from softrl.diagnosis.choices import that_last
-from softrl.diagnosis.hypothesis import Choice, Hypothesis, Space
+from softrl.diagnosis.fitting.choices import that_last
+from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, Space
 from softrl.diagnosis.stage import run
 from softrl.effects.drift import Drift
 from softrl.effects.effect import Effect

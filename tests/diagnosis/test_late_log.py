@@ -8,7 +8,7 @@ import pytest
 
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.tracking import NullTracker
-from softrl.diagnosis.hypothesis import LATE, Choice, Gate, Hypothesis, Space
+from softrl.diagnosis.fitting.hypothesis import LATE, Choice, Gate, Hypothesis, Space
 from softrl.diagnosis.stage import run
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.dead_time import DeadTime

@@ -3,7 +3,7 @@
 import pytest
 
 from softrl.core.tracking import NullTracker
-from softrl.diagnosis.choices import candidates
+from softrl.diagnosis.fitting.choices import candidates
 from softrl.diagnosis.stage import run
 from softrl.effects.effect import SITES
 from softrl.effects.layer_stiffness import LayerStiffness

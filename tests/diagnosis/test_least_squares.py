@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from softrl.diagnosis.blocks import blocks_of
-from softrl.diagnosis.intervals import half_width
-from softrl.diagnosis.least_squares import jackknife, left_out, sandwich
+from softrl.diagnosis.fitting.intervals import half_width
+from softrl.diagnosis.series.blocks import blocks_of
+from softrl.diagnosis.series.least_squares import jackknife, left_out, sandwich
 from tests.diagnosis.series import coloured
 
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from softrl.diagnosis import leftover
-from softrl.diagnosis.hypothesis import Choice, Hypothesis
-from softrl.diagnosis.leftover import Explained, reasons_of
-from softrl.diagnosis.problem import Residual
+from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis
+from softrl.diagnosis.fitting.problem import Residual
+from softrl.diagnosis.judging import leftover
+from softrl.diagnosis.judging.leftover import Explained, reasons_of
 
 
 @pytest.mark.parametrize(

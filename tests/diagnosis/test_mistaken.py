@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrl.diagnosis.mistaken import mistaken
+from softrl.diagnosis.checks.mistaken import mistaken
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.library import effect_class
 from softrl.effects.replay import replay

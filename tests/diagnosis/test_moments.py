@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.signal import lfilter
 
-from softrl.diagnosis.moments import at_moments
+from softrl.diagnosis.series.moments import at_moments
 
 
 def noise(rng: np.random.Generator, memory: float, steps: int = 300) -> np.ndarray:

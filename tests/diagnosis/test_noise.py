@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from softrl.diagnosis.noise import unlike_noise
+from softrl.diagnosis.series.noise import unlike_noise
 from tests.diagnosis.series import coloured
 
 

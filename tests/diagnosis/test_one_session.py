@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from softrl.core.tracking import NullTracker
-from softrl.diagnosis.choices import in_some_sessions
-from softrl.diagnosis.data import Data, prepare
-from softrl.diagnosis.hypothesis import Choice, Hypothesis, Space
+from softrl.diagnosis.checks.data import Data, prepare
+from softrl.diagnosis.fitting.choices import in_some_sessions
+from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, Space
 from softrl.diagnosis.stage import run
 from softrl.effects.library import effect_class
 from softrl.pcc.simulator import PccSimulator

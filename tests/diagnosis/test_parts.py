@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softrl.diagnosis import parts
+from softrl.diagnosis.judging import parts
 from softrl.effects.chain import EffectChain, SignalFilter
 from softrl.effects.driving import drive_on_grid, evenly
 from softrl.effects.lag import Lag

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from softrl.core.tracking import NullTracker
-from softrl.diagnosis.choices import alike, in_some_sessions, periods
-from softrl.diagnosis.hypothesis import Choice, Hypothesis
-from softrl.diagnosis.look import bases_of
-from softrl.diagnosis.periods import likely
-from softrl.diagnosis.problem import Problem
+from softrl.diagnosis.fitting.choices import alike, in_some_sessions, periods
+from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis
+from softrl.diagnosis.fitting.problem import Problem
+from softrl.diagnosis.fitting.trial import fit_trials
+from softrl.diagnosis.search.look import bases_of
+from softrl.diagnosis.search.periods import likely
 from softrl.diagnosis.stage import run
-from softrl.diagnosis.trial import fit_trials
 from softrl.effects.effect import Effect
 from softrl.effects.library import effect_class
 from softrl.pcc.simulator import PccSimulator

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from softrl.core.tracking import NullTracker
-from softrl.diagnosis.hypothesis import Choice, Hypothesis
-from softrl.diagnosis.prelude import preludes
-from softrl.diagnosis.problem import Numerics, Problem
+from softrl.diagnosis.checks.prelude import preludes
+from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis
+from softrl.diagnosis.fitting.problem import Numerics, Problem
 from softrl.diagnosis.stage import run
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.lag import Lag

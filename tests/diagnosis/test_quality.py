@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softrl.core.tracking import NullTracker
-from softrl.diagnosis.quality import unusable
+from softrl.diagnosis.checks.quality import unusable
 from softrl.diagnosis.stage import run
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.check import check_run

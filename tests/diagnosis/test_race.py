@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softrl.diagnosis import path as paths
-from softrl.diagnosis import rank as ranks
-from softrl.diagnosis.hypothesis import Choice, Hypothesis, starts
-from softrl.diagnosis.path import Path
-from softrl.diagnosis.problem import Numerics, Problem
-from softrl.diagnosis.rank import rank
-from softrl.diagnosis.trial import PLAINLY, Search, Trial, fit_trials, raced
+from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, starts
+from softrl.diagnosis.fitting.problem import Numerics, Problem
+from softrl.diagnosis.fitting.trial import PLAINLY, Search, Trial, fit_trials, raced
+from softrl.diagnosis.search import path as paths
+from softrl.diagnosis.search import rank as ranks
+from softrl.diagnosis.search.path import Path
+from softrl.diagnosis.search.rank import rank
 from softrl.effects.hysteresis import Hysteresis
 from softrl.effects.lag import Lag
 from softrl.pcc.simulator import PccSimulator

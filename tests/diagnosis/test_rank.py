@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from softrl.diagnosis import rank as ranking
-from softrl.diagnosis.hypothesis import Choice, Hypothesis
-from softrl.diagnosis.look import Base, Begin, Look
-from softrl.diagnosis.problem import Problem
-from softrl.diagnosis.rank import _begun, rank
-from softrl.diagnosis.search import Fit
+from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis
+from softrl.diagnosis.fitting.minimise import Fit
+from softrl.diagnosis.fitting.problem import Problem
+from softrl.diagnosis.fitting.trial import Trial, fit_trials
+from softrl.diagnosis.search import rank as ranking
+from softrl.diagnosis.search.look import Base, Begin, Look
+from softrl.diagnosis.search.rank import _begun, rank
 from softrl.diagnosis.stage import Config
-from softrl.diagnosis.trial import Trial, fit_trials
 from softrl.effects.stiffness_scale import StiffnessScale
 from softrl.pcc.simulator import PccSimulator
 from tests.diagnosis.conftest import configured, made

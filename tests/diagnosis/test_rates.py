@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from softrl.core.tracking import NullTracker
-from softrl.diagnosis.data import Data, prepare
+from softrl.diagnosis.checks.data import Data, prepare
 from softrl.diagnosis.stage import run
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.recording import Recording, RecordingSet

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from softrl.diagnosis.reach import of_other_length
+from softrl.diagnosis.checks.reach import of_other_length
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from softrl.core.tracking import NullTracker
-from softrl.diagnosis.hypothesis import Choice, Hypothesis, starts
-from softrl.diagnosis.judge import Judge
-from softrl.diagnosis.moves import implausible
-from softrl.diagnosis.path import Path
-from softrl.diagnosis.problem import Problem
-from softrl.diagnosis.relieve import relieved
+from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, starts
+from softrl.diagnosis.fitting.judge import Judge
+from softrl.diagnosis.fitting.problem import Problem
+from softrl.diagnosis.fitting.trial import fit_trials
+from softrl.diagnosis.search.moves import implausible
+from softrl.diagnosis.search.path import Path
+from softrl.diagnosis.search.relieve import relieved
 from softrl.diagnosis.stage import run
-from softrl.diagnosis.trial import fit_trials
 from softrl.effects.payload import Payload
 from softrl.effects.power_creep import PowerCreep
 from softrl.pcc.simulator import PccSimulator

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrl.diagnosis.repeats import repeats
+from softrl.diagnosis.series.repeats import repeats
 from tests.diagnosis.series import coloured
 
 

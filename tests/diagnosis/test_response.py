@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrl.diagnosis.response import rise_time, step_responses
+from softrl.diagnosis.checks.response import rise_time, step_responses
 from softrl.recordings.recording import Recording
 
 

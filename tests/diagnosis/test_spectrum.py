@@ -5,7 +5,7 @@ import tracemalloc
 import numpy as np
 from scipy.signal import butter, sosfilt
 
-from softrl.diagnosis.spectrum import FAR, NEAR, _above_near, spectral_line
+from softrl.diagnosis.series.spectrum import FAR, NEAR, _above_near, spectral_line
 from tests.diagnosis.series import coloured
 
 

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.errors import ConfigError, RecordingError
 from softrl.core.tracking import NullTracker
-from softrl.diagnosis.data import hold_out
+from softrl.diagnosis.checks.data import hold_out
 from softrl.diagnosis.stage import run
 from softrl.effects.effect import Effect
 from softrl.effects.library import effect_class

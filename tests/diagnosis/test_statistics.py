@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from softrl.diagnosis.blocks import blocks_of
-from softrl.diagnosis.statistics import follows, holm, slope_test, whiteness
+from softrl.diagnosis.series.blocks import blocks_of
+from softrl.diagnosis.series.statistics import follows, holm, slope_test, whiteness
 from tests.diagnosis.series import coloured
 
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from softrl.core.errors import SolverError
-from softrl.diagnosis.hypothesis import Choice, Hypothesis, starts
-from softrl.diagnosis.problem import Problem
-from softrl.diagnosis.step import FITTED_SHARE, suited
+from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, starts
+from softrl.diagnosis.fitting.problem import Problem
+from softrl.diagnosis.fitting.step import FITTED_SHARE, suited
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.recording import Recording
 from tests.diagnosis.conftest import configured

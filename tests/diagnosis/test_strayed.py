@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrl.diagnosis.strayed import strayed
+from softrl.diagnosis.checks.strayed import strayed
 
 TIME = 0.02 * np.arange(3000)
 STILL = np.zeros((3000, 3))

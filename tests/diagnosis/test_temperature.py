@@ -5,7 +5,7 @@ import pytest
 
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.tracking import NullTracker
-from softrl.diagnosis.data import Refusal, prepare
+from softrl.diagnosis.checks.data import Refusal, prepare
 from softrl.diagnosis.stage import run
 from softrl.effects.thermal_softening import ThermalSoftening
 from softrl.pcc.simulator import PccSimulator

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from softrl.core.identity import Same
-from softrl.diagnosis import problem as problems
-from softrl.diagnosis.hypothesis import Choice, Hypothesis, starts
-from softrl.diagnosis.look import Base, hidden_by_retuning, look_at
-from softrl.diagnosis.problem import Numerics, Problem
-from softrl.diagnosis.rank import rank
-from softrl.diagnosis.search import Fit, jacobian_at, least_squares
-from softrl.diagnosis.separate import PIECES, REST_S, STEP_S, _rival, gap, separating_program, separation
-from softrl.diagnosis.trial import Trial, fit_trials, shared_out
+from softrl.diagnosis.fitting import problem as problems
+from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, starts
+from softrl.diagnosis.fitting.minimise import Fit, jacobian_at, least_squares
+from softrl.diagnosis.fitting.problem import Numerics, Problem
+from softrl.diagnosis.fitting.trial import Trial, fit_trials, shared_out
+from softrl.diagnosis.search.look import Base, hidden_by_retuning, look_at
+from softrl.diagnosis.search.rank import rank
+from softrl.diagnosis.telling.separate import PIECES, REST_S, STEP_S, _rival, gap, separating_program, separation
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.lag import Lag
 from softrl.effects.replay import CHANNELS, replay
@@ -112,7 +112,7 @@ def test_a_replay_asked_for_again_is_the_same_and_other_processes_do_not_carry_i
 def test_a_fit_that_shares_out_its_columns_is_the_fit_alone(
     tripod: Robot, body: PccSimulator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("softrl.diagnosis.trial.PccSimulator", type(None))  # which is too fast to share out
+    monkeypatch.setattr("softrl.diagnosis.fitting.trial.PccSimulator", type(None))  # which is too fast to share out
     problem, hypothesis = problem_of(tripod, body), Hypothesis((Choice("lag"),), tuple(body.parameters))
     held, (low, high) = starts(Choice("lag"))[0], problem.space(hypothesis).bounds
     count = len(held)
@@ -143,7 +143,7 @@ def test_channels_alone_are_those_of_a_whole_replay(tripod: Robot, body: PccSimu
 def test_the_pieces_that_tell_two_hypotheses_apart_are_the_best_of_all(
     tripod: Robot, body: PccSimulator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("softrl.diagnosis.separate.blocks", lambda *given: blocks(*given)[::4])
+    monkeypatch.setattr("softrl.diagnosis.telling.separate.blocks", lambda *given: blocks(*given)[::4])
     problem = problem_of(tripod, body)
     trials = []
     for name in ("lag", "tube_line"):

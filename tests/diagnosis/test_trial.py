@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from softrl.diagnosis.hypothesis import Hypothesis
-from softrl.diagnosis.problem import Problem
-from softrl.diagnosis.search import Fit
-from softrl.diagnosis.trial import from_nominal, unlikelihood
+from softrl.diagnosis.fitting.hypothesis import Hypothesis
+from softrl.diagnosis.fitting.minimise import Fit
+from softrl.diagnosis.fitting.problem import Problem
+from softrl.diagnosis.fitting.trial import from_nominal, unlikelihood
 from softrl.effects.lag import Lag
 from softrl.pcc.simulator import PccSimulator
 from tests.diagnosis.conftest import configured, made

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from softrl.diagnosis.hypothesis import Choice, Hypothesis
-from softrl.diagnosis.judge import Judge
-from softrl.diagnosis.leftover import heldout_residual, varies
-from softrl.diagnosis.problem import Problem
-from softrl.diagnosis.trial import fit_trials
+from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis
+from softrl.diagnosis.fitting.judge import Judge
+from softrl.diagnosis.fitting.problem import Problem
+from softrl.diagnosis.fitting.trial import fit_trials
+from softrl.diagnosis.judging.leftover import heldout_residual, varies
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.recording import Recording
 from tests.diagnosis.conftest import configured, made

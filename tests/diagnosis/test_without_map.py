@@ -5,13 +5,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softrl.diagnosis.hypothesis import Choice, Hypothesis
-from softrl.diagnosis.hypothesise import _without_map
-from softrl.diagnosis.judge import Judge
-from softrl.diagnosis.pairs import best_pairs
-from softrl.diagnosis.path import Path
-from softrl.diagnosis.problem import Problem
-from softrl.diagnosis.trial import fit_trials
+from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis
+from softrl.diagnosis.fitting.judge import Judge
+from softrl.diagnosis.fitting.problem import Problem
+from softrl.diagnosis.fitting.trial import fit_trials
+from softrl.diagnosis.search.hypothesise import _without_map
+from softrl.diagnosis.search.pairs import best_pairs
+from softrl.diagnosis.search.path import Path
 from softrl.effects.effect import Effect
 from softrl.effects.gain import Gain
 from softrl.effects.offset import Offset

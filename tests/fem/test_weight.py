@@ -11,7 +11,7 @@ from softrl.fem.coupling import Pose
 from softrl.fem.model import FemModel
 from softrl.fem.tangent import Tangent
 from softrl.fem.weight import Weight, held_of, pull_at_rest, pull_of, swing_of, weight_of
-from softrl.pod.equilibria import per_spin, rotation_vector
+from softrl.pod.fitting.equilibria import per_spin, rotation_vector
 from tests.fem.bodies import hollow_box, model_of
 
 LOAD = np.array([1.5e5, -1e4, 2.0, 1.0, -3.0])

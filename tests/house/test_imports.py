@@ -35,6 +35,10 @@ LEVEL = {
     "loop": 23,
     "__main__": 24,
 }
+FLOORS = {  # of the rooms that have several: what stands in the room itself counts by its own name
+    "diagnosis": ["series", "fitting", "checks", "search", "judging", "telling", "stage"],
+    "pod": ["step", "lanes", "twin", "rom", "simulator", "fitting", "galerkin", "report", "convergence", "figures", "stage"],
+}
 OWNER = {
     "mlflow": {"core"},
     "pybullet": {"surrogate"},
@@ -75,6 +79,17 @@ def test_no_upward_import(path: Path) -> None:
             other = name.split(".")[1]
             allowed = other == own or LEVEL[other] < LEVEL[own]
             assert allowed, f"{path.relative_to(ROOT)} ({own}) imports {name}, which is not below it"
+
+
+@pytest.mark.parametrize("place", FLOORS)
+def test_floors_of_a_room_import_downward(place: str) -> None:
+    rank = {floor: level for level, floor in enumerate(FLOORS[place])}
+    for path in (PACKAGE / place).rglob("*.py"):
+        own = path.relative_to(PACKAGE / place).parts[0].removesuffix(".py")
+        for name in imported(path):
+            if name.startswith(f"softrl.{place}."):
+                other = name.split(".")[2]
+                assert rank[other] <= rank[own], f"{path.relative_to(ROOT)} imports {name}, which is not below it"
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))

@@ -5,10 +5,10 @@ import pytest
 
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
-from softrl.pod.basis import pod_basis
-from softrl.pod.equilibria import equilibria
-from softrl.pod.fit import fit_model
-from softrl.pod.settings import FitSettings
+from softrl.pod.fitting.basis import pod_basis
+from softrl.pod.fitting.equilibria import equilibria
+from softrl.pod.fitting.fit import fit_model
+from softrl.pod.fitting.settings import FitSettings
 from softrl.robots.robot import Robot
 from tests.pod.synthetic import robot_with, synthetic_snapshots
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softrl.artifacts.snapshots import Snapshots
-from softrl.pod.equilibria import per_spin, twice
+from softrl.pod.fitting.equilibria import per_spin, twice
 from softrl.robots.robot import Robot
 
 YOUNG_PA, MASS_KG = 1e6, 0.5

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from softrl.pod.basis import pod_basis, projection_errors
+from softrl.pod.fitting.basis import pod_basis, projection_errors
 
 
 def snapshots(samples: int = 30, nodes: int = 50, rank: int = 6) -> tuple[np.ndarray, np.ndarray]:

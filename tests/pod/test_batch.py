@@ -5,8 +5,8 @@ import pytest
 
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
-from softrl.pod import batch
-from softrl.pod.products import TILE, multiply
+from softrl.pod.lanes import batch
+from softrl.pod.lanes.products import TILE, multiply
 from softrl.pod.rom import roll, roll_poses
 from softrl.robots.robot import Robot
 

@@ -9,14 +9,14 @@ from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ConfigError
 from softrl.core.polynomial import basis
-from softrl.pod.basis import pod_basis
-from softrl.pod.energy import Weights, accumulate, scale_of, solve
-from softrl.pod.equilibria import equilibria
-from softrl.pod.fit import fit_model, linear_model
-from softrl.pod.map_fit import fit_maps
+from softrl.pod.fitting.basis import pod_basis
+from softrl.pod.fitting.energy import Weights, accumulate, scale_of, solve
+from softrl.pod.fitting.equilibria import equilibria
+from softrl.pod.fitting.fit import fit_model, linear_model
+from softrl.pod.fitting.map_fit import fit_maps
+from softrl.pod.fitting.settling import equilibria_of
 from softrl.pod.report import mass_errors, motions, orientation_errors, statics
-from softrl.pod.settling import equilibria_of
-from softrl.pod.tables import tables_of
+from softrl.pod.step.tables import tables_of
 from softrl.robots.robot import Robot
 from tests.pod.conftest import SETTINGS
 from tests.pod.mechanics import mechanical_energy

@@ -11,9 +11,9 @@ from softrl.core.tracking import NullTracker
 from softrl.fem.law import STRESS, TANGENT
 from softrl.fem.material import StableNeoHookean
 from softrl.fem.stage import run as run_fem
-from softrl.pod.galerkin import build_body, elastic, full_displacements
-from softrl.pod.galerkin_simulator import GalerkinSimulator
-from softrl.pod.hyperreduction import sample_elements
+from softrl.pod.galerkin.hyperreduction import sample_elements
+from softrl.pod.galerkin.model import build_body, elastic, full_displacements
+from softrl.pod.galerkin.simulator import GalerkinSimulator
 from tests.bench.full import full_simulator
 from tests.fem.bodies import box_robot, hollow_box, model_of
 from tests.fem.test_stage import CONFIG

@@ -8,15 +8,15 @@ import pytest
 
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
-from softrl.pod.chord import fill_chord
-from softrl.pod.inertia import add_inertia, fill_amplitudes, fill_inertia, make_course
-from softrl.pod.inside import make_inside
-from softrl.pod.kernel import run_kernel
-from softrl.pod.linear import solve_general
-from softrl.pod.potential import fill_potential, make_room
 from softrl.pod.rom import NO_HOOKS, roll, static_coordinates
-from softrl.pod.tables import tables_of
-from softrl.pod.viscosity import fill_viscosity
+from softrl.pod.step.chord import fill_chord
+from softrl.pod.step.inertia import add_inertia, fill_amplitudes, fill_inertia, make_course
+from softrl.pod.step.inside import make_inside
+from softrl.pod.step.kernel import run_kernel
+from softrl.pod.step.linear import solve_general
+from softrl.pod.step.potential import fill_potential, make_room
+from softrl.pod.step.tables import tables_of
+from softrl.pod.step.viscosity import fill_viscosity
 from softrl.robots.robot import Robot
 from tests.pod.mechanics import mechanical_energy
 

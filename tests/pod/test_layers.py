@@ -11,8 +11,8 @@ from softrl.core.simulator import Motion
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.layer_stiffness import LayerStiffness
 from softrl.pcc.simulator import PccSimulator
-from softrl.pod.layers import layered
 from softrl.pod.simulator import RomSimulator
+from softrl.pod.step.layers import layered
 from softrl.robots.robot import Robot
 from tests.pod.synthetic import LAYERS, law_of
 

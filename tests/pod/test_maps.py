@@ -3,7 +3,7 @@
 import numpy as np
 
 from softrl.core.polynomial import basis, count
-from softrl.pod.maps import Seen, best_forms, equations
+from softrl.pod.fitting.maps import Seen, best_forms, equations
 
 ORDER, DEGREE = 6, 3
 

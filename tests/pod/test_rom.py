@@ -5,8 +5,8 @@ import pytest
 
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
-from softrl.pod import reach
 from softrl.pod.rom import pressure_for_tip, roll, static_coordinates, tip_poses
+from softrl.pod.step import reach
 from softrl.robots.robot import Robot
 from tests.pod.synthetic import law_of
 

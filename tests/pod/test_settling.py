@@ -7,9 +7,9 @@ import numpy as np
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
 from softrl.core.polynomial import basis
-from softrl.pod.fit import linear_model
-from softrl.pod.settling import settles
-from softrl.pod.tables import hessian_at_rest
+from softrl.pod.fitting.fit import linear_model
+from softrl.pod.fitting.settling import settles
+from softrl.pod.step.tables import hessian_at_rest
 from softrl.robots.robot import Robot
 
 BARRIER = 0.8  # |y| beyond which the body no longer comes back

@@ -27,8 +27,8 @@ from softrl.effects.effect import (
     STRAIN,
     TIP,
 )
-from softrl.pod import reach
 from softrl.pod.simulator import RomSimulator
+from softrl.pod.step import reach
 from softrl.robots.robot import Robot
 from tests.pod.conftest import fitted
 from tests.pod.synthetic import law_of

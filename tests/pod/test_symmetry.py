@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from softrl.pod.equilibria import equilibria, rotation_vector
-from softrl.pod.symmetry import reflected, weight_to_trust
+from softrl.pod.fitting.equilibria import equilibria, rotation_vector
+from softrl.pod.fitting.symmetry import reflected, weight_to_trust
 from softrl.robots.symmetry import symmetries
 from tests.pod.synthetic import law_of, quaternion, robot_with, synthetic_snapshots
 

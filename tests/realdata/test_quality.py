@@ -9,8 +9,8 @@ import pytest
 from softrl.calibration.material_fit import fit_materials, in_words
 from softrl.calibration.tensile import read_tensile
 from softrl.core.config import build
-from softrl.diagnosis.data import Data, prepare
-from softrl.diagnosis.prelude import preludes
+from softrl.diagnosis.checks.data import Data, prepare
+from softrl.diagnosis.checks.prelude import preludes
 from softrl.recordings.read import read
 from softrl.robots.robot import Robot
 from tests.diagnosis.conftest import node

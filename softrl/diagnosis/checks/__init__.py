@@ -1,0 +1,1 @@
+"""What the recordings can carry: faults are said, repaired or refused before anything is fitted."""

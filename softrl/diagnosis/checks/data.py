@@ -1,0 +1,326 @@
+"""What the recordings can carry: checks, the split into runs that fits see and runs that judge, the noise floor."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from math import comb
+from typing import NamedTuple
+
+import numpy as np
+
+from softrl.core.errors import RecordingError
+from softrl.diagnosis.checks.gaps import mend_all, rows
+from softrl.diagnosis.checks.quality import torn, unusable
+from softrl.diagnosis.checks.spikes import without_spikes
+from softrl.diagnosis.fitting.problem import MIN_FOLDS
+from softrl.recordings.acting import is_known
+from softrl.recordings.check import DataCheck, check, driven
+from softrl.recordings.gone import in_order
+from softrl.recordings.marked import DISTURBED, OUTSIDE, named, without
+from softrl.recordings.recording import Recording, RecordingSet
+from softrl.recordings.split import split
+from softrl.robots.robot import Robot
+
+MIN_RUN_S = 3.0  # a shorter run says nothing about dynamics
+LEAST_S = 15.0  # fits rather see fewer runs than shorter pieces
+MIN_SIGNAL = 3.0  # travel over noise below which nothing can be told
+FEW_READINGS = 20  # a sensor that reports fewer values than this tells no noise by their differences
+CHANGED_K = 1.0  # a temperature that changes less tells nothing
+ENOUGH_RUNS = 3  # of a session that is not held out as a whole: two to fit, and one to judge
+FEW_SESSIONS = 2  # with this many sessions or fewer, runs are held out within each instead
+
+
+@dataclass(frozen=True)
+class Data:
+    """Recordings sorted by use.
+
+    Attributes
+    ----------
+    check : findings
+    training : runs that fits see; left out in turn, they choose between hypotheses
+    heldout : whole runs that judge once
+    outside : runs that the dataset marks as out of distribution (``out_of_distribution`` in its notes: names of runs or
+        sessions); they are neither fitted nor do they decide anything
+    pressure : whether every run has measured pressure
+    orientation : whether orientations are recorded and can be trusted
+    noise : rms of the noise of one sample of the motion, m over all its components
+    turn_noise : the same of the orientation, rad
+    pressure_noise : the same of the measured pressure, Pa
+    travel, pressure_travel : rms about the mean of what the training runs measured, m and Pa
+    mended : what was done about wrong samples and pauses, a sentence each
+    punctual : whether the dataset says when a row's command acts, so that its log is late by nothing
+    """
+
+    check: DataCheck
+    training: tuple[Recording, ...]
+    heldout: tuple[Recording, ...]
+    outside: tuple[Recording, ...]
+    pressure: bool
+    orientation: bool
+    noise: float
+    turn_noise: float
+    pressure_noise: float
+    travel: float
+    pressure_travel: float
+    mended: tuple[str, ...] = ()
+    punctual: bool = False
+
+    @property
+    def splits(self) -> dict[str, tuple[Recording, ...]]:
+        """Runs by the name of their split."""
+        parts = {"train": self.training, "heldout": self.heldout, "ood": self.outside}
+        return {name: runs for name, runs in parts.items() if runs}
+
+    @property
+    def used(self) -> tuple[Recording, ...]:
+        """The runs that are fitted or judge."""
+        return (*self.training, *self.heldout)
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """Surroundings that every run recorded and that changed while fits look on."""
+        runs = [run for part in self.splits.values() for run in part]
+        if any(run.temperature is None for run in runs):
+            return ()
+        seen = np.concatenate([np.asarray(run.temperature) for run in self.training])
+        return ("temperature",) if np.ptp(seen) >= CHANGED_K else ()
+
+    @property
+    def misplaced(self) -> bool:
+        """Whether any run shows the tip at rest far from where the base frame has it."""
+        return any(run.misplaced for run in self.check.runs)
+
+    def shortened(self, fit_s: float) -> "Data":
+        """Return the data with fits limited to ``fit_s`` of recordings."""
+        return replace(self, training=within(self.training, fit_s))
+
+
+class Refusal(NamedTuple):
+    """Why nothing can be told."""
+
+    check: DataCheck
+    reason: str
+
+
+def prepare(
+    recordings: RecordingSet, robot: Robot, heldout_share: float, seed: int, few_sessions: int = FEW_SESSIONS
+) -> Data | Refusal:
+    """Return the recordings sorted by use, or the reason why they cannot tell anything.
+
+    Runs in which the robot was interfered with (``disturbed`` in the notes: names of runs or sessions) are not used. With
+    ``few_sessions`` or fewer no session is held out whole.
+    """
+    recordings = replace(recordings, recordings=in_order(recordings.recordings))
+    found = check(recordings, robot)
+    channel = "bend_angle" if robot.output == "bend_angle" else "position"
+    seen, copies = _without_copies(_seen_undisturbed(recordings, channel), channel)
+    usable, spiked = without_spikes(seen)
+    marked = named(recordings, OUTSIDE)
+    outside = tuple(r for r in usable if marked & {r.name, r.session})
+    usable = tuple(r for r in usable if not marked & {r.name, r.session})
+    parts, mended = mend_all([*usable, *outside], found)
+    intact = tuple(run for run in usable if parts[run.name])
+    whole = [part for run in intact for part in parts[run.name]]
+    reason = _refuse(usable, found, robot, channel) or torn(usable, intact, whole, found, robot)
+    reason = reason or unusable(whole, robot)
+    if reason:
+        return Refusal(found, reason)
+    moving = tuple(run for run in intact if np.ptp(run.pressure_cmd, axis=0).any())
+    still = [run for run in intact if not np.ptp(run.pressure_cmd, axis=0).any()]
+    if len(moving) < 2:
+        return Refusal(found, f"commands change in {len(moving)} of {len(intact)} runs only; a held-out error needs two")
+    sides = hold_out(replace(recordings, recordings=moving), heldout_share, seed, few_sessions)
+    training, heldout = (tuple(part for run in side.recordings for part in parts[run.name]) for side in sides)
+    training += tuple(part for run in still for part in parts[run.name])  # which would judge nothing
+    noise, pressure_noise = _noise(found, usable, robot, channel)
+    travel = _travel(training, lambda run: _seen(run, robot))
+    if travel < MIN_SIGNAL * noise:
+        return Refusal(
+            found,
+            f"the motion ({1e3 * travel:.3g} mm rms) hardly exceeds its noise ({1e3 * noise:.3g} mm); drive harder",
+        )
+    return Data(
+        replace(found, excited=driven(whole, robot)),
+        training,
+        heldout,
+        tuple(part for run in outside for part in parts[run.name]),
+        all(r.pressure_meas is not None for r in whole),
+        _orientation_trusted(usable, found, robot),
+        noise,
+        2.0 * np.sqrt(3.0) * found.noise_floor.get("quaternion", 0.0),  # a turn is twice the quaternion's vector
+        pressure_noise,
+        travel,
+        _travel([r for r in training if r.pressure_meas is not None], lambda run: np.asarray(run.pressure_meas)),
+        (*_too_short(recordings), *copies, *spiked, *mended),
+        is_known(recordings),
+    )
+
+
+def _seen_undisturbed(recordings: RecordingSet, channel: str) -> list[Recording]:
+    """Return the runs that are long enough, show ``channel``, and in which nobody interfered with the robot."""
+    runs = without(recordings, DISTURBED).recordings
+    return [run for run in runs if np.ptp(run.time) >= MIN_RUN_S and getattr(run, channel) is not None]
+
+
+def _without_copies(runs: Sequence[Recording], channel: str) -> tuple[list[Recording], list[str]]:
+    """Return the runs that measured something of their own, and a sentence for every copy of an earlier one.
+
+    A copy among the runs that judge would be known to the fits.
+    """
+    first: dict[bytes, str] = {}
+    kept, lines = [], []
+    for run in runs:
+        measured = getattr(run, channel).tobytes()
+        if measured in first:
+            lines.append(f"{run.name}: measured the same as {first[measured]} to the last digit, a copy, left out")
+        else:
+            first[measured] = run.name
+            kept.append(run)
+    return kept, lines
+
+
+def _too_short(recordings: RecordingSet) -> list[str]:
+    """Return the runs that are too short to be used, a sentence each."""
+    return [
+        f"{run.name}: {np.ptp(run.time):.2g} s, left out: a run says something about dynamics from {MIN_RUN_S:g} s on"
+        for run in recordings.recordings
+        if np.ptp(run.time) < MIN_RUN_S
+    ]
+
+
+def hold_out(
+    recordings: RecordingSet, share: float, seed: int, few_sessions: int = FEW_SESSIONS
+) -> tuple[RecordingSet, RecordingSet]:
+    """Return (training, heldout): whole sessions if there are more than ``few_sessions``, else whole runs out of each session.
+
+    Of every other session of enough runs one is held out, too: what acted in that session alone shows nowhere else.
+    """
+    sessions = recordings.sessions()
+    if len(sessions) > few_sessions:
+        training, heldout = split(recordings, share, seed, by="session")
+        names = {s: [r.name for r in training.recordings if r.session == s] for s in training.sessions()}
+        rng = np.random.default_rng(seed)
+        judges = {str(rng.choice(runs)) for runs in names.values() if len(runs) >= ENOUGH_RUNS}
+        parts = [tuple(r for r in training.recordings if (r.name in judges) == held) for held in (False, True)]
+        return replace(training, recordings=parts[0]), replace(heldout, recordings=(*heldout.recordings, *parts[1]))
+    parts = [
+        replace(recordings, recordings=tuple(r for r in recordings.recordings if r.session == session))
+        for session in sessions
+    ]
+    if any(len(part.recordings) < 2 for part in parts):
+        return split(recordings, share, seed, by="run")
+    halves = [split(part, share, seed, by="run") for part in parts]
+    training, heldout = (tuple(r for half in halves for r in half[side].recordings) for side in (0, 1))
+    return replace(recordings, recordings=training), replace(recordings, recordings=heldout)
+
+
+def within(runs: Sequence[Recording], seconds: float) -> tuple[Recording, ...]:
+    """Return runs that together last at most ``seconds``, cut at one common length; all start as recorded.
+
+    Where that would leave less than ``LEAST_S`` of each, the runs that were driven most are taken, one of every session
+    before a second of any: slow effects do not show in many short pieces.
+    """
+    count = max(int(seconds / LEAST_S), MIN_FOLDS)
+    if _common_length(runs, seconds) < LEAST_S and len(runs) > count:
+        drive = [float(np.sum(np.std(run.pressure_cmd[run.time < run.time[0] + LEAST_S], axis=0))) for run in runs]
+        turn: dict[str, int] = {}
+        order = []
+        for k in sorted(range(len(runs)), key=lambda k: -drive[k]):
+            turn[runs[k].session] = turn.get(runs[k].session, 0) + 1
+            order.append((turn[runs[k].session], -drive[k], k))
+        chosen = sorted(k for _, _, k in sorted(order)[:count])
+        runs = [runs[k] for k in chosen]
+    length = _common_length(runs, seconds)
+    return tuple(cut(run, run.time[0] + length) for run in runs)
+
+
+def _common_length(runs: Sequence[Recording], seconds: float) -> float:
+    """Return the length, s, at which runs are cut so that together they last at most ``seconds``."""
+    lengths = np.sort([np.ptp(run.time) for run in runs])
+    if lengths.sum() <= seconds:
+        return float(lengths[-1])
+    # shorter runs stay whole, and the others share what those leave
+    shares = (seconds - (np.cumsum(lengths) - lengths)) / np.arange(len(lengths), 0, -1)
+    return float(shares[np.argmax(shares < lengths)])
+
+
+def cut(run: Recording, end: float) -> Recording:
+    """Return the run up to ``end`` s."""
+    return rows(run, slice(int(np.searchsorted(run.time, end, side="right"))))
+
+
+def rms_about_mean(series: Sequence[np.ndarray]) -> float:
+    """Return the rms of the rows' distance from their common mean."""
+    rows = np.concatenate(series) if series else np.zeros((1, 1))
+    return float(np.sqrt(np.mean(np.sum((rows - rows.mean(axis=0)) ** 2, axis=1))))
+
+
+def _travel(runs: Sequence[Recording], seen: Callable[[Recording], np.ndarray]) -> float:
+    """Return the rms of what is ``seen`` about the mean of each session: a camera that was moved is no travel."""
+    series = []
+    for session in dict.fromkeys(run.session for run in runs):
+        rows = np.concatenate([seen(run) for run in runs if run.session == session])
+        series.append(rows - rows.mean(axis=0))
+    return rms_about_mean(series)
+
+
+def _seen(run: Recording, robot: Robot) -> np.ndarray:
+    if robot.output == "bend_angle":
+        return robot.length_m * np.asarray(run.bend_angle)[:, None]
+    return np.asarray(run.position)
+
+
+def _noise(found: DataCheck, usable: Sequence[Recording], robot: Robot, channel: str) -> tuple[float, float]:
+    """Return the noise of one sample, from holds or from neighbouring samples, whichever is less, or from repeats."""
+    floor = {}
+    for name in (channel, "pressure_meas"):
+        series = [getattr(run, name) for run in usable if getattr(run, name) is not None]
+        if series:
+            quick = float(np.median([jitter(_readings(values.reshape(len(values), -1))) for values in series]))
+            floor[name] = max(min(quick, found.noise_floor[name]), found.repeatability.get(name, 0.0))
+    motion = floor[channel] * (robot.length_m if channel == "bend_angle" else np.sqrt(3.0))
+    return float(motion), float(floor.get("pressure_meas", 0.0) * np.sqrt(robot.chambers))
+
+
+def _readings(values: np.ndarray) -> np.ndarray:
+    """Return the rows (readings, n) of ``values`` (steps, n) that do not repeat the one before: a slower sensor's own."""
+    own = values[np.r_[True, np.any(np.diff(values, axis=0) != 0.0, axis=1)]]
+    return own if len(own) >= FEW_READINGS else values
+
+
+def jitter(values: np.ndarray) -> float:
+    """Return the standard deviation of the white part of ``values`` (steps, n), from differences of high order.
+
+    Notes
+    -----
+    A difference of order k has ``binom(2 k, k)`` times the variance of white noise, and the less of a smooth motion
+    the higher k is; the median of its square is 0.4549 of the mean. The smallest estimate of orders 2 to 6 is taken.
+    """
+    found = []
+    for order in range(2, 7):
+        change = np.diff(values, n=order, axis=0) ** 2 / comb(2 * order, order)
+        found.append(np.mean(np.median(change, axis=0)) / 0.4549)
+    return float(np.sqrt(min(found)))
+
+
+def _orientation_trusted(usable: Sequence[Recording], found: DataCheck, robot: Robot) -> bool:
+    jumped = any(run.turns_jump for run in found.runs)
+    return robot.output == "tip_pose" and not jumped and all(r.quaternion is not None for r in usable)
+
+
+def _refuse(usable: Sequence[Recording], found: DataCheck, robot: Robot, channel: str) -> str | None:
+    if not usable:
+        return f"no run of {MIN_RUN_S:g} s or more holds {channel}, which robot {robot.name} is said to report"
+    if not found.excited:
+        return "no chamber is driven in any run"
+    if len(usable) < 2:
+        return f"only one run ({usable[0].name}) can be used; a held-out error needs a second one"
+    return None
+
+
+def require_robot(recordings: RecordingSet, robot: Robot) -> None:
+    """Raise ``RecordingError`` if the recordings belong to another robot."""
+    if recordings.robot_name != robot.name:
+        raise RecordingError(
+            f"the recordings are of robot {recordings.robot_name}, but robot={robot.name}; choose "
+            f"robot={recordings.robot_name}"
+        )

@@ -1,0 +1,74 @@
+"""In which frames the tip was recorded: whether they turn apart between sessions, or all against the base frame."""
+
+import logging
+from collections.abc import Sequence
+
+import numpy as np
+
+from softrl.diagnosis.fitting.placement import Registration, place
+from softrl.recordings.recording import Recording
+
+log = logging.getLogger(__name__)
+OTHER_FRAME_RAD = 0.3  # sessions whose best placements turn apart by more were recorded in different frames
+TURNED_FRAME_RAD = 1.0  # the whole motion turned by more than this against the base frame is no misalignment
+MISPLACED_SHARE = 0.5  # of the squared error under a common placement
+
+
+def in_other_frames(simulated: Sequence[Recording], runs: Sequence[Recording], misplaced: bool) -> bool:
+    """Return whether each session has to be placed by itself.
+
+    Parameters
+    ----------
+    simulated, runs : what the simulator does, and what was measured, run by run
+    misplaced : whether a run shows the tip at rest far from where the base frame has it
+    """
+    apart, turned = _apart(simulated, runs), _turned(simulated, runs)
+    if apart < OTHER_FRAME_RAD and turned < TURNED_FRAME_RAD and not misplaced:
+        return False
+    log.info(
+        "sessions use frames that turn apart by %.0f deg, and all by %.0f deg against the base frame, or have another "
+        "origin: each is placed by itself",
+        np.degrees(apart),
+        np.degrees(turned),
+    )
+    return True
+
+
+def _apart(simulated: Sequence[Recording], runs: Sequence[Recording]) -> float:
+    """Return the largest angle, rad, between the best placements of the simulation in any two sessions' frames.
+
+    A session's own placement counts only if it removes most of the error that a common one leaves there: motion along
+    one line fits at any turn about that line.
+    """
+    sessions = dict.fromkeys(run.session for run in runs)
+    points, seen = [
+        [np.concatenate([np.asarray(side[k].position) for k in range(len(runs)) if runs[k].session == session])
+         for session in sessions]
+        for side in (simulated, runs)
+    ]  # fmt: skip
+    common = place(np.concatenate(points), np.concatenate(seen))
+    turns = []
+    for p, q in zip(points, seen, strict=True):
+        own = place(p, q)
+        turns.append(own.turn if _misplaced(own, p, q) < MISPLACED_SHARE * _misplaced(common, p, q) else common.turn)
+    cosines = [0.5 * (np.trace(a.T @ b) - 1.0) for i, a in enumerate(turns) for b in turns[:i]]
+    return float(np.arccos(np.clip(min(cosines, default=1.0), -1.0, 1.0)))
+
+
+def _misplaced(placed: Registration, points: np.ndarray, seen: np.ndarray) -> float:
+    return float(np.mean(np.sum((seen - points @ placed.turn.T - placed.shift) ** 2, axis=1)))
+
+
+def _turned(simulated: Sequence[Recording], runs: Sequence[Recording]) -> float:
+    """Return the angle, rad, by which all motion together seems turned against the base frame; 0 where that is unclear.
+
+    A turn counts only if it explains most of the difference between simulated and measured motion.
+    """
+    points = np.concatenate([np.asarray(made.position) for made in simulated])
+    target = np.concatenate([np.asarray(run.position) for run in runs])
+    turn, shift = place(points, target)
+    plain = np.mean(np.sum((target - target.mean(axis=0) - points + points.mean(axis=0)) ** 2, axis=1))
+    placed = np.mean(np.sum((target - points @ turn.T - shift) ** 2, axis=1))
+    if placed > 0.25 * plain:
+        return 0.0
+    return float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))

@@ -1,0 +1,136 @@
+"""Data that cannot tell anything, each with its evidence in one line: too short, clipped, torn, in wrong units, mixed."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from softrl.diagnosis.checks.gaps import MIN_PART_S
+from softrl.recordings.check import CLIPPED_SHARE, DataCheck, driven, moved_by_command
+from softrl.recordings.recording import Recording
+from softrl.robots.robot import Robot
+
+MIN_TOTAL_S = 12.0  # recordings of less than this together say nothing about dynamics
+MAX_CLIPPED_SHARE = 0.25  # of the samples of the motion that sit at one extreme while the command moves
+PRESSURE_FACTOR = 20.0  # times the robot's largest pressure, or that part of it: another unit
+MIN_PRESSURE_SHARE = 1.0 / 200.0
+MAX_TRAVEL = 5.0  # lengths of the robot
+MIN_TRAVEL = 1e-3
+MAX_TURN_RAD = 4.0 * np.pi
+MIXED_FACTOR = 3.0  # by which two sessions may differ in their response to the same pressures
+
+
+def unusable(runs: Sequence[Recording], robot: Robot) -> str | None:
+    """Return why ``runs`` cannot tell anything, or None."""
+    total = sum(float(np.ptp(run.time)) for run in runs)
+    if total < MIN_TOTAL_S:
+        return f"the recordings last {total:.1f} s together, expected {MIN_TOTAL_S:g} s or more; record longer"
+    return _clipped(runs) or _wrong_pressure(runs, robot) or _wrong_motion(runs, robot)
+
+
+def torn(
+    runs: Sequence[Recording],
+    intact: Sequence[Recording],
+    parts: Sequence[Recording],
+    check: DataCheck,
+    robot: Robot,
+) -> str | None:
+    """Return why what lies between pauses in the samples of ``runs`` cannot tell anything, or None.
+
+    Parameters
+    ----------
+    runs : as recorded
+    intact, parts : those of ``runs`` of which anything is left, and all that is left of them
+    check : findings on ``runs``
+    robot : whose runs they are
+    """
+    names = {run.name for run in runs}
+    missing = sum(length for run in check.runs if run.name in names for _, length in run.gaps)
+    total, kept = (sum(float(np.ptp(run.time)) for run in some) for some in (runs, parts))
+    if kept == total or (kept >= MIN_TOTAL_S and len(intact) > 1 and driven(parts, robot)):
+        return None
+    return (
+        f"samples are missing during {missing:.1f} s of {total:.1f} s ({missing / total:.0%}), and only {kept:.1f} s "
+        f"in {len(parts)} parts of {MIN_PART_S:g} s or more out of {len(intact)} runs lie between"
+        f"{'' if not parts or driven(parts, robot) else ', in which no chamber is driven'}; record without gaps"
+    )
+
+
+def mixed(runs: Sequence[Recording], simulated: Sequence[Recording], robot: Robot) -> str | None:
+    """Return why ``runs`` cannot be of one robot: sessions that respond to pressure much more than others; or None."""
+    scales = {}
+    for session in dict.fromkeys(run.session for run in runs):
+        mine = [k for k, run in enumerate(runs) if run.session == session]
+        size = [_size(np.concatenate([_motion(side[k], robot) for k in mine])) for side in (runs, simulated)]
+        if min(size) > MIN_TRAVEL * robot.length_m:  # a session at rest has no size
+            scales[session] = size[0] / size[1]
+    if len(scales) < 2:
+        return None
+    most, least = max(scales, key=lambda s: scales[s]), min(scales, key=lambda s: scales[s])
+    if scales[most] <= MIXED_FACTOR * scales[least]:
+        return None
+    return (
+        f"session {most} moves {scales[most]:.3g} times as far as the simulator and session {least} "
+        f"{scales[least]:.3g} times, which no one robot does: mixed robots, or mixed units"
+    )
+
+
+def _clipped(runs: Sequence[Recording]) -> str | None:
+    """Return which coordinate of the motion sits at one extreme, or None.
+
+    Measured pressures may: behind a supply that gives no more, a gauge that shows few values shows but one. ``check`` warns.
+    """
+    shares: dict[str, list[float]] = {}
+    for run in runs:
+        for channel, values in _seen(run):
+            for k, series in enumerate(values.T):
+                moves = moved_by_command(run, channel, k)
+                if np.ptp(series) > 0.0 and np.count_nonzero(moves) > 1.0 / CLIPPED_SHARE:
+                    ends = [float(np.mean((series == end)[moves])) for end in (series.max(), series.min())]
+                    shares.setdefault(f"{channel}[{k}]", []).append(max(ends))
+    for channel, found in shares.items():
+        if np.mean(found) > MAX_CLIPPED_SHARE:
+            return f"{channel} sits at its largest or smallest value in {np.mean(found):.0%} of the samples: clipped"
+    return None
+
+
+def _wrong_pressure(runs: Sequence[Recording], robot: Robot) -> str | None:
+    limit = max(abs(robot.pressure_max_pa), abs(robot.pressure_min_pa))
+    for name in ("pressure_cmd", "pressure_meas"):
+        found = [np.abs(values).max() for run in runs if (values := getattr(run, name)) is not None]
+        top = max(found, default=limit)
+        if not MIN_PRESSURE_SHARE * limit <= top <= PRESSURE_FACTOR * limit:
+            return (
+                f"{name} reaches {1e-3 * top:.3g} kPa where robot {robot.name} takes {1e-3 * limit:.3g} kPa: "
+                "a wrong unit (Pa, kPa, bar or psi)?"
+            )
+    return None
+
+
+def _wrong_motion(runs: Sequence[Recording], robot: Robot) -> str | None:
+    travel = max(float(np.ptp(_motion(run, robot), axis=0).max()) for run in runs)
+    if robot.output == "bend_angle":
+        turn = travel / robot.length_m
+        if turn == 0.0:
+            return "the bend angle never changes: a sensor that stands still?"
+        return f"the bend angle spans {turn:.3g} rad: degrees taken for rad?" if turn > MAX_TURN_RAD else None
+    if MIN_TRAVEL * robot.length_m <= travel <= MAX_TRAVEL * robot.length_m:
+        return None
+    return (
+        f"the tip travels {1e3 * travel:.3g} mm where robot {robot.name} is {1e3 * robot.length_m:.3g} mm long: "
+        f"{'a sensor that stands still?' if travel == 0.0 else 'a wrong unit (m, mm or um)?'}"
+    )
+
+
+def _seen(run: Recording) -> list[tuple[str, np.ndarray]]:
+    found = [("position", run.position), ("bend_angle", run.bend_angle)]
+    return [(name, values.reshape(len(values), -1)) for name, values in found if values is not None]
+
+
+def _motion(run: Recording, robot: Robot) -> np.ndarray:
+    if robot.output == "bend_angle":
+        return robot.length_m * np.asarray(run.bend_angle)[:, None]
+    return np.asarray(run.position)
+
+
+def _size(motion: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.sum((motion - motion.mean(axis=0)) ** 2, axis=1))))

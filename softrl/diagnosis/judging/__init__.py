@@ -1,0 +1,1 @@
+"""What held-out runs say: what is named, what does as well, what is left, what competes."""

@@ -1,0 +1,84 @@
+"""The competitors of a correction: nominal, retuned, one lag, maps without physics, the calibrated map; all judged alike."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from softrl.artifacts.calibration import Calibration
+from softrl.artifacts.diagnosis import Diagnosis
+from softrl.diagnosis.checks.data import Data
+from softrl.diagnosis.fitting.hypothesis import Hypothesis
+from softrl.diagnosis.fitting.problem import Problem
+from softrl.diagnosis.fitting.trial import Search, fit_trials, of_effects, parallel
+from softrl.diagnosis.judging.baselines import one_lag, without_physics
+from softrl.diagnosis.judging.correct import Model, Traces, model_of, traces
+from softrl.diagnosis.judging.examine import Finding
+from softrl.diagnosis.judging.hidden import behind, in_words, read_map
+from softrl.diagnosis.judging.join import tuned_together
+from softrl.pcc.simulator import PccSimulator
+
+
+def competitors(search: Search, training: Problem, findings: list[Finding]) -> dict[str, Model]:
+    """Return nominal, retuned and corrected, all from command to motion."""
+    empty = Hypothesis((), ())
+    tuned = training.tuned
+    motion = findings[-1]
+    start = tuned_together(findings[0].base, motion.base)
+    retuned = fit_trials(training, None, [(Hypothesis((), tuned), [start])], search)[0]
+    parts = [finding.final for finding in findings]
+    effects = tuple(choice for trial in parts for choice in trial.hypothesis.effects)
+    point = np.concatenate([*(of_effects(trial) for trial in parts), tuned_together(parts[0], parts[-1])])
+    if not effects:
+        point = retuned.fit.point
+    elif motion.joint is not None:
+        point = motion.joint
+    lag = one_lag(training, retuned.fit.point, search)
+    return {
+        "nominal": model_of(training, empty, np.zeros(0)),
+        "retuned": model_of(training, retuned.hypothesis, retuned.fit.point),
+        "corrected": model_of(training, Hypothesis(effects, tuned), point),
+    } | ({"one_lag": lag} if lag else {})
+
+
+def judged_on(whole: Problem, data: Data, models: dict[str, Model], workers: int) -> dict[str, dict[str, Traces]]:
+    """Return what every competitor predicts, with physics and without: split -> name -> traces."""
+    splits = {split: whole.on(runs) for split, runs in data.splits.items()}
+    plain = without_physics(whole.on(data.training), splits, models["corrected"].placed)
+    jobs = [(problem, model) for problem in splits.values() for model in models.values()]
+    made = iter(parallel(traces, jobs, 1 if isinstance(whole.simulator, PccSimulator) else workers))
+    return {split: {name: next(made) for name in models} | plain[split] for split in splits}
+
+
+def add_calibrated(
+    whole: Problem,
+    data: Data,
+    calibration: Calibration,
+    retuned: Model,
+    judged: dict[str, dict[str, Traces]],
+    search: Search,
+) -> None:
+    """Add what the retuned simulator behind the calibrated map predicts to ``judged``."""
+    training = behind(whole.on(data.training), calibration)
+    fitted = fit_trials(training, None, [(retuned.hypothesis, [retuned.point])], search)
+    if fitted:
+        model = model_of(training, retuned.hypothesis, fitted[0].fit.point)
+        for split, runs in data.splits.items():
+            judged[split]["calibrated"] = traces(behind(whole.on(runs), calibration), model)
+
+
+def with_map(diagnosis: Diagnosis, calibration: Calibration) -> Diagnosis:
+    """Return the diagnosis with what the calibrated map has absorbed, and whether physics replaces it."""
+    rows, held = read_map(calibration), diagnosis.errors_mm["heldout"]
+    lines = in_words(rows)
+    if "calibrated" in held:
+        replaces = bool(diagnosis.effects) and held["corrected"] <= held["calibrated"]
+        lines.append(
+            f"Behind the calibrated map the retuned simulator errs by {held['calibrated']:.3g} mm on held-out runs; "
+            + (
+                f"the physics named here, without the map, by {held['corrected']:.3g} mm, and replaces it."
+                if replaces
+                else f"without it the corrected one by {held['corrected']:.3g} mm: the map stays."
+            )
+        )
+    data = diagnosis.data | {"calibrated_map": rows}
+    return replace(diagnosis, sentences=[*diagnosis.sentences, *lines], data=data)

@@ -1,0 +1,285 @@
+"""One part of the pipeline (valve, body, or both at once): search, refit, confirm on held-out runs, list rivals."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, effect_axes, neutral
+from softrl.diagnosis.fitting.intervals import Interval, by_effect, intervals
+from softrl.diagnosis.fitting.judge import SHOWN_BESIDE, Gap, Judge, Thresholds
+from softrl.diagnosis.fitting.problem import Problem, Residual
+from softrl.diagnosis.fitting.trial import Search, Trial, columns_of, drop, fit_trials, from_nominal, join, raced
+from softrl.diagnosis.judging.dated import Dating, told_of_dates
+from softrl.diagnosis.judging.leftover import Offer, explained_by, heldout_residual, offer_of, reasons_of, varies
+from softrl.diagnosis.judging.rivalry import as_good, asked_again, overtakes
+from softrl.diagnosis.judging.rivals import Rival, better, of_another_chamber, plainer, simpler, stand_in, suddenly
+from softrl.diagnosis.search.hypothesise import forward
+from softrl.diagnosis.search.moves import implausible
+from softrl.diagnosis.search.path import Path
+from softrl.diagnosis.search.slim import slim
+from softrl.effects.library import effect_class
+from softrl.recordings.recording import Recording
+
+log = logging.getLogger(__name__)
+SWITCHES = 2  # effects that a rival may take the place of once the held-out runs have spoken
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of the pipeline with its data.
+
+    Attributes
+    ----------
+    title : "command to measured pressure", "measured pressure to motion" or "command to motion"
+    problem : on the training runs, as far as fits see them
+    heldout : runs
+    floor, travel : m (Pa): noise in a bin, rms of what is measured
+    choices : effects to consider
+    """
+
+    title: str
+    problem: Problem
+    heldout: tuple[Recording, ...]
+    floor: float
+    travel: float
+    choices: tuple[Choice, ...]
+
+    def judge(self, runs: Sequence[Recording], thresholds: Thresholds, seed: int) -> Judge:
+        """Return the judge on ``runs``."""
+        return Judge(self.problem.on(runs), self.floor, self.travel, thresholds, seed)
+
+
+class Named(NamedTuple):
+    """An effect that holds on held-out runs: its parameters, and what leaving it out costs there."""
+
+    choice: Choice
+    intervals: list[Interval]
+    gap: Gap
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What one part of the pipeline says.
+
+    Attributes
+    ----------
+    part : which
+    path : of the search
+    base, final : trials refitted on all training runs, judged on held-out runs: retuned only, and with effects
+    named, rivals : effects, and their alternatives
+    explained : share of the squared held-out error above the floor that the effects remove
+    left : held-out error above the floor that remains, m (Pa)
+    unknown : whether something is missing that no effect explains; effects that explain most of it stay named
+    closest : the effects that came closest to it, without explaining it
+    reasons : why it is unknown, one clause each
+    offer : what a map without physics could still remove
+    residual_before, residual_after : held-out
+    judge : on the held-out runs
+    joint : scaled parameters of all parts' effects and the simulator's, where they were refitted from command to motion
+    switched : effects that took the place of one which the training runs preferred, a sentence each
+    """
+
+    part: Part
+    path: Path
+    base: Trial
+    final: Trial
+    named: list[Named]
+    rivals: list[Rival]
+    explained: float
+    left: float
+    unknown: bool
+    closest: str
+    reasons: list[str]
+    offer: Offer
+    residual_before: Residual
+    residual_after: Residual
+    judge: Judge
+    joint: np.ndarray | None = None
+    switched: tuple[str, ...] = ()
+
+
+def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Finding:
+    """Return what is missing in one part, searched on training runs and judged on held-out runs.
+
+    A rival that predicts the held-out runs better for sure, and all runs that its fits did not see, takes the place of the
+    effect that the training runs alone preferred; so does a law that it extends by less than counts, and what may begin suddenly
+    where that began so and does not.
+    """
+    inside = part.judge(part.problem.runs, thresholds, seed)
+    path = forward(part.problem, inside, part.problem.tuned, part.choices, search, lambda line: log.info("%s", line))
+    judge = part.judge(part.heldout, thresholds, seed)
+    dating = Dating(part.problem, judge)
+    base, final = (dating.on_heldout(trial) for trial in (path.retuned, path.best))
+    before, final = final, dating.of(final)
+    for old, new in zip(path.best.hypothesis.effects, final.hypothesis.effects, strict=True):
+        path.tried[new] = path.tried.pop(old, [])
+    finding = _judged(part, judge, path, base, final, search)
+    finding = replace(finding, switched=told_of_dates(before, final, [named.choice for named in finding.named]))
+    for _ in range(SWITCHES):
+        ahead = better(finding.rivals)
+        if ahead is None:
+            break
+        why = "it predicts the held-out runs better, whose error is then the best of several"
+        finding = _switched(finding, judge, ahead, why, search)
+    redated = set(final.hypothesis.effects) - set(before.hypothesis.effects)
+    fewer = simpler(judge, finding.rivals, finding.final, [*redated])
+    if fewer is not None:
+        finding = _switched(finding, judge, fewer, "it does as well, and needs fewer numbers to say when it began", search)
+    plain = plainer(judge, finding.rivals, finding.final)
+    if plain is not None:
+        finding = _switched(finding, judge, plain, "what that adds to its law is less than anybody would notice", search)
+    sudden = suddenly(finding.rivals, finding.final)
+    if sudden is not None:
+        finding = _switched(finding, judge, sudden, "it does as well, and came about sooner than that may", search)
+    return finding
+
+
+def _switched(finding: Finding, judge: Judge, better: Rival, why: str, search: Search) -> Finding:
+    """Return the finding with a rival in the place of what the training runs preferred, which is told with the reason."""
+    told = (
+        f"{better.choice.label()} takes the place of {better.instead_of.label()}, which the training runs preferred: {why}."
+    )
+    log.info("%s", told)
+    part, path = finding.part, finding.path
+    final = _put_in(part, judge, path, finding.final, better, search)
+    found = _judged(part, judge, path, finding.base, final, search)
+    return replace(found, switched=(*finding.switched, told))
+
+
+def _judged(part: Part, judge: Judge, path: Path, base: Trial, final: Trial, search: Search) -> Finding:
+    """Return what the held-out runs say of ``final``, the hypothesis that a search has found, beside ``base`` without effects."""
+    final, named, without = _confirm(part, judge, path, base, final, search)
+    offer = offer_of(part.problem, judge, final)
+    explained = explained_by(judge, base, final, offer)
+    reasons = reasons_of(judge, final, offer, explained)
+    if not reasons and varies(part.problem, judge, final):
+        reasons = ["the numbers of the effects named would have to change with the pressures"]
+    in_vain = explained.share < judge.thresholds.explained_share
+    closest = final.hypothesis.label() if reasons and named and in_vain else ""
+    if reasons and in_vain:
+        final, named, without = base, [], {}
+        offer = offer_of(part.problem, judge, final)
+        explained = explained_by(judge, base, final, offer)
+    rivals = []
+    for choice, trial in without.items():
+        rivals += _rivals(part, judge, path, final, trial, choice, search)
+    before, after = (heldout_residual(judge, trial) for trial in (base, final))
+    return Finding(
+        part, path, base, final, named, rivals, explained.share, explained.left, bool(reasons), closest, reasons, offer,
+        before, after, judge,
+    )  # fmt: skip
+
+
+def _put_in(part: Part, judge: Judge, path: Path, final: Trial, better: Rival, search: Search) -> Trial:
+    """Return ``final`` with a rival in the place of one of its effects, which is the rival's rival from now on.
+
+    The other effects are put to the test again beside it.
+    """
+    mine = final.fit.point[columns_of(final, better.instead_of)]
+    others = [pair for pair in path.tried[better.instead_of] if pair[0] != better.choice]
+    path.tried[better.choice] = [(better.instead_of, mine), *others]
+    inside = part.judge(part.problem.runs, judge.thresholds, judge.seed)
+    return asked_again(part.problem, inside, judge, better.trial, part.choices, search, path)
+
+
+def in_full(final: Trial, choice: Choice) -> tuple[Hypothesis, list[np.ndarray]]:
+    """Return ``final`` with all parameters of ``choice``, one of its effects, free again, and the point where it was."""
+    whole = choice._replace(pinned=())
+    values = dict(zip((axis.name for axis in effect_axes(choice)), final.fit.point[columns_of(final, choice)], strict=True))
+    mine = [values.get(axis.name, zero) for axis, zero in zip(effect_axes(whole), neutral(whole), strict=True)]
+    effects = tuple(whole if effect == choice else effect for effect in final.hypothesis.effects)
+    first = columns_of(final, choice)[0]
+    point = np.insert(drop(final, choice), first, mine)
+    return Hypothesis(effects, final.hypothesis.tuned), [point]
+
+
+def _confirm(
+    part: Part, judge: Judge, path: Path, base: Trial, final: Trial, search: Search
+) -> tuple[Trial, list[Named], dict[Choice, Trial]]:
+    """Return the final trial less effects that do not pay held out, those that do, and the trial without each.
+
+    Where one of several does not, what was tried in its place is asked before it goes: what the others leave may need one of
+    them, and the training runs took the simplest.
+    """
+    gone: list[Choice] = []
+    while final.hypothesis.effects:
+        without = _leave_one_out(part, judge, path, base, final, search)
+        gaps = {choice: judge.gap(trial.squares, final.squares) for choice, trial in without.items()}
+        weakest = min(gaps, key=lambda choice: gaps[choice].value)
+        odd, less = implausible(judge, final), without[weakest]
+        plain = gaps[weakest].value >= judge.material
+        if len(gaps) == 1 or (not odd and implausible(judge, less)):  # it only has to show, see ``moves.pays``
+            times = SHOWN_BESIDE if odd else 1.0
+            plain = judge.removed(less.squares, final.squares) >= times * judge.material
+        if plain and gaps[weakest].low > 0.0:
+            found = intervals(part.problem, final, judge.thresholds)
+            mine = by_effect(final.hypothesis, found)
+            return final, [Named(choice, mine[choice], gaps[choice]) for choice in without], without
+        log.info("%s does not pay on held-out runs and is not named", weakest.label())
+        gone.append(weakest)
+        rivals = _rivals(part, judge, path, final, without[weakest], weakest, search) if len(gaps) > 1 else []
+        instead = stand_in(judge, without[weakest], [rival for rival in rivals if rival.choice not in gone])
+        final = _put_in(part, judge, path, final, instead, search) if instead else without[weakest]
+    return base, [], {}
+
+
+def _leave_one_out(
+    part: Part, judge: Judge, path: Path, base: Trial, final: Trial, search: Search
+) -> dict[Choice, Trial]:
+    if len(final.hypothesis.effects) == 1:
+        return {final.hypothesis.effects[0]: base}
+    tasks = [(final.hypothesis.without(c), drop(final, c)) for c in final.hypothesis.effects]
+    fitted = path.fit(part.problem, tasks, search)  # the search asked the same of each that it put to the test
+    labels = {trial.hypothesis: trial for trial in Dating(part.problem, judge).that_run(fitted)}
+    return {c: labels.get(final.hypothesis.without(c), base) for c in final.hypothesis.effects}
+
+
+def _rivals(
+    part: Part, judge: Judge, path: Path, final: Trial, without: Trial, choice: Choice, search: Search
+) -> list[Rival]:
+    """Return the best alternatives to ``choice``, the other effects staying, judged on held-out runs."""
+    tried = path.tried.get(choice, [])
+    others = [pair for pair in tried if pair[0].name not in final.hypothesis.names][: search.rivals]
+    others += [pair for pair in tried if of_another_chamber(pair[0], choice)][:1]
+    tasks = [
+        (without.hypothesis.with_effect(other), [start, *from_nominal(start, without.hypothesis)][: search.starts])
+        for other, point in others
+        for start in [join(without, point)]
+    ]
+    race = raced(part.problem, judge.problem, tasks, search, final, patient=True)
+    found, both, whole = [], judge.on((*part.problem.runs, *part.heldout)), None
+    for trial in map(Dating(part.problem, judge).of, (*race.finished, *race.beaten)):
+        alike = as_good(judge, both, trial, final)
+        if alike and _freer(trial, final):
+            trial = _slimmed(part, judge, path, trial, search)
+            if trial.hypothesis == final.hypothesis:
+                continue
+            alike = as_good(judge, both, trial, final) and not _freer(trial, final)
+        gap = judge.gap(trial.squares, final.squares)
+        better = overtakes(judge, both, trial, final)
+        if better and choice.pinned:  # the rival has all its parameters: so must what it is better than
+            whole = whole or fit_trials(part.problem, judge.problem, [in_full(final, choice)], search)
+            better = all(overtakes(judge, both, trial, one) for one in whole)
+        found.append(Rival(choice, trial.hypothesis.effects[-1], gap, alike, trial, better))
+    return sorted(found, key=lambda rival: rival.gap.value)
+
+
+def _freer(trial: Trial, final: Trial) -> bool:
+    """Return whether ``trial`` has more parameters than ``final`` and predicts all runs no better for it."""
+    return len(trial.fit.point) > len(final.fit.point) and bool(trial.everywhere.mean() > final.everywhere.mean())
+
+
+def _slimmed(part: Part, judge: Judge, path: Path, trial: Trial, search: Search) -> Trial:
+    """Return ``trial`` with those parameters of its last effect that pay: what was named was slimmed, too.
+
+    A dead time that disperses by nothing is a delay. A map without physics means something with all its parameters only.
+    """
+    if effect_class(trial.hypothesis.effects[-1].name).together:
+        return trial
+    inside = part.judge(part.problem.runs, judge.thresholds, judge.seed)
+    last = len(trial.hypothesis.effects) - 1
+    less = slim(part.problem, inside, trial._replace(squares=trial.inside), search, path, last)
+    return next(iter(Dating(part.problem, judge).that_run([less])), trial)

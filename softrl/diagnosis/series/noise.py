@@ -1,0 +1,151 @@
+"""Noise of any colour: its memory, and what it would not show, jumps and errors that come with motion."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+from scipy.ndimage import maximum_filter1d
+
+from softrl.diagnosis.series.least_squares import UNSEEN
+
+MAX_ORDER = 8  # of an autoregression
+STILL, AFTER, MANY = 0.02, 4, 8  # share of the largest move, over so many steps: a rest; so many samples of it tell
+BAND = 0.2  # share of a frequency over which the spectrum of noise drawn anew is averaged
+
+
+def autoregression(runs: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the coefficients (order,) of the series' own past, the order chosen by Schwarz's criterion."""
+    count = sum(max(len(run) - MAX_ORDER, 0) for run in runs)
+    if count < 4 * MAX_ORDER:
+        return np.zeros(0)
+    past = [
+        np.stack([run[MAX_ORDER - k : len(run) - k] for k in range(1, MAX_ORDER + 1)], axis=1)
+        for run in runs
+        if len(run) > MAX_ORDER
+    ]
+    x, y = np.concatenate(past), np.concatenate([run[MAX_ORDER:] for run in runs if len(run) > MAX_ORDER])
+    best: tuple[float, np.ndarray] = (count * np.log(max(float(y @ y) / count, 1e-300)), np.zeros(0))
+    for order in range(1, MAX_ORDER + 1):
+        found = np.linalg.lstsq(x[:, :order], y, rcond=None)[0]
+        left = y - x[:, :order] @ found
+        score = count * np.log(max(float(left @ left) / count, 1e-300)) + order * np.log(count)
+        if score < best[0]:
+            best = (score, found)
+    return best[1]
+
+
+def whitened(series: np.ndarray, memory: np.ndarray) -> np.ndarray:
+    """Return ``series`` (steps,) less what ``memory`` predicts from its past; the first samples are left out."""
+    left = series[len(memory) :].copy()
+    for k, share in enumerate(memory, start=1):
+        left -= share * series[len(memory) - k : len(series) - k]
+    return left
+
+
+def redrawn(series: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return noise (steps, n) of the size and colour of ``series``, as smooth in frequency as within ``BAND`` either way.
+
+    A line in the spectrum would stay one whatever its phase: where the commands swing at its frequency, or at a whole
+    part of it, it follows them still.
+    """
+    lines = np.fft.rfft(series - series.mean(axis=0), axis=0)
+    place = np.arange(1, len(lines))
+    first, end = np.maximum(place / (1.0 + BAND), 1.0).astype(int), np.ceil(place * (1.0 + BAND)).astype(int) + 1
+    end = np.minimum(end, len(lines))
+    total = np.cumsum(np.abs(lines) ** 2, axis=0)
+    power = (total[end - 1] - total[first - 1]) / (end - first)[:, None]
+    drawn = rng.standard_normal((2, *power.shape))
+    lines[0], lines[1:] = 0.0, np.sqrt(0.5 * power) * (drawn[0] + 1j * drawn[1])
+    made = np.fft.irfft(lines, len(series), axis=0)
+    return np.asarray(made * series.std(axis=0) / np.maximum(made.std(axis=0), 1e-300))
+
+
+class Uneven(NamedTuple):
+    """How unlike noise a series is: the chance of it in noise, and the share of its power that is in excess.
+
+    In excess of what its quiet samples have, or of what it has where the drives rest or would, whichever is more.
+    """
+
+    p_value: float
+    share: float
+
+
+def unlike_noise(
+    runs: Sequence[np.ndarray],
+    drives: Sequence[np.ndarray],
+    draws: int,
+    rng: np.random.Generator,
+    slopes: Sequence[np.ndarray] = (),
+) -> Uneven:
+    """Return how uneven ``runs`` (steps, n) are under ``drives`` (steps, m), beside noise of the same memory.
+
+    Uneven in three ways: their innovations have heavy tails, as after jumps, are larger where the drives move more, or than
+    where they have stood still: no sensor's noise waits for a command. What parameters with the derivatives ``slopes``
+    (steps, n, p) could take up counts as none: a fit to noise leaves them a little off, and what that does is sharp where the
+    drives move.
+
+    Notes
+    -----
+    Innovations are those of an autoregression fitted to the runs, compared with Gaussian ones of the same correlations
+    between channels. Of ``n`` Gaussian channels the median of the summed squares is that of chi-squared with ``n`` degrees
+    of freedom (textbook form, no equation number checked). A small chance says that there is structure, not that it is
+    large: every simulator's body leaves some, which the share tells.
+    """
+    runs = [run - run.mean(axis=0) for run in runs]
+    memories = [autoregression([run[:, k] for run in runs]) for k in range(runs[0].shape[1])]
+    active = [np.abs(np.diff(drive, axis=0, prepend=drive[:1])).sum(axis=1) for drive in drives]
+    news = [innovations(run, memories) for run in runs]
+    moves = np.concatenate([move[-len(new) :] for move, new in zip(active, news, strict=True)])
+    lately = [maximum_filter1d(move, AFTER, origin=(AFTER - 1) // 2)[-len(new) :] for move, new in zip(active, news, strict=True)]
+    still = np.concatenate(lately) <= STILL * moves.max(initial=0.0)
+    still &= MANY <= still.sum() <= len(still) - MANY
+    size = np.concatenate([np.broadcast_to(np.maximum(new.std(axis=0), 1e-150), new.shape) for new in news])
+    ends = np.cumsum([len(new) for new in news])[:-1]
+    taken = _taken_up([innovations(slope, memories) for slope in slopes], size)
+
+    def squares(new: np.ndarray) -> np.ndarray:
+        new = new - (taken @ (taken.T @ new.ravel())).reshape(new.shape)
+        parts = np.split(new, ends)
+        return np.concatenate([(x - x.mean(axis=0)) ** 2 / np.maximum(x.var(axis=0), 1e-300) for x in parts])
+
+    def uneven(square: np.ndarray) -> np.ndarray:
+        power = np.sqrt(square.sum(axis=1))
+        slope = np.corrcoef(moves, power)[0, 1] if np.ptp(moves) > 0.0 and np.ptp(power) > 0.0 else 0.0
+        waits = power[~still].mean() - power[still].mean() if still.any() else 0.0
+        return np.array([np.mean(square**2), slope, waits])
+
+    new = np.concatenate(news) / size
+    found = squares(new)
+    seen, basis = np.linalg.eigh(new.T @ new / len(new))
+    mix = (basis * np.sqrt(np.maximum(seen, 0.0))).T
+    drawn = np.array([uneven(squares(rng.standard_normal(new.shape) @ mix)) for _ in range(draws)])
+    ranks = (1.0 + np.sum(drawn >= uneven(found), axis=0)) / (draws + 1.0)
+    return Uneven(float(min(1.0, len(ranks) * ranks.min())), _in_excess(found, moves, still))
+
+
+def _in_excess(square: np.ndarray, moves: np.ndarray, still: np.ndarray) -> float:
+    """Return the share of the power of ``square`` (steps, n) beyond that of quiet samples, of no ``moves`` (steps,) or rests."""
+    channels, power = square.shape[1], square.sum(axis=1)
+    quiet = float(np.median(power)) * channels / float(stats.chi2.median(channels))
+    change = moves - moves.mean()
+    slope = max(float(change @ power) / max(float(change @ change), 1e-300), 0.0)
+    rest = min(quiet, float(power.mean() - slope * moves.mean()), float(power[still].mean()) if still.any() else np.inf)
+    return float(np.clip(1.0 - rest / max(float(power.mean()), 1e-300), 0.0, 1.0))
+
+
+def innovations(run: np.ndarray, memories: Sequence[np.ndarray]) -> np.ndarray:
+    """Return ``run`` (steps, n, ...) less what each channel's memory predicts; equally many first samples left out."""
+    longest = max(len(memory) for memory in memories)
+    whole = [whitened(run[:, k], memory) for k, memory in enumerate(memories)]
+    return np.stack([column[longest - len(m) :] for column, m in zip(whole, memories, strict=True)], axis=1)
+
+
+def _taken_up(slopes: Sequence[np.ndarray], size: np.ndarray) -> np.ndarray:
+    """Return an orthonormal basis (rows, q) of what parameters with derivatives ``slopes`` (steps, n, p) can do."""
+    if not slopes:
+        return np.zeros((size.size, 0))
+    columns = (np.concatenate(list(slopes)) / size[:, :, None]).reshape(size.size, -1)
+    columns = columns[:, columns.any(axis=0)]
+    basis, seen, _ = np.linalg.svd(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), full_matrices=False)
+    return np.asarray(basis[:, seen > UNSEEN])

@@ -1,0 +1,1 @@
+"""The finding in words, numbers and figures, and what to record next."""

@@ -1,0 +1,104 @@
+"""What is concluded: a diagnosis from the findings, or from the reason why nothing can be told."""
+
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from softrl.artifacts.diagnosis import Diagnosis
+from softrl.diagnosis.checks.data import Data, Refusal
+from softrl.diagnosis.checks.reach import of_other_length
+from softrl.diagnosis.checks.response import step_responses
+from softrl.diagnosis.fitting.problem import Problem
+from softrl.diagnosis.judging.correct import Model, Traces, errors, in_mm
+from softrl.diagnosis.judging.examine import Finding
+from softrl.diagnosis.judging.verdict import verdict_of
+from softrl.diagnosis.judging.zeros import wandering_zeros
+from softrl.diagnosis.telling.entries import effect_entries, retuned_entries, rival_entries, unexplained
+from softrl.diagnosis.telling.explain import next_experiment, sentences
+
+
+def conclude(
+    data: Data,
+    whole: Problem,
+    findings: list[Finding],
+    models: dict[str, Model],
+    judged: dict[str, dict[str, Traces]],
+    located: list[dict[str, Any]],
+) -> Diagnosis:
+    """Return the diagnosis of ``findings``.
+
+    Parameters
+    ----------
+    data : the recordings
+    whole : the problem from command to motion
+    findings : of its parts
+    models, judged : the competitors, and what they predict: split -> name -> traces
+    located : tests of where simulation and measurement part
+    """
+    robot, angle = whole.robot, whole.robot.output == "bend_angle"
+    noise = data.noise / (robot.length_m if angle else 1.0)
+    plain = {split: errors(found, noise) for split, found in judged.items()}
+    verdict, responses = verdict_of(findings, plain["heldout"]), step_responses(data.training)
+    spaces = {name: whole.space(models[name].hypothesis) for name in ("retuned", "corrected")}
+    made = Diagnosis(
+        robot_name=robot.name,
+        simulator_name=type(whole.simulator).__name__,
+        verdict=verdict,
+        sentences=[],
+        effects=effect_entries(findings),
+        simulator_parameters=spaces["corrected"].tuned(models["corrected"].point),
+        retuned=retuned_entries(whole, models["retuned"]),
+        rivals=rival_entries(findings, robot),
+        located=located,
+        errors_mm={split: in_mm(values, robot.length_m, angle) for split, values in plain.items()},
+        errors_deg={s: {n: float(np.degrees(e)) for n, e in v.items()} for s, v in plain.items()} if angle else {},
+        unexplained=unexplained(findings),
+        next_experiment=next_experiment(findings, verdict, robot, data.noise),
+        data={
+            "warnings": _warnings(data, whole),
+            "training_runs": [r.name for r in data.training],
+            "heldout_runs": [r.name for r in data.heldout],
+            "sessions_placed_separately": whole.register,
+            "orientation_used": whole.orientation,
+            "measured_pressure_used": len(findings) > 1,
+            "step_responses": asdict(responses),
+        },
+        late_s={name: space.late(models[name].point) for name, space in spaces.items()},
+    )
+    read = responses.sentence()
+    wander = wandering_zeros(findings[0]) if len(findings) > 1 else []
+    return replace(made, sentences=sentences(made, findings) + wander + ([read] if read else []))
+
+
+def cannot_tell(refusal: Refusal, robot_name: str, simulator_name: str) -> Diagnosis:
+    """Return the diagnosis of data that cannot tell anything."""
+    return Diagnosis(
+        robot_name=robot_name,
+        simulator_name=simulator_name,
+        verdict="unknown",
+        sentences=[f"Cannot tell: {refusal.reason}."],
+        effects=[],
+        simulator_parameters={},
+        retuned={},
+        rivals=[],
+        located=[],
+        errors_mm={"train": {}, "heldout": {}},
+        errors_deg={},
+        unexplained={"cannot_tell": refusal.reason},
+        next_experiment=None,
+        data={"warnings": list(refusal.check.warnings)},
+    )
+
+
+def _warnings(data: Data, whole: Problem) -> list[str]:
+    """Return what is odd about the recordings, one line each."""
+    lines = [*data.check.warnings, *data.mended]
+    if whole.register:
+        lines.append(
+            "the recorded frame differs from the robot's base frame, or between sessions: every session is placed by "
+            "the rigid motion that fits best, so that a tilt or an offset of the frame cannot be told"
+        )
+    elif length := of_other_length(data.training, whole.robot):
+        lines.append(length)
+    return lines

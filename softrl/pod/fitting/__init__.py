@@ -1,0 +1,1 @@
+"""From equilibria of the full model to a reduced one."""

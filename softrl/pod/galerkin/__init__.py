@@ -1,0 +1,1 @@
+"""POD Galerkin with ECSW, the paper's reduction, beside the energy ROM."""

@@ -1,0 +1,205 @@
+"""Many trajectories of the energy ROM in step, for vectors of the processor: the last axis of every array is the lane.
+
+The equations are those of ``pod.step.kernel`` and ``pod.step.potential``; polynomials of all lanes are matrix products.
+"""
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numba as nb
+import numpy as np
+
+from softrl.artifacts.reduced_model import SHAPES
+from softrl.core.compiled import standing
+from softrl.core.threads import cores
+from softrl.pod.lanes.chords import fill_viscosities, go_half_way
+from softrl.pod.lanes.columns import Columns, columns_of
+from softrl.pod.lanes.inertias import add_inertias, fill_amplitudes, fill_inertias, fill_kinetic, fill_work, kinetic_of
+from softrl.pod.lanes.insides import begin_insides, end_insides, fill_gives
+from softrl.pod.lanes.lanes import (
+    Lanes,
+    add,
+    add_times,
+    largest,
+    make_lanes,
+    put,
+    put_rate,
+    put_sum,
+    put_times,
+    scale_down,
+    to_balls,
+)
+from softrl.pod.lanes.newtons import converge
+from softrl.pod.lanes.products import TILE
+from softrl.pod.step.inertia import Course, make_course
+from softrl.pod.step.inside import Inside, make_inside
+from softrl.pod.step.kernel import MAX_ITERATIONS, SCALINGS
+from softrl.pod.step.potential import Tables
+
+LANES = 64  # trajectories in step, at most: enough for vectors, few enough for the cache; a multiple of a tile's
+
+
+def run_batch(
+    y: np.ndarray, velocity: np.ndarray, dt_s: float, load: np.ndarray, tables: Tables
+) -> tuple[np.ndarray, int, float]:
+    """Roll out from ``y`` and ``velocity`` (B, r) under ``load`` (B, steps, r) Pa and N.
+
+    Blocks of trajectories run in threads, one a core. Returns the path (B, steps, r), the number of steps that did not
+    converge, and the largest ``|y|``; the same motions as ``pod.step.kernel.run_kernel`` makes, to round-off, and bit for bit the
+    same in whatever block.
+    """
+    path, columns = np.empty(load.shape), columns_of(tables)
+    lanes = min(LANES, _whole_tiles(-(-len(y) // cores())) or TILE)
+    blocks = [slice(first, first + lanes) for first in range(0, len(y), lanes)]
+
+    def run(block: slice) -> tuple[int, float]:
+        count = len(y[block])
+        filled = np.minimum(np.arange(_whole_tiles(count)), count - 1)  # the last trajectory again and again
+        moving = (np.array(part[block][filled].T, order="C") for part in (y, velocity))
+        push = np.ascontiguousarray(load[block][filled].transpose(1, 2, 0))
+        return run_block(*moving, dt_s, push, tables, columns, path[block])
+
+    with ThreadPoolExecutor(min(len(blocks), cores()) or 1) as threads:
+        ends = list(threads.map(run, blocks))
+    return path, sum(failed for failed, _ in ends), max((farthest for _, farthest in ends), default=0.0)
+
+
+def _whole_tiles(lanes: int) -> int:
+    """Return the lanes of as many tiles as hold ``lanes``."""
+    return -(-lanes // TILE) * TILE
+
+
+@standing
+def _begin(
+    start: np.ndarray, ahead: np.ndarray, load: np.ndarray, dt: float, tables: Any, course: Course, held: Lanes
+) -> None:
+    """Fill what is constant in a step, as ``pod.step.kernel.begin_step``; ``load`` (r, lanes)."""
+    r = len(start)
+    free, drag, late = tables.scales[0] / dt**2, tables.scales[1] / dt, tables.scales[2] / dt
+    for i in range(r):
+        held.right[i] = 0.0
+        add_times(held.right[i], -late, held.steep[i])
+        for j in range(r):
+            add_times(held.right[i], tables.frame[j, i], load[j])
+            put_times(held.inertia[i, j], late, held.stiff[i, j])
+            add(held.right[i], held.inertia[i, j], start[j])
+    add_inertias(free, drag, course, held)
+
+
+@standing
+def _end(
+    y: np.ndarray, start: np.ndarray, velocity: np.ndarray, inner: np.ndarray, dt: float, tables: Any, columns: Columns,
+    insides: Inside, course: Course, held: Lanes, energies: tuple[np.ndarray, np.ndarray],
+) -> float:
+    """Bring rates, amplitudes and the energies (lanes,) up to date, as ``end_step`` of one; return the largest ``|y|``."""
+    kinetic, bent = energies
+    most = held.some[4]
+    for i in range(len(y)):
+        put(held.former[i], velocity[i])
+        put_rate(velocity[i], y[i], start[i], dt)
+    for k in range(SHAPES):
+        put(held.formerly[k], inner[1, k])
+    end_insides(inner, y, dt, insides, held.some[0], bent)
+    fill_work(y, velocity, inner[1], dt, insides, course, held, most)
+    for lane in range(len(most)):
+        most[lane] = max(kinetic[lane] + most[lane], 0.0)
+    for a in range(len(course.now)):
+        put(course.before[a], course.now[a])
+    fill_amplitudes(y, y.shape[1], tables, columns, held, course.now, course.lead)
+    farthest = largest(held.radius)
+    fill_kinetic(velocity, inner, dt, insides, course, held, kinetic)
+    _hold_back(y, velocity, inner, dt, tables, columns, insides, course, held, energies[0])
+    return farthest
+
+
+@standing
+def _hold_back(
+    y: np.ndarray, velocity: np.ndarray, inner: np.ndarray, dt: float, tables: Any, columns: Columns, insides: Inside,
+    course: Course, held: Lanes, kinetic: np.ndarray,
+) -> None:
+    """Scale the rates of lanes whose energy is above what it may be, ``some[4]``, as ``end_step`` of one: these alone."""
+    most = held.some[4]
+    for _ in range(SCALINGS):
+        over = 0
+        for lane in range(len(kinetic)):
+            if kinetic[lane] > most[lane]:
+                share = math.sqrt(most[lane] / kinetic[lane])
+                for k in range(SHAPES):
+                    inner[1, k, lane] *= share
+                for i in range(len(y)):
+                    velocity[i, lane] *= share
+                    held.middle[i, over] = y[i, lane] - dt * velocity[i, lane]
+                held.order[over] = lane
+                over += 1
+        if over == 0:
+            break
+        fill_amplitudes(held.middle, over, tables, columns, held, course.ahead, course.lead)
+        for place in range(over):
+            lane = held.order[place]
+            for a in range(len(course.now)):
+                course.before[a, lane] = course.ahead[a, place]
+            kinetic[lane] = kinetic_of(lane, velocity, inner, dt, insides, course)
+
+
+@standing
+def _set_out(
+    y: np.ndarray, velocity: np.ndarray, inner: np.ndarray, bent: np.ndarray, dt: float, tables: Any, columns: Columns,
+    insides: Inside, held: Lanes,
+) -> None:
+    """Fill the insides' stiffnesses and scale them back to the energies ``bent`` (lanes,), as ``pod.step.kernel``.
+
+    The monomials half way of free flight, where viscosity is wanted next, stay.
+    """
+    for i in range(len(y)):
+        put_sum(held.middle[i], y[i], 0.5 * dt, velocity[i])
+    go_half_way(held.middle, tables, columns, held)
+    fill_gives(columns, held.values, insides)
+    scale_down(inner[0], bent, insides.give, held.some)
+
+
+@nb.njit(cache=True, error_model="numpy", nogil=True)
+def run_block(
+    y: np.ndarray, velocity: np.ndarray, dt: float, load: np.ndarray, tables: Any, columns: Columns, path: np.ndarray
+) -> tuple[int, float]:
+    """Fill ``path`` (B, steps, r) from ``y`` and ``velocity`` (r, lanes), used up, under ``load`` (steps, r, lanes).
+
+    There are whole tiles of lanes; ``path`` is that of the first ones, as many as it has room for.
+    """
+    r, lanes = y.shape
+    held, start, ahead, by = make_lanes(r, lanes, tables), np.empty((r, lanes)), np.empty((r, lanes)), np.zeros((r, lanes))
+    kinetic, bent = np.empty(lanes), np.full(lanes, np.inf)
+    insides, inner = make_inside(r, (lanes,)), np.zeros((2, SHAPES, lanes))
+    to_balls(y, held.points, held.radius)
+    failed, farthest = 0, held.radius.max()
+    course = make_course(r, len(tables.amplitudes), (lanes,))
+    fill_amplitudes(y - dt * velocity, lanes, tables, columns, held, course.before, course.lead)
+    fill_inertias(y, tables, columns, insides, course, held, True)
+    course.now[:] = course.ahead
+    fill_kinetic(velocity, inner, dt, insides, course, held, kinetic)
+    _set_out(y, velocity, inner, bent, dt, tables, columns, insides, held)
+    for step in range(len(load)):
+        for i in range(r):
+            put(start[i], y[i])
+            put_times(by[i], dt, velocity[i])
+            put_sum(ahead[i], start[i], 1.0, by[i])
+            put(y[i], ahead[i])
+        for again in range(2):  # inertia is that where the first iteration leads, viscosity that half way there
+            if again:
+                for i in range(r):
+                    put_rate(by[i], y[i], start[i], 1.0)
+                    put_sum(held.middle[i], start[i], 0.5, by[i])
+                go_half_way(held.middle, tables, columns, held)
+            if tables.scales[2] > 0.0:
+                fill_viscosities(by, tables, columns, insides, held, again > 0)
+            fill_inertias(y, tables, columns, insides, course, held, again > 0)
+            _begin(start, ahead, load[step], dt, tables, course, held)
+            if again:
+                begin_insides(inner, ahead, start, dt, tables, insides, held.trial, held.inertia, held.right)
+            missed = converge(y, tables, columns, held, MAX_ITERATIONS if again else 1)
+        for lane in range(len(path)):
+            path[lane, step] = y[:, lane]
+        failed += (held.order[:missed] < len(path)).sum()
+        farthest = max(farthest, _end(y, start, velocity, inner, dt, tables, columns, insides, course, held, (kinetic, bent)))
+        _set_out(y, velocity, inner, bent, dt, tables, columns, insides, held)
+    return failed, farthest
