@@ -3,29 +3,42 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numba as nb
 import numpy as np
 
 from softrl.core.compiled import standing_as
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
+from softrl.robots.robot import Robot
+
+
+@nb.njit(cache=True)
+def _weight(lean: float, by: int, count: int) -> float:
+    """Return how much the chamber ``by`` places further round counts among ``count``: the next, the one before, any other."""
+    if count == 2:
+        return 1.0
+    return 1.0 + lean if by == 1 else 1.0 - lean if by == count - 1 else 1.0 - abs(lean)
 
 
 @standing_as(SIGNAL_KERNEL)
 def crosstalk_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
-    """Add a share of the other chambers' pressures."""
-    total = 0.0
-    for i in range(len(value)):
-        total += value[i]
-    chamber = int(parameters[1])
-    for i in range(len(value)):
+    """Add a share of the other chambers' pressures; the state is room for them as they were."""
+    share, lean, chamber = parameters[0], parameters[1], int(parameters[2])
+    n = len(value)
+    for i in range(n):
+        state[i] = value[i]
+    for i in range(n):
         if chamber < 0 or chamber == i:
-            value[i] += parameters[0] * (total - value[i])
+            for by in range(1, n):
+                value[i] += share * _weight(lean, by, n) * state[(i + by) % n]
 
 
 @dataclass(frozen=True)
 class Crosstalk(Effect):
     """Acting pressure ``p_i + share * (sum of the others)``; ``chamber`` is the one that feels the others.
 
-    A robot with one chamber has none.
+    Where it leans to one side the next chamber, in the robot's order, counts ``1 + lean`` times, the one before ``1 - lean``
+    and those beyond ``1 - |lean|`` times: at 1 or -1 it comes from one neighbour alone. A robot with one chamber has none, with
+    two no side.
 
     Notes
     -----
@@ -38,4 +51,9 @@ class Crosstalk(Effect):
     gauged: ClassVar[bool] = True
 
     share: float = parameter("1", -0.4, 0.4, 0.0, typical=0.1)
+    lean: float = parameter("1", -1.0, 1.0, 0.0, typical=0.5, default=0.0)
     chamber: int = -1
+
+    def reset(self, robot: Robot) -> np.ndarray:
+        """Return room for every chamber's pressure."""
+        return np.zeros(robot.chambers)

@@ -60,6 +60,7 @@ from softrl.effects.payload import Payload
 from softrl.effects.pi_regulator import PiRegulator
 from softrl.effects.play import Play
 from softrl.effects.power_creep import PowerCreep
+from softrl.effects.pressure_play import PressurePlay
 from softrl.effects.pressure_sensor import PressureSensor
 from softrl.effects.rate_limit import RateLimit
 from softrl.effects.shared_flow import SharedFlow
@@ -321,8 +322,26 @@ def test_stiffness_of_one_chamber_bends_the_others_way() -> None:
     assert tip @ ROBOT.chamber_direction[0] > 0.99 * np.linalg.norm(tip) > 1e-3
 
 
+@pytest.mark.parametrize("power", [0.7, 2.0, 4.0])
+def test_strain_stiffening_follows_its_power_and_its_slope_is_exact(power: float) -> None:
+    effect, strain = StrainStiffening(growth=1.5, power=power), np.array([0.02, 0.05, 0.15])
+    np.testing.assert_allclose(pull(effect, strain), 1.5 * STIFFNESS * strain * (strain / 0.1) ** power, rtol=1e-9)
+    by = 1e-7
+    differences = (pull(effect, strain + by) - pull(effect, strain - by)) / (2 * by)
+    np.testing.assert_allclose(differences, 1.5 * STIFFNESS * (1 + power) * (strain / 0.1) ** power, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("lean", "weights"), [(0.0, (1, 1)), (1.0, (2, 0)), (-1.0, (0, 2)), (0.5, (1.5, 0.5))])
+def test_crosstalk_may_come_from_one_neighbour(lean: float, weights: tuple[float, float]) -> None:
+    """The sum of the weights stays, so that a chamber among equal pressures feels the same."""
+    acting = signal(Crosstalk(share=0.1, lean=lean, chamber=1), np.array([[1e4, 0.0, 3e4]]))[0]
+    np.testing.assert_allclose(acting, [1e4, 0.1 * (weights[0] * 3e4 + weights[1] * 1e4), 3e4])
+    even = signal(Crosstalk(share=0.1, lean=lean), np.full((1, 3), 1e4))[0]
+    np.testing.assert_allclose(even, 1.2e4)
+
+
 def test_strain_stiffening_doubles_at_ten_percent_and_is_odd() -> None:
-    added = pull(StrainStiffening(cubic=1.0), np.array([0.1, -0.1, 0.05]))
+    added = pull(StrainStiffening(growth=1.0), np.array([0.1, -0.1, 0.05]))
     np.testing.assert_allclose(added, STIFFNESS * np.array([0.1, -0.1, 0.05 / 4]))
 
 
@@ -400,6 +419,35 @@ def test_play_is_backlash_between_pressure_and_strain() -> None:
         np.testing.assert_allclose(up - down, 2 * height * FULL, rtol=1e-6)
     small = pull(effect, 0.0004 * np.sin(np.linspace(0, 20, 500)))
     assert np.abs(small - height * FULL / yield_strain * 0.0004 * np.sin(np.linspace(0, 20, 500))).max() < 1e-6 * FULL
+
+
+def test_play_with_a_spread_yields_piece_by_piece_and_remembers_where_it_turned() -> None:
+    """Sum of five stops: straight, then softer at each yield strain; an inner loop closes and leaves no trace (wiping out)."""
+    effect = Play(height=0.1, yield_strain=0.01, spread=0.5)
+    yields = 0.01 * np.array([0.6, 0.8, 1.0, 1.2, 1.4])
+    strain = np.linspace(0.0, 0.02, 401)[1:]
+    expected = FULL * 0.1 / 5 * np.minimum(strain[:, None], yields).sum(axis=1) / 0.01
+    np.testing.assert_allclose(pull(effect, strain), expected, rtol=1e-9)
+    out, back = np.linspace(0.02, 0.015, 101)[1:], np.linspace(0.015, 0.02, 101)[1:]
+    onward = np.linspace(0.02, -0.02, 401)[1:]
+    looped = pull(effect, np.concatenate([strain, out, back, onward]))[-400:]
+    np.testing.assert_allclose(looped, pull(effect, np.concatenate([strain, onward]))[-400:], atol=1e-9 * FULL)
+
+
+@pytest.mark.parametrize("spread", [0.0, 1.0])
+def test_pressure_play_opens_a_loop_of_its_width_and_keeps_the_rest(spread: float) -> None:
+    """Beyond all half-widths the loop is ``2 share half_width`` wide whatever they spread; small reversals move only the rest."""
+    effect, far = PressurePlay(share=0.4, half_width=0.1, spread=spread), 0.8 * FULL
+    up, down = np.linspace(0.0, far, 801)[1:], np.linspace(far, 0.0, 801)[1:]
+    acts = signal(effect, np.repeat(np.concatenate([up, down])[:, None], 3, axis=1))[:, 0]
+    middle = 0.4 * FULL
+    width = np.interp(-middle, -down, acts[800:]) - np.interp(middle, up, acts[:800])
+    assert width == pytest.approx(2 * 0.4 * 0.1 * FULL, rel=1e-6)
+    slope = (acts[800] - acts[801]) / (down[0] - down[1])
+    assert slope == pytest.approx(0.6, rel=1e-6) or spread == 1.0
+    one = signal(replace(effect, chamber=1), np.repeat(up[:, None], 3, axis=1))
+    np.testing.assert_array_equal(one[:, 0], up)
+    assert np.abs(one[:, 1] - up).max() > 0.03 * FULL
 
 
 @pytest.mark.parametrize("exponent", [0.1, 0.3, 0.6])

@@ -106,7 +106,7 @@ CONCEALED = (
 # what else is right where a law acts late: a change in time, whatever changes
 LATE_TOO = {"gain": ("failure", "drift"), "orifice": ("failure",)}
 # what else is right where the chambers' pressures are not recorded
-UNMEASURED_TOO = {"line": ("delay",), "latency": ("dead_time",), "ceiling": ("knee",), "relay": ("play",)}
+UNMEASURED_TOO = {"line": ("delay",), "latency": ("dead_time",), "ceiling": ("knee",), "relay": ("play", "pressure_play")}
 PAIRS = (
     ("spool", "powerlaw"),
     ("powerlaw", "slip"),
@@ -128,6 +128,7 @@ INSEPARABLE = (
     ("dead_time", "delay", "without measured pressure a delay before a time-invariant body equals one behind it"),
     ("supply_limit", "knee", "without measured pressure a ceiling is a knee beyond which nothing more acts"),
     ("deadband", "play", "without measured pressure play in the regulator equals play between pressure and strain"),
+    ("deadband", "pressure_play", "without measured pressure play in the regulator equals play between pressure and what acts"),
     ("gain", "asymmetry", "three chambers' gains are a common one, which retuning takes, and a first harmonic"),
     ("hysteresis", "play", "a sum of slips lies between one slip with corners and Bouc-Wen without"),
     ("viscoelasticity", "power_creep", "a sum of modes is either, within a few decades of time"),
