@@ -40,6 +40,6 @@ class StrainStiffening(Effect):
     title: ClassVar[str] = "strain stiffening of the wall"
     kernel: ClassVar = strain_stiffening_kernel
 
-    growth: float = parameter("1", 0.0, 50.0, 0.0, typical=2.0)
+    growth: float = parameter("1", 0.0, 50.0, 0.0, typical=0.3)
     power: float = parameter("1", 0.5, 6.0, 2.0, typical=2.0, log=True, default=2.0)
     chamber: int = -1

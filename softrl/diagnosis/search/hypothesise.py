@@ -12,6 +12,7 @@ from softrl.diagnosis.fitting.judge import SHOWN, Judge
 from softrl.diagnosis.fitting.minimise import Fit
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.fitting.trial import Search, Trial, columns_of, drop, fit_trials, join, raced
+from softrl.diagnosis.search.alone import alone
 from softrl.diagnosis.search.moves import addition, not_taken, pays, prune, swap
 from softrl.diagnosis.search.onset import for_good
 from softrl.diagnosis.search.pairs import best_pairs
@@ -55,6 +56,11 @@ def forward(
         path.best = better
         _grow(fitting, judge, choices, search, path, report)
     if _narrow(fitting, judge, choices, search, path, report) or _behind_a_map(fitting, judge, choices, search, path, report):
+        _grow(fitting, judge, choices, search, path, report)
+    one = alone(fitting, judge, search, path)
+    if one is not None:
+        report(f"{one.hypothesis.label()} does as well alone as {path.best.hypothesis.label()}")
+        path.best = one
         _grow(fitting, judge, choices, search, path, report)
     _without_map(fitting, judge, choices, search, path, report)
     return path

@@ -1,0 +1,43 @@
+"""One effect in the place of all that were found, where it does as well."""
+
+import numpy as np
+
+from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis
+from softrl.diagnosis.fitting.judge import Judge
+from softrl.diagnosis.fitting.problem import Problem
+from softrl.diagnosis.fitting.trial import Search, Trial, columns_of
+from softrl.diagnosis.search.path import Path
+from softrl.diagnosis.search.slim import slim
+from softrl.effects.library import effect_class
+
+
+def alone(fitting: Problem, judge: Judge, search: Search, path: Path) -> Trial | None:
+    """Return one of the effects that were tried beside others, by itself, where data cannot tell it from all that were found.
+
+    Two effects of many parameters may bend together to what one law is, whose fit from afar ended elsewhere. Beside them it was
+    fitted from near by; from there it is fitted without them.
+    """
+    trial = path.best
+    if len(trial.hypothesis.effects) < 2:
+        return None
+    near = {choice: point for effect in trial.hypothesis.effects for choice, point in path.tried.get(effect, [])[: search.rivals]}
+    body = trial.fit.point[len(trial.fit.point) - len(trial.hypothesis.tuned) :]
+    tasks = [
+        (Hypothesis((choice,), trial.hypothesis.tuned), np.concatenate([point, body]))
+        for choice, point in near.items()
+        if not effect_class(choice.name).together
+    ]
+    fitted = [one for one in path.fit(fitting, tasks, search, trial) if not judge.tells(one.squares, trial.squares)]
+    if not fitted:
+        return None
+    found = slim(fitting, judge, min(fitted, key=lambda one: one.mean_square), search, path)
+    if len(found.fit.point) >= len(trial.fit.point):
+        return None
+    path.tried[found.hypothesis.effects[0]] = _instead(trial, found.hypothesis.effects[0])
+    return found
+
+
+def _instead(trial: Trial, taken: Choice) -> list[tuple[Choice, np.ndarray]]:
+    """Return the effects of ``trial`` with their points, other than the one that was ``taken``."""
+    others = [choice for choice in trial.hypothesis.effects if choice.name != taken.name]
+    return [(choice, np.asarray(trial.fit.point[columns_of(trial, choice)])) for choice in others]
