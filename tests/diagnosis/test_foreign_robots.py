@@ -24,6 +24,22 @@ def weaker_last_chamber_midway(other: Other, pressure: np.ndarray) -> np.ndarray
     return np.where(late, 0.6 * pressure, pressure)
 
 
+def relays(other: Other, pressure: np.ndarray) -> np.ndarray:
+    """Return what acts where three tenths of the pressure do so through relays: a Preisach memory, loops 0.16 to 0.32 wide."""
+    width, middle = np.meshgrid(np.linspace(0.16, 0.32, 5), np.linspace(-0.3, 1.3, 161))
+    up, down = (middle + 0.5 * width).ravel()[:, None], (middle - 0.5 * width).ravel()[:, None]
+    on, found = np.broadcast_to(middle.ravel()[:, None] < 0.0, (up.size, pressure.shape[1])).copy(), np.empty_like(pressure)
+    for k, share in enumerate(pressure / other.full_pa):
+        on = (on | (share >= up)) & (share > down)
+        found[k] = other.full_pa * 1.6 * (on.mean(axis=0) - 0.3 / 1.6)
+    return 0.7 * pressure + 0.3 * found
+
+
+def from_one_neighbour(other: Other, pressure: np.ndarray) -> np.ndarray:
+    """Return what acts where the last chamber feels a sixth of the first one's pressure."""
+    return pressure + np.eye(pressure.shape[1])[-1] * pressure[:, :1] / 6.0
+
+
 VALVES: dict[str, tuple[Physics, tuple[set[str], ...]]] = {
     "late": (lambda _, p: foreign.late(p, 0.2), ({"dead_time", "delay"},)),
     "rate": (lambda other, p: foreign.rate_limited(p, 0.4 * other.full_pa), ({"rate_limit"},)),
@@ -80,6 +96,22 @@ def test_what_the_valve_of_another_robot_does(tmp_path: Path, name: str, hidden:
 def test_what_the_body_of_another_robot_does(tmp_path: Path, name: str, hidden: str) -> None:
     act, expected = BODIES[hidden]
     assert_named(diagnosed(OTHERS[name], tmp_path, act=act), (*expected, *THE_VALVE * OTHERS[name].gauges))
+
+
+def test_a_memory_of_pressures_is_told_from_one_of_strains(tmp_path: Path) -> None:
+    """Four chambers: each one's strain turns where any pressure does, its pressure where it does itself."""
+    found = diagnosed(OTHERS["quad"], tmp_path, act=relays)
+    assert_named(found, ({"pressure_play"}, *THE_VALVE))
+    told = next(effect for effect in found.effects if effect["name"] == "pressure_play")["parameters"]
+    assert told["share"]["value"] == pytest.approx(0.3, rel=0.1) and told["half_width"]["value"] == pytest.approx(0.12, rel=0.1)
+
+
+def test_a_chamber_that_feels_one_of_three_others(tmp_path: Path) -> None:
+    found = diagnosed(OTHERS["quad"], tmp_path, act=from_one_neighbour)
+    assert_named(found, ({"crosstalk"}, *THE_VALVE))
+    told = next(effect for effect in found.effects if effect["name"] == "crosstalk")
+    assert told["chamber"] == 3 and told["parameters"]["lean"]["value"] == pytest.approx(1.0, abs=0.05)
+    assert told["parameters"]["share"]["value"] == pytest.approx(1.0 / 12.0, rel=0.05)
 
 
 @pytest.mark.parametrize("name", [name for name, other in OTHERS.items() if other.gauges])
