@@ -1,5 +1,6 @@
 """Fills the parameters of a stage by their types: artifacts from the store, objects from the configuration."""
 
+import dataclasses
 import importlib
 import inspect
 import logging
@@ -21,6 +22,7 @@ from softrl.core.errors import ArtifactError, ConfigError
 from softrl.core.parallel import Parallel
 from softrl.core.store import Store
 from softrl.effects.chain import EffectChain
+from softrl.effects.effect import Effect
 from softrl.effects.library import effect_class
 from softrl.recordings.read import read as read_recordings
 from softrl.recordings.recording import RecordingSet
@@ -113,7 +115,7 @@ class Assembly:
             for found in self._artifact(Diagnosis).corrections():
                 cls = effect_class(found["name"])
                 fixed = {"chamber": found["chamber"]} if "chamber" in constructor_hints(cls) else {}
-                chosen.append(cls(**found["parameters"], **fixed))
+                chosen.append(_corrected_by(found["name"], found["parameters"] | fixed))
         return EffectChain(self.robot, tuple(chosen))
 
     def _identified_parameters(self) -> dict[str, float]:
@@ -205,6 +207,20 @@ class Assembly:
                     f"stage={kind.stage}"
                 )
         return self.store.folder(run, name), run.info.run_id
+
+
+def _corrected_by(name: str, values: dict[str, Any]) -> Effect:
+    """Return an effect as a diagnosis found it.
+
+    Raises
+    ------
+    ArtifactError : the library has since given its parameters other names
+    """
+    cls = effect_class(name)
+    unknown = sorted(set(values) - {field.name for field in dataclasses.fields(cls)})
+    if unknown:
+        raise ArtifactError(f"the diagnosis gives '{name}' a parameter '{unknown[0]}', unknown by now: run stage=diagnosis again")
+    return cls(**values)
 
 
 def _task_of(cfg: Mapping[str, Any]) -> str:

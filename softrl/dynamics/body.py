@@ -5,7 +5,7 @@ import torch
 
 from softrl.artifacts.reduced_model import ReducedModel
 from softrl.pod.rom import roll, static_coordinates, tip_poses
-from softrl.pod.twin.torch_twin import TorchRom
+from softrl.pod.twin.rom import TorchRom
 
 
 class ReducedBody:

@@ -3,15 +3,13 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numba as nb
 import numpy as np
 
-from softrl.core.compiled import standing_as
+from softrl.core.compiled import borrowing, standing_as
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
-from softrl.robots.robot import Robot
 
 
-@nb.njit(cache=True)
+@borrowing
 def _weight(lean: float, by: int, count: int) -> float:
     """Return how much the chamber ``by`` places further round counts among ``count``: the next, the one before, any other."""
     if count == 2:
@@ -54,6 +52,7 @@ class Crosstalk(Effect):
     lean: float = parameter("1", -1.0, 1.0, 0.0, typical=0.5, default=0.0)
     chamber: int = -1
 
-    def reset(self, robot: Robot) -> np.ndarray:
-        """Return room for every chamber's pressure."""
-        return np.zeros(robot.chambers)
+    @classmethod
+    def shapes(cls) -> list[dict[str, float]]:
+        """Return a lean to the other side."""
+        return [{"lean": -0.5}]

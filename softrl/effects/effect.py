@@ -130,7 +130,7 @@ class Effect:
     contains : name of the effect that this one is where all of its ``essence`` is neutral, or empty: where it does no better
         it is that one
     essence : names of the parameters without all of which it is another effect: never are all held at their neutral values
-    suddenly : name of the effect that this one is where that begins in a moment, or empty: a failed chamber has a smaller gain
+    onset_of : name of the effect that this one is where that begins in a moment, or empty: a failed chamber has a smaller gain
     sudden : whether it may begin from one moment to the next: a camera is knocked rather than a robot's mount
     layered : whether it changes the layers of the body itself, before anything moves: it has ``layers`` in place of a kernel,
         and no gate
@@ -164,7 +164,7 @@ class Effect:
     needs: ClassVar[str] = ""
     contains: ClassVar[str] = ""
     essence: ClassVar[tuple[str, ...]] = ()
-    suddenly: ClassVar[str] = ""
+    onset_of: ClassVar[str] = ""
     sudden: ClassVar[bool] = True
     layered: ClassVar[bool] = False
 

@@ -40,7 +40,7 @@ class Failure(Effect):
     gauged: ClassVar[bool] = True
     clock: ClassVar = 0
     lasts: ClassVar[bool] = True
-    suddenly: ClassVar[str] = "gain"
+    onset_of: ClassVar[str] = "gain"
 
     loss: float = parameter("1", 0.0, 1.0, 0.0, typical=0.4)
     onset_s: float = parameter("s", 0.0, 3.6e4, 5.0, typical=5.0, scale=60.0)

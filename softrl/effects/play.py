@@ -3,17 +3,16 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numba as nb
 import numpy as np
 
-from softrl.core.compiled import standing_as
+from softrl.core.compiled import borrowing, standing_as
 from softrl.effects.effect import ADDED, ADDED_SLOPE, PORT_KERNEL, RATE, Effect, parameter
 from softrl.robots.robot import Robot
 
 ELEMENTS = 5
 
 
-@nb.njit(cache=True)
+@borrowing
 def spread_of(spread: float, k: int, count: int) -> float:
     """Return how far one of ``count`` elements yields over what they do on average."""
     return 1.0 + spread * ((2 * k + 1) / count - 1.0)
@@ -46,7 +45,7 @@ class Play(Effect):
 
     Around the elastic wall this is the play operator from pressure to strain of half-width ``height`` (a share of the
     robot's largest pressure); ``yield_strain`` is what the stuck wall still gives way by. With a ``spread`` it is the sum of five
-    such elements of equal stiffness that yield at ``1 - spread`` to ``1 + spread`` times that strain: loops get round.
+    such elements of equal stiffness that yield at ``1 - 0.8 spread`` to ``1 + 0.8 spread`` times that strain: loops get rounder.
 
     Notes
     -----

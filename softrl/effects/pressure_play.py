@@ -31,8 +31,8 @@ def pressure_play_kernel(parameters: np.ndarray, state: np.ndarray, value: np.nd
 class PressurePlay(Effect):
     """Acting pressure ``(1 - share) p + share P(p)``, ``P`` following the pressure with play of ``half_width`` either way.
 
-    ``half_width`` is a share of the robot's largest pressure. ``P`` is the mean of five plays whose half-widths lie evenly within
-    ``1 - spread`` to ``1 + spread`` times it: at 0 all are alike and loops have corners, at 1 they are round.
+    ``half_width`` is a share of the robot's largest pressure. ``P`` is the mean of five plays whose half-widths are
+    ``1 - 0.8 spread`` to ``1 + 0.8 spread`` times it: at 0 all are alike and loops have one corner a side, at 1 five.
 
     Notes
     -----

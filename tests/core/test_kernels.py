@@ -43,7 +43,7 @@ def test_every_file_with_kernels_and_every_constant_in_them_is_in_the_mark() -> 
     decorated = {
         path.relative_to(package).as_posix() for path in package.rglob("*.py") if DECORATED.search(path.read_text())
     }
-    assert {"pod/newtons.py", "pcc/forces.py", "fem/law.py"} <= decorated
+    assert {"pod/lanes/newtons.py", "pcc/forces.py", "fem/law.py"} <= decorated
     held = set(compiled_sources(package))
     assert sorted(decorated - held) == []
     assert {"artifacts/reduced_model.py", "core/compiled.py", "effects/effect.py"} <= held

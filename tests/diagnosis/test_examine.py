@@ -11,7 +11,7 @@ from softrl.diagnosis.fitting.judge import Gap, Judge
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.judging.examine import in_full
 from softrl.diagnosis.judging.rivalry import as_good, overtakes
-from softrl.diagnosis.judging.rivals import Rival, better, plainer, simpler, stand_in, suddenly
+from softrl.diagnosis.judging.rivals import Rival, overtaking, plainer, simpler, stand_in, suddenly
 from softrl.pcc.simulator import PccSimulator
 from tests.diagnosis.conftest import configured, made
 
@@ -43,9 +43,9 @@ def test_the_best_of_those_that_are_better_takes_the_place() -> None:
         fit: Any = None
         return Rival(Choice("mullins"), Choice(name), Gap(value, value - 0.1, value + 0.1), True, fit, sure)
 
-    ahead = better([rival("lag", -1.0, True), rival("leak", -2.0, True), rival("play", -3.0, False)])
+    ahead = overtaking([rival("lag", -1.0, True), rival("leak", -2.0, True), rival("play", -3.0, False)])
     assert ahead is not None and ahead.choice.name == "leak"
-    assert better([rival("play", -3.0, False)]) is None
+    assert overtaking([rival("play", -3.0, False)]) is None
 
 
 @pytest.mark.parametrize(
@@ -133,19 +133,23 @@ def test_the_law_that_is_extended_in_vain_takes_the_place(
     ],
 )
 def test_what_is_the_same_by_another_name_contests_nothing(named: Choice, rival: Choice, contests: bool) -> None:
-    fit: Any = None
-    assert Rival(named, rival, Gap(0.0, -0.1, 0.1), True, fit, False).contests == contests
+    """A failure is a gain that begins at once; one that begins slowly says something else."""
+    other = Rival(named, rival, Gap(0.0, -0.1, 0.1), True, begun(rival, 0.06), False)
+    assert other.contests == contests
+    assert other._replace(trial=begun(rival, 8.0)).contests == (contests or rival.gate is not None)
+
+
+def begun(choice: Choice, over_s: float) -> Any:
+    axes, point = effect_axes(choice), starts(choice)[0]
+    for k, axis in enumerate(axes):
+        point[k] = axis.scaled(over_s) if axis.name == "over_s" else point[k]
+    return SimpleNamespace(hypothesis=Hypothesis((choice,), ()), fit=SimpleNamespace(point=point))
 
 
 @pytest.mark.parametrize(("over_s", "alike", "taken"), [(0.06, True, True), (0.06, False, False), (3.0, True, False)])
 def test_a_camera_takes_the_place_of_a_mount_that_leant_over_at_once(over_s: float, alike: bool, taken: bool) -> None:
-    def begun(name: str) -> Any:
-        choice = Choice(name, gate=Gate("since_s", 5.0))
-        point = starts(choice)[0]
-        point[-2] = effect_axes(choice)[-2].scaled(over_s)
-        return SimpleNamespace(hypothesis=Hypothesis((choice,), ()), fit=SimpleNamespace(point=point))
-
-    mount, camera, base = (begun(name) for name in ("mount_tilt", "frame", "base_tilt"))
+    forms = (Choice(name, gate=Gate("since_s", 5.0)) for name in ("mount_tilt", "frame", "base_tilt"))
+    mount, camera, base = (begun(form, over_s) for form in forms)
     named, gap = mount.hypothesis.effects[0], Gap(0.0, -0.1, 0.1)
     rivals = [Rival(named, t.hypothesis.effects[0], gap, alike, t, False) for t in (base, camera)]
     assert (suddenly(rivals, mount) is rivals[1]) == taken
@@ -153,21 +157,21 @@ def test_a_camera_takes_the_place_of_a_mount_that_leant_over_at_once(over_s: flo
 
 
 @pytest.mark.parametrize(
-    ("redated", "alike", "heldout", "taken"),
+    ("redated", "alike", "numbers", "taken"),
     [
-        (True, True, 5.0, True),
-        (False, True, 5.0, False),  # what fits have seen begin, they have weighed
-        (True, False, 5.0, False),
-        (True, True, 9.0, True),  # with fewer numbers, and no data tell
+        (True, True, 2, True),
+        (False, True, 2, False),  # what fits have seen begin, they have weighed
+        (True, False, 2, False),
+        (True, True, 3, False),
     ],
 )
 def test_what_held_out_runs_date_gives_way_to_what_needs_fewer_numbers(
-    judges: tuple[Judge, Judge], redated: bool, alike: bool, heldout: float, taken: bool
+    judges: tuple[Judge, Judge], redated: bool, alike: bool, numbers: int, taken: bool
 ) -> None:
-    final, other = trial(judges, "gain", 5.0, 5.0), trial(judges, "failure", 5.0, heldout)
-    final.fit.point, named = np.zeros(3), Choice("gain")
+    final, other = trial(judges, "gain", 5.0, 5.0), trial(judges, "failure", 5.0, 4.9)
+    final.fit.point, other.fit.point, named = np.zeros(3), np.zeros(numbers), Choice("gain")
     rival = Rival(named, Choice("failure"), Gap(0.0, -0.1, 0.1), alike, other, False)
-    assert (simpler(judges[0], [rival], final, [named] * redated) is rival) == taken
+    assert (simpler([rival], final, [named] * redated) is rival) == taken
 
 
 def test_in_full_an_effect_does_what_it_did_before() -> None:

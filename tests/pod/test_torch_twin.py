@@ -8,7 +8,7 @@ from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
 from softrl.pod.rom import roll, static_coordinates
 from softrl.pod.step import reach
-from softrl.pod.twin.torch_twin import TorchRom
+from softrl.pod.twin.rom import TorchRom
 from softrl.robots.robot import Robot
 
 Body = tuple[Robot, Snapshots, ReducedModel]

@@ -196,10 +196,10 @@ def _strange(trial: Any) -> list[Choice]:
 
 def too_sudden(trial: Any) -> list[Choice]:
     """Return the effects of ``trial`` that begin suddenly, and are none that do."""
-    return [choice for choice in _strange(trial) if _takes_s(trial, choice) < ABRUPT_S]
+    return [choice for choice in _strange(trial) if takes_s(trial, choice) < ABRUPT_S]
 
 
-def _takes_s(trial: Any, choice: Choice) -> float:
+def takes_s(trial: Any, choice: Choice) -> float:
     """Return how long it takes an effect of ``trial`` that begins at a time until it acts in full, s."""
     axes = {axis.name: (axis, k) for axis, k in zip(effect_axes(choice), columns_of(trial, choice), strict=True)}
     if WIDTHS["since_s"] not in axes:

@@ -22,6 +22,7 @@ log = logging.getLogger(__name__)
 MOMENTS = ("since_s", "onset_s")  # parameters that say from when on something acts
 SLACK_S = 1.0  # by which a fit may miss the edge of what it does not see
 COARSE, FINE, ROUNDS = 25, 7, 3  # moments that are tried, then about the best one, ever closer
+SUDDEN = 20.0  # times as long and as short as a gate takes to open, and ever closer likewise
 
 
 @dataclass(frozen=True)
@@ -79,16 +80,20 @@ class Dating:
         if unseen is None:
             return trial
         low, high = unseen
-        moments, step = np.linspace(low, high, COARSE), (high - low) / (COARSE - 1)
+        moments, step, factor = np.linspace(low, high, COARSE), (high - low) / (COARSE - 1), SUDDEN
         for _ in range(ROUNDS):
             trial = self._best(trial, [_with(trial, column, axis.scaled(float(moment))) for moment in moments])
+            trial = self._how_suddenly(trial, choice, unseen, factor)
             best = axis.physical(float(trial.fit.point[column]))
             moments = np.clip(np.linspace(best - step, best + step, FINE), low, high)
-            step *= 2.0 / (FINE - 1)
-        return self._seen_beside(self._how_suddenly(trial, choice), low, high)
+            step, factor = step * 2.0 / (FINE - 1), factor ** (2.0 / (FINE - 1))
+        return self._seen_beside(trial, low, high)
 
-    def _how_suddenly(self, trial: Trial, choice: Choice) -> Trial:
-        """Return the trial with the time that its gate takes to open as held-out runs favour it, about the same middle."""
+    def _how_suddenly(self, trial: Trial, choice: Choice, unseen: tuple[float, float], factor: float) -> Trial:
+        """Return the trial with the time that its gate takes to open as held-out runs favour it, about the same middle.
+
+        Times up to ``factor`` shorter and longer are tried, but none in which it would open where fits see it.
+        """
         columns = map(int, columns_of(trial, choice))
         axes = {axis.name: (axis, column) for axis, column in zip(effect_axes(choice), columns, strict=True)}
         if WIDTHS["since_s"] not in axes:
@@ -96,9 +101,10 @@ class Dating:
         (since, at), (over, beside) = axes["since_s"], axes[WIDTHS["since_s"]]
         begin, width = since.physical(float(trial.fit.point[at])), over.physical(float(trial.fit.point[beside]))
         others = []
-        for other in np.geomspace(over.low, over.high, COARSE):
-            moved = _with(trial, at, since.scaled(begin + 0.5 * (width - float(other))))
-            others.append(_with(moved, beside, over.scaled(float(other))))
+        for other in np.clip(width * np.geomspace(1.0 / factor, factor, FINE), over.low, over.high):
+            first = begin + 0.5 * (width - float(other))
+            if unseen[0] - SLACK_S <= first and first + other <= unseen[1] + SLACK_S:
+                others.append(_with(_with(trial, at, since.scaled(first)), beside, over.scaled(float(other))))
         return self._best(trial, others)
 
     def _seen_beside(self, trial: Trial, low: float, high: float) -> Trial:
@@ -107,7 +113,10 @@ class Dating:
         Fits that one of these is left out of know even less of when it began, which says nothing against the hypothesis.
         """
         beside = [k for k, run in enumerate(self.fitting.runs) if _span(run)[1] == low or _span(run)[0] == high]
-        seen = self.fitting.residual(trial.hypothesis, trial.fit.point, trial.placed).squares
+        try:
+            seen = self.fitting.residual(trial.hypothesis, trial.fit.point, trial.placed).squares
+        except SolverError:  # where held-out runs put it the fitted ones do not run: what fits said of them stays
+            return trial
         return trial._replace(inside=np.where(np.isin(self.fitting.run_of_bin, beside), seen, trial.inside))
 
     def _from_a_moment(self, trial: Trial, choice: Choice) -> Trial | None:
@@ -131,6 +140,11 @@ class Dating:
 
     def _best(self, trial: Trial, others: Sequence[Trial]) -> Trial:
         return min((trial, *self.that_run(others)), key=lambda one: one.mean_square)
+
+
+def redated(before: Trial, after: Trial) -> list[Choice]:
+    """Return the effects of ``after`` that took another form than ``before``: they begin at a moment that no fit sees."""
+    return [choice for choice in after.hypothesis.effects if choice not in before.hypothesis.effects and choice.gate]
 
 
 def told_of_dates(before: Trial, after: Trial, named: Sequence[Choice]) -> tuple[str, ...]:

@@ -12,10 +12,10 @@ from softrl.diagnosis.fitting.intervals import Interval, by_effect, intervals
 from softrl.diagnosis.fitting.judge import SHOWN_BESIDE, Gap, Judge, Thresholds
 from softrl.diagnosis.fitting.problem import Problem, Residual
 from softrl.diagnosis.fitting.trial import Search, Trial, columns_of, drop, fit_trials, from_nominal, join, raced
-from softrl.diagnosis.judging.dated import Dating, told_of_dates
+from softrl.diagnosis.judging.dated import Dating, redated, told_of_dates
 from softrl.diagnosis.judging.leftover import Offer, explained_by, heldout_residual, offer_of, reasons_of, varies
 from softrl.diagnosis.judging.rivalry import as_good, asked_again, overtakes
-from softrl.diagnosis.judging.rivals import Rival, better, of_another_chamber, plainer, simpler, stand_in, suddenly
+from softrl.diagnosis.judging.rivals import Rival, of_another_chamber, overtaking, plainer, simpler, stand_in, suddenly
 from softrl.diagnosis.search.hypothesise import forward
 from softrl.diagnosis.search.moves import implausible
 from softrl.diagnosis.search.path import Path
@@ -105,8 +105,8 @@ def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Fi
     """Return what is missing in one part, searched on training runs and judged on held-out runs.
 
     A rival that predicts the held-out runs better for sure, and all runs that its fits did not see, takes the place of the
-    effect that the training runs alone preferred; so does a law that it extends by less than counts, and what may begin suddenly
-    where that began so and does not.
+    effect that the training runs alone preferred; so does what needs fewer numbers to say when it began, where only held-out runs
+    show that; a law that it extends by less than counts; and what may begin suddenly where that began so and does not.
     """
     inside = part.judge(part.problem.runs, thresholds, seed)
     path = forward(part.problem, inside, part.problem.tuned, part.choices, search, lambda line: log.info("%s", line))
@@ -119,13 +119,12 @@ def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Fi
     finding = _judged(part, judge, path, base, final, search)
     finding = replace(finding, switched=told_of_dates(before, final, [named.choice for named in finding.named]))
     for _ in range(SWITCHES):
-        ahead = better(finding.rivals)
+        ahead = overtaking(finding.rivals)
         if ahead is None:
             break
         why = "it predicts the held-out runs better, whose error is then the best of several"
         finding = _switched(finding, judge, ahead, why, search)
-    redated = set(final.hypothesis.effects) - set(before.hypothesis.effects)
-    fewer = simpler(judge, finding.rivals, finding.final, [*redated])
+    fewer = simpler(finding.rivals, finding.final, redated(before, final))
     if fewer is not None:
         finding = _switched(finding, judge, fewer, "it does as well, and needs fewer numbers to say when it began", search)
     plain = plainer(judge, finding.rivals, finding.final)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from softrl.diagnosis.fitting.hypothesis import Choice
-from softrl.diagnosis.fitting.judge import Gap, Judge, too_sudden
+from softrl.diagnosis.fitting.judge import ABRUPT_S, Gap, Judge, takes_s, too_sudden
 from softrl.diagnosis.fitting.trial import Trial
 from softrl.effects.library import effect_class
 
@@ -32,8 +32,8 @@ class Rival(NamedTuple):
         mine, named = self.choice, self.instead_of
         if not self.equivalent or of_another_chamber(mine, named):
             return self.equivalent
-        begins = mine.gate is not None and mine.gate.field == "since_s" and mine.chamber == named.chamber
-        same = begins and effect_class(named.name).suddenly == mine.name
+        later = effect_class(named.name).onset_of == mine.name and mine.chamber == named.chamber
+        same = later and takes_s(self.trial, mine) < ABRUPT_S
         return named.name not in (mine.name, effect_class(mine.name).contains) and not same
 
 
@@ -48,7 +48,7 @@ def stand_in(judge: Judge, without: Trial, rivals: Sequence[Rival]) -> Rival | N
     return min(paying, key=lambda rival: rival.gap.value, default=None)
 
 
-def better(rivals: Sequence[Rival]) -> Rival | None:
+def overtaking(rivals: Sequence[Rival]) -> Rival | None:
     """Return the best of the rivals that are better for sure, held out."""
     return min((rival for rival in rivals if rival.better), key=lambda rival: rival.gap.value, default=None)
 
@@ -73,13 +73,14 @@ def suddenly(rivals: Sequence[Rival], final: Trial) -> Rival | None:
     return min(ready, key=lambda rival: rival.gap.value, default=None)
 
 
-def simpler(judge: Judge, rivals: Sequence[Rival], final: Trial, redated: Sequence[Choice]) -> Rival | None:
-    """Return the best of ``rivals`` that do as well as one of the effects ``redated``, and are plainer.
+def simpler(rivals: Sequence[Rival], final: Trial, redated: Sequence[Choice]) -> Rival | None:
+    """Return the best of ``rivals`` that do as well as one of the effects ``redated``, with fewer numbers.
 
     Fits took it for what acts in some sessions, which needs the fewest numbers. Since a held-out run showed that it began in
     the middle of a session it has as many as others which begin at a moment.
     """
-    ready = [r for r in rivals if r.instead_of in redated and r.equivalent and judge.takes_over(r.trial, final)]
+    most = len(final.fit.point)
+    ready = [r for r in rivals if r.instead_of in redated and r.equivalent and len(r.trial.fit.point) < most]
     return min(ready, key=lambda rival: rival.gap.value, default=None)
 
 

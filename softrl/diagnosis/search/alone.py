@@ -6,6 +6,7 @@ from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis
 from softrl.diagnosis.fitting.judge import Judge
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.fitting.trial import Search, Trial, columns_of
+from softrl.diagnosis.search.moves import implausible, others_of
 from softrl.diagnosis.search.path import Path
 from softrl.diagnosis.search.slim import slim
 from softrl.effects.library import effect_class
@@ -27,17 +28,21 @@ def alone(fitting: Problem, judge: Judge, search: Search, path: Path) -> Trial |
         for choice, point in near.items()
         if not effect_class(choice.name).together
     ]
-    fitted = [one for one in path.fit(fitting, tasks, search, trial) if not judge.tells(one.squares, trial.squares)]
-    if not fitted:
+    odd = implausible(judge, trial)
+    as_good = [
+        slim(fitting, judge, one, search, path)
+        for one in path.fit(fitting, tasks, search, trial)
+        if not judge.tells(one.squares, trial.squares) and (odd or not implausible(judge, one))
+    ]
+    fewer = [one for one in as_good if len(one.fit.point) < len(trial.fit.point)]
+    if not fewer:
         return None
-    found = slim(fitting, judge, min(fitted, key=lambda one: one.mean_square), search, path)
-    if len(found.fit.point) >= len(trial.fit.point):
-        return None
-    path.tried[found.hypothesis.effects[0]] = _instead(trial, found.hypothesis.effects[0])
+    found: Trial = judge.simplest(fewer)
+    path.tried[found.hypothesis.effects[0]] = [*others_of(as_good, found), *_former(trial, found.hypothesis.effects[0])]
     return found
 
 
-def _instead(trial: Trial, taken: Choice) -> list[tuple[Choice, np.ndarray]]:
+def _former(trial: Trial, taken: Choice) -> list[tuple[Choice, np.ndarray]]:
     """Return the effects of ``trial`` with their points, other than the one that was ``taken``."""
     others = [choice for choice in trial.hypothesis.effects if choice.name != taken.name]
     return [(choice, np.asarray(trial.fit.point[columns_of(trial, choice)])) for choice in others]

@@ -13,11 +13,7 @@ import numpy as np
 from softrl.artifacts.reduced_model import SHAPES
 from softrl.core.compiled import standing
 from softrl.core.threads import cores
-from softrl.pod.lanes.chords import fill_viscosities, go_half_way
-from softrl.pod.lanes.columns import Columns, columns_of
-from softrl.pod.lanes.inertias import add_inertias, fill_amplitudes, fill_inertias, fill_kinetic, fill_work, kinetic_of
-from softrl.pod.lanes.insides import begin_insides, end_insides, fill_gives
-from softrl.pod.lanes.lanes import (
+from softrl.pod.lanes.algebra import (
     Lanes,
     add,
     add_times,
@@ -30,6 +26,10 @@ from softrl.pod.lanes.lanes import (
     scale_down,
     to_balls,
 )
+from softrl.pod.lanes.chords import fill_viscosities, go_half_way
+from softrl.pod.lanes.columns import Columns, columns_of
+from softrl.pod.lanes.inertias import add_inertias, fill_amplitudes, fill_inertias, fill_kinetic, fill_work, kinetic_of
+from softrl.pod.lanes.insides import begin_insides, end_insides, fill_gives
 from softrl.pod.lanes.newtons import converge
 from softrl.pod.lanes.products import TILE
 from softrl.pod.step.inertia import Course, make_course

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from softrl.core.compiled import standing
+from softrl.pod.lanes.algebra import Lanes, add, add_times, fill_squares, squares_of, take, to_balls
 from softrl.pod.lanes.columns import Columns, fill_monomials, fill_rows
 from softrl.pod.lanes.insides import fill_drags
-from softrl.pod.lanes.lanes import Lanes, add, add_times, fill_squares, squares_of, take, to_balls
 from softrl.pod.step.inside import Inside
 from softrl.pod.step.viscosity import TINY
 

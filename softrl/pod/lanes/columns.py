@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softrl.core.compiled import standing
-from softrl.pod.lanes.lanes import Lanes, add, add_times, put_times
+from softrl.pod.lanes.algebra import Lanes, add, add_times, put_times
 from softrl.pod.lanes.products import multiply
 from softrl.pod.step.potential import Tables
 

@@ -7,9 +7,7 @@ import numpy as np
 
 from softrl.artifacts.reduced_model import SHAPES
 from softrl.core.compiled import borrowing, standing
-from softrl.pod.lanes.columns import Columns, fill_leads, fill_monomials
-from softrl.pod.lanes.insides import fill_masses, shared_energies
-from softrl.pod.lanes.lanes import (
+from softrl.pod.lanes.algebra import (
     Lanes,
     add,
     add_scaled,
@@ -23,6 +21,8 @@ from softrl.pod.lanes.lanes import (
     take,
     to_balls,
 )
+from softrl.pod.lanes.columns import Columns, fill_leads, fill_monomials
+from softrl.pod.lanes.insides import fill_masses, shared_energies
 from softrl.pod.lanes.products import multiply
 from softrl.pod.step.inertia import Course
 from softrl.pod.step.inside import Inside

@@ -6,8 +6,8 @@ import numpy as np
 
 from softrl.artifacts.reduced_model import SHAPES, TRIANGLE
 from softrl.core.compiled import standing, summing
+from softrl.pod.lanes.algebra import add, add_scaled, put, squares_of, take
 from softrl.pod.lanes.columns import fill_rows
-from softrl.pod.lanes.lanes import add, add_scaled, put, squares_of, take
 from softrl.pod.step.inside import LEAST
 
 

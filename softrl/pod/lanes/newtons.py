@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from softrl.core.compiled import borrowing, standing
+from softrl.pod.lanes.algebra import Lanes, add, put, take, to_balls
 from softrl.pod.lanes.columns import Columns, fill_curves, fill_monomials
-from softrl.pod.lanes.lanes import Lanes, add, put, take, to_balls
 from softrl.pod.step.kernel import LONGEST_STEP, NEAR
 from softrl.pod.step.linear import newton_direction
 from softrl.pod.step.potential import fill_potential
