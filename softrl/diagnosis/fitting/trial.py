@@ -210,13 +210,14 @@ def raced(
     search: Search,
     against: Trial | None = None,
     patient: bool = False,
+    most: int | None = None,
 ) -> Race:
     """Return the fitted hypotheses; those that are beaten after a few iterations are not fitted to the end.
 
     They compete with each other and with ``against``, a fitted trial. Whatever is compared was simulated with the same steps:
     long ones leave errors of their own, which differ by law, so that a valve, which costs little, has short ones from the
     beginning. If ``patient``, those that have settled compete with each other only: the last shorter steps take a law with jumps
-    farther than a smooth one.
+    farther than a smooth one. No more than the ``most`` best go on, if given.
     """
     first = replace(search, iterations=FIRST_ITERATIONS)
     steps = fitting if fitting.target == "pressure" else fitting.rough
@@ -230,7 +231,8 @@ def raced(
         left = float(trial.inside.mean())
         return left <= BEATEN * ahead and not (trial.fit.settled and left > settled)
 
-    going = [(t.hypothesis, [t.fit.point]) for t in heat if may_win(t)]
+    ahead_of_all = sorted(filter(may_win, heat), key=lambda trial: float(trial.inside.mean()))[:most]
+    going = [(t.hypothesis, [t.fit.point]) for t in ahead_of_all]
     finished = fit_trials(fitting, unseen, going, search, ahead)
     done = {trial.hypothesis for trial in finished}
     return Race(finished, [trial for trial in heat if trial.hypothesis not in done])

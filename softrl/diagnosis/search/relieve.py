@@ -14,6 +14,7 @@ from softrl.diagnosis.search.path import Path
 from softrl.diagnosis.search.slim import slim
 
 log = logging.getLogger(__name__)
+MOST = 8  # fits that go on to the end: where the effect that is replaced did little, nearly all others do as well
 FAR_OFF = float(np.log(2.0))  # a parameter retuned by more than this, in logarithms, is taken for a sign
 
 
@@ -31,12 +32,12 @@ def relieved(fitting: Problem, judge: Judge, choices: Sequence[Choice], search: 
         return None
     others = [c for c in not_taken(choices, best) if c.chamber < 0 and not (c.sessions or c.lasting)]
     if odd and len(effects) < search.max_effects:
-        beside = raced(fitting, None, [_with(best, other) for other in others], search, best).finished
+        beside = raced(fitting, None, [_with(best, other) for other in others], search, best, most=MOST).finished
         paying = [trial for trial in beside if pays(judge, best, trial)]
         if paying:
             return _taken(fitting, judge, paying, beside, search, path)
     for old in reversed(effects):
-        instead = raced(fitting, None, [_with(best, other, old) for other in others], search, best).finished
+        instead = raced(fitting, None, [_with(best, other, old) for other in others], search, best, most=MOST).finished
         near = [t for t in instead if not (implausible(judge, t) or (not odd and _is_far(judge, t)))]
         as_good = [trial for trial in near if not judge.tells(trial.squares, best.squares)]
         if as_good:
