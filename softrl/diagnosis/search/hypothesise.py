@@ -37,6 +37,8 @@ def forward(
 ) -> Path:
     """Return the hypothesis that stepwise selection leaves: add, try all others in each one's place, drop, narrow down.
 
+    At last one effect is asked to do for all, and two for a map without physics.
+
     Parameters
     ----------
     fitting : problem on the training runs
