@@ -20,7 +20,8 @@ def _weight(lean: float, by: int, count: int) -> float:
 @standing_as(SIGNAL_KERNEL)
 def crosstalk_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
     """Add a share of the other chambers' pressures; the state is room for them as they were."""
-    share, lean, chamber = parameters[0], parameters[1], int(parameters[2])
+    share, chamber = parameters[0], int(parameters[2])
+    lean = parameters[1] if chamber >= 0 else 0.0
     n = len(value)
     for i in range(n):
         state[i] = value[i]
@@ -34,9 +35,9 @@ def crosstalk_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarra
 class Crosstalk(Effect):
     """Acting pressure ``p_i + share * (sum of the others)``; ``chamber`` is the one that feels the others.
 
-    Where it leans to one side the next chamber, in the robot's order, counts ``1 + lean`` times, the one before ``1 - lean``
-    and those beyond ``1 - |lean|`` times: at 1 or -1 it comes from one neighbour alone. A robot with one chamber has none, with
-    two no side.
+    One chamber may feel its neighbours unlike: the next, in the robot's order, counts ``1 + lean`` times, the one before
+    ``1 - lean`` and those beyond ``1 - |lean|`` times, so that at 1 or -1 it feels one of them alone. Where all feel the others
+    nothing leans. A robot with one chamber has none, with two no side.
 
     Notes
     -----

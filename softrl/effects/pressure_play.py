@@ -16,15 +16,16 @@ def pressure_play_kernel(parameters: np.ndarray, state: np.ndarray, value: np.nd
     """Let a share of each pressure follow it with play; the state is what follows, of every element."""
     share, half_width, spread, chamber = parameters[0], parameters[1], parameters[2], int(parameters[3])
     n = len(value)
+    count = ELEMENTS if spread > 0.0 else 1
     for i in range(n):
         if chamber < 0 or chamber == i:
             total = 0.0
-            for k in range(ELEMENTS):
-                wide = half_width * spread_of(spread, k, ELEMENTS)
+            for k in range(count):
+                wide = half_width * spread_of(spread, k, count)
                 follows = min(max(state[k * n + i], value[i] - wide), value[i] + wide)
                 state[k * n + i] = follows
                 total += follows
-            value[i] += share * (total / ELEMENTS - value[i])
+            value[i] += share * (total / count - value[i])
 
 
 @dataclass(frozen=True)

@@ -333,11 +333,11 @@ def test_strain_stiffening_follows_its_power_and_its_slope_is_exact(power: float
 
 @pytest.mark.parametrize(("lean", "weights"), [(0.0, (1, 1)), (1.0, (2, 0)), (-1.0, (0, 2)), (0.5, (1.5, 0.5))])
 def test_crosstalk_may_come_from_one_neighbour(lean: float, weights: tuple[float, float]) -> None:
-    """Among three the sum of the weights stays; of four the one opposite counts less the more it leans."""
+    """Of four the one opposite counts less the more it leans; where all feel the others nothing does."""
     acting = signal(Crosstalk(share=0.1, lean=lean, chamber=1), np.array([[1e4, 0.0, 3e4]]))[0]
     np.testing.assert_allclose(acting, [1e4, 0.1 * (weights[0] * 3e4 + weights[1] * 1e4), 3e4])
-    even = signal(Crosstalk(share=0.1, lean=lean), np.full((1, 3), 1e4))[0]
-    np.testing.assert_allclose(even, 1.2e4)
+    among_all = signal(Crosstalk(share=0.1, lean=lean), np.array([[1e4, 0.0, 3e4]]))[0]
+    np.testing.assert_allclose(among_all, [1.3e4, 0.4e4, 3.1e4])
     four = replace(ROBOT, chamber_angle_deg=(0.0, 90.0, 180.0, 270.0))
     effect, values = Crosstalk(share=0.1, lean=lean, chamber=0), np.array([[1e4, 1e4, 2e4, 3e4]])
     opposite = 1.0 - abs(lean)

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softrl.core.errors import ConfigError
-from softrl.diagnosis.fitting.hypothesis import Choice, effect_axes
+from softrl.diagnosis.fitting.hypothesis import Choice
 from softrl.diagnosis.fitting.problem import Problem
-from softrl.diagnosis.fitting.trial import columns_of
+from softrl.diagnosis.fitting.trial import axes_of
 from softrl.diagnosis.series.blocks import MIN_BLOCKS, blocks_of, bootstrap_means, correlation_time
 from softrl.effects.gate import WIDTHS
 from softrl.effects.library import effect_class
@@ -201,7 +201,7 @@ def too_sudden(trial: Any) -> list[Choice]:
 
 def takes_s(trial: Any, choice: Choice) -> float:
     """Return how long it takes an effect of ``trial`` that begins at a time until it acts in full, s."""
-    axes = {axis.name: (axis, k) for axis, k in zip(effect_axes(choice), columns_of(trial, choice), strict=True)}
+    axes = axes_of(trial, choice)
     if WIDTHS["since_s"] not in axes:
         return np.inf
     axis, column = axes[WIDTHS["since_s"]]

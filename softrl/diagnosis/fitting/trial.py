@@ -10,7 +10,7 @@ import numpy as np
 
 from softrl.core.errors import ConfigError, SolverError
 from softrl.core.progress import quiet
-from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, effect_axes
+from softrl.diagnosis.fitting.hypothesis import Axis, Choice, Hypothesis, effect_axes
 from softrl.diagnosis.fitting.minimise import Fit, Several, least_squares, moved_on
 from softrl.diagnosis.fitting.placement import Registration
 from softrl.diagnosis.fitting.problem import Problem
@@ -274,6 +274,12 @@ def of_effects(trial: Trial) -> np.ndarray:
 def drop(trial: Trial, choice: Choice) -> np.ndarray:
     """Return the point of ``trial`` without the parameters of one of its effects."""
     return np.delete(trial.fit.point, columns_of(trial, choice))
+
+
+def axes_of(trial: Trial, choice: Choice) -> dict[str, tuple[Axis, int]]:
+    """Return name -> (axis, place in the point of ``trial``) of one effect's parameters."""
+    axes = effect_axes(choice)
+    return {axis.name: (axis, int(k)) for axis, k in zip(axes, columns_of(trial, choice), strict=True)}
 
 
 def columns_of(trial: Trial, choice: Choice) -> np.ndarray:

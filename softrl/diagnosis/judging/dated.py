@@ -12,7 +12,7 @@ from softrl.diagnosis.fitting.choices import alike, may_be_gated
 from softrl.diagnosis.fitting.hypothesis import Choice, Gate, Hypothesis, effect_axes, neutral
 from softrl.diagnosis.fitting.judge import Judge
 from softrl.diagnosis.fitting.problem import Problem
-from softrl.diagnosis.fitting.trial import Trial, columns_of
+from softrl.diagnosis.fitting.trial import Trial, axes_of, columns_of
 from softrl.diagnosis.judging.leftover import heldout_residual
 from softrl.effects.gate import WIDTHS
 from softrl.recordings.gone import sessions_in_order
@@ -71,11 +71,11 @@ class Dating:
         return self._best(trial, others)
 
     def _at_a_moment(self, trial: Trial, choice: Choice) -> Trial:
-        names = [axis.name for axis in effect_axes(choice)]
-        if choice.lasting != "ever" or not any(name in MOMENTS for name in names):
+        axes = axes_of(trial, choice)
+        moment = next((name for name in axes if name in MOMENTS), None)
+        if choice.lasting != "ever" or moment is None:
             return trial
-        place = next(k for k, name in enumerate(names) if name in MOMENTS)
-        axis, column = effect_axes(choice)[place], int(columns_of(trial, choice)[place])
+        axis, column = axes[moment]
         unseen = between_fits(self.fitting.runs, self.judge.problem.runs, axis.physical(float(trial.fit.point[column])))
         if unseen is None:
             return trial
@@ -94,8 +94,7 @@ class Dating:
 
         Times up to ``factor`` shorter and longer are tried, but none in which it would open where fits see it.
         """
-        columns = map(int, columns_of(trial, choice))
-        axes = {axis.name: (axis, column) for axis, column in zip(effect_axes(choice), columns, strict=True)}
+        axes = axes_of(trial, choice)
         if WIDTHS["since_s"] not in axes:
             return trial
         (since, at), (over, beside) = axes["since_s"], axes[WIDTHS["since_s"]]

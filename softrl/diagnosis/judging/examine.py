@@ -11,7 +11,17 @@ from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, effect_axes,
 from softrl.diagnosis.fitting.intervals import Interval, by_effect, intervals
 from softrl.diagnosis.fitting.judge import SHOWN_BESIDE, Gap, Judge, Thresholds
 from softrl.diagnosis.fitting.problem import Problem, Residual
-from softrl.diagnosis.fitting.trial import Search, Trial, columns_of, drop, fit_trials, from_nominal, join, raced
+from softrl.diagnosis.fitting.trial import (
+    Search,
+    Trial,
+    axes_of,
+    columns_of,
+    drop,
+    fit_trials,
+    from_nominal,
+    join,
+    raced,
+)
 from softrl.diagnosis.judging.dated import Dating, redated, told_of_dates
 from softrl.diagnosis.judging.leftover import Offer, explained_by, heldout_residual, offer_of, reasons_of, varies
 from softrl.diagnosis.judging.rivalry import as_good, asked_again, overtakes
@@ -187,7 +197,7 @@ def _put_in(part: Part, judge: Judge, path: Path, final: Trial, better: Rival, s
 def in_full(final: Trial, choice: Choice) -> tuple[Hypothesis, list[np.ndarray]]:
     """Return ``final`` with all parameters of ``choice``, one of its effects, free again, and the point where it was."""
     whole = choice._replace(pinned=())
-    values = dict(zip((axis.name for axis in effect_axes(choice)), final.fit.point[columns_of(final, choice)], strict=True))
+    values = {name: final.fit.point[column] for name, (_, column) in axes_of(final, choice).items()}
     mine = [values.get(axis.name, zero) for axis, zero in zip(effect_axes(whole), neutral(whole), strict=True)]
     effects = tuple(whole if effect == choice else effect for effect in final.hypothesis.effects)
     first = columns_of(final, choice)[0]
