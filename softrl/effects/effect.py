@@ -179,9 +179,8 @@ class Effect:
         for field in (*self.parameter_fields(), *self.gate_fields()):
             value, low, high = getattr(self, field.name), field.metadata["low"], field.metadata["high"]
             if not low <= value <= high:
-                raise ConfigError(
-                    f"effect {self.name()}.{field.name}={value:g} {field.metadata['unit']} is outside {low:g}..{high:g}"
-                )
+                unit = "" if field.metadata["unit"] == "1" else f" {field.metadata['unit']}"
+                raise ConfigError(f"effect {self.name()}.{field.name}={value:g}{unit} is outside {low:g}..{high:g}")
         if self.before_gauge and not self.gauged:
             raise ConfigError(f"effect {self.name()}.before_gauge=true: no gauge of a chamber's pressure can show it")
         if self.behind_gauge and not self.piped:

@@ -8,7 +8,7 @@ import pytest
 
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.artifacts.policy import Policy
-from softrl.assembly import Assembly
+from softrl.assembly import Assembly, _corrected_by
 from softrl.core.errors import ArtifactError, ConfigError
 from softrl.loop import _compose
 from softrl.pipeline import _own_folder
@@ -62,6 +62,12 @@ def test_the_latest_diagnosis_is_found_where_its_effects_are_asked_for() -> None
     assembly = Assembly(store, composed("stage=rl", "effect=identified"), {})
     assert assembly._latest(Diagnosis) is found
     assert assembly._latest(Policy) is found, "the mark of its effects asks for the diagnosis"
+
+
+def test_a_correction_by_an_older_library_is_refused() -> None:
+    with pytest.raises(ArtifactError, match="'strain_stiffening' a parameter 'cubic', unknown by now: run stage=diagnosis again"):
+        _corrected_by("strain_stiffening", {"cubic": 2.0, "chamber": -1})
+    assert _corrected_by("strain_stiffening", {"growth": 2.0, "chamber": 1}).chamber == 1
 
 
 def test_out_touches_no_folder_of_another_kind(tmp_path: Path) -> None:
