@@ -1,4 +1,4 @@
-"""Minimisation of an energy over poses: Newton with line search, shifted Hessian and reuse of the factors."""
+"""Minimisation of an energy over poses: Newton with line search, shifted Hessian, and reused factors that secants correct."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,6 +9,7 @@ import numpy as np
 from softrl.core.errors import ConfigError
 from softrl.fem.coupling import Coupling, Pose
 from softrl.fem.law import STRESS, TANGENT
+from softrl.fem.secants import Secants
 from softrl.fem.solver import LinearSolver
 
 SUFFICIENT_DECREASE = 1e-4  # Armijo's constant
@@ -83,16 +84,18 @@ def minimise(
     ``factors_ready`` says that ``solver`` holds the factors of a similar Hessian, to begin with.
     """
     shifts = 3 * len(coupling.free)
+    learnt = Secants(solver)
     pose, value = start, objective(start, STRESS)
     steps: list[float] = []
     factorisations, fresh, reusable, positive = 0, False, factors_ready, True
     previous = np.inf
     residual = coupling.reduce(value.gradient, pose)
     while len(steps) < settings.max_iterations:
-        step = -solver.solve(residual) if reusable else None
+        step = -learnt.solve(residual) if reusable else None
         if step is None or np.abs(step[:shifts]).max() > settings.reuse_below * previous:
             positive = factorise(objective(pose, TANGENT), pose, coupling, solver)
-            step, factorisations, fresh = -solver.solve(residual), factorisations + 1, True
+            learnt = Secants(solver)
+            step, factorisations, fresh = -learnt.solve(residual), factorisations + 1, True
             reusable = positive and settings.reuse_below > 0
         else:
             fresh = False
@@ -100,7 +103,8 @@ def minimise(
         done = length < settings.tolerance_m  # then energies differ by less than round-off: no search
         slope = np.inf if done else float(residual @ step)
         share, pose, value = _search(objective, coupling, pose, value, step, slope)
-        residual = coupling.reduce(value.gradient, pose)
+        before, residual = residual, coupling.reduce(value.gradient, pose)
+        learnt.learn(share * step, residual - before)
         steps.append(length)
         if done and share == 1.0:
             return Solve(pose, True, len(steps), factorisations, _largest(residual, shifts), tuple(steps), positive)

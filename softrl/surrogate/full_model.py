@@ -21,7 +21,7 @@ from softrl.surrogate.maps import PressureToJoints
 from softrl.surrogate.stiffness import turn_between
 
 log = logging.getLogger(__name__)
-NEWTON = NewtonSettings(tolerance_m=1e-7, max_iterations=40, reuse_below=0.3)
+NEWTON = NewtonSettings(tolerance_m=1e-7, max_iterations=40, reuse_below=0.5)
 LARGEST_LOAD_STEP = 0.8  # in units of ``sampling.load_scale``
 SMALL_N, SMALL_NM = 0.1, 0.005  # loads of the differences in PyBullet: tenths of a millimetre, of a degree
 
