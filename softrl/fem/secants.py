@@ -10,8 +10,8 @@ LEAST_COSINE = 1e-8  # between a step and the change of forces, below which noth
 class Secants:
     """The inverse of a Hessian near which ``solver`` holds factors, by limited-memory BFGS.
 
-    Nocedal, J. and Wright, S. J., Numerical Optimization (2006), section 7.2: two loops, between them those factors. A slender body
-    has soft modes that stale factors alone get wrong for many steps.
+    Nocedal, J. and Wright, S. J., Numerical Optimization (2006), section 7.2: two loops, between them those factors.
+    A slender body has soft modes that stale factors alone get wrong for many steps.
     """
 
     def __init__(self, solver: LinearSolver) -> None:
