@@ -23,6 +23,7 @@ from softrl.fem.tangent import Tangent
 log = logging.getLogger(__name__)
 PARTS = 32  # of a load step: how short it becomes, by halves, where it fails
 MOST_HALVINGS = 12  # on one path
+PATIENCE = 10  # factorisations after which a step that can be halved is: one that converges takes two or three
 DEVIATION = 0.3  # largest share of a step's motion (its largest nodal shift) that the path at an end may miss
 
 
@@ -150,7 +151,7 @@ def _walk(model: FemModel, start: Equilibrium, load: np.ndarray, count: int) -> 
     done, stride = 0, PARTS
     while done < whole:
         ends = start.load + done * unit, start.load + (done + stride) / whole * (load - start.load)
-        solve = model.static(ends[1], model.lowest(ends[1], here.guesses(model, stride)))
+        solve = model.static(ends[1], model.lowest(ends[1], here.guesses(model, stride)), PATIENCE if stride > 1 else None)
         iterations, factorisations = iterations + solve.iterations, factorisations + solve.factorisations
         try:
             _check_solve(solve)

@@ -155,11 +155,14 @@ class FemModel:
 
     # equilibria
 
-    def static(self, load: np.ndarray, start: Pose | None = None) -> Solve:
-        """Return the equilibrium under ``load`` (chambers + 3,) Pa and N that Newton finds from ``start`` (rest)."""
+    def static(self, load: np.ndarray, start: Pose | None = None, most_factors: int | None = None) -> Solve:
+        """Return the equilibrium under ``load`` (chambers + 3,) Pa and N that Newton finds from ``start`` (rest).
+
+        With ``most_factors`` factorisations, if given, it ends, converged or not.
+        """
         self._stepping = 0.0
         first = start if start is not None else self.rest()
-        return minimise(self._potential(load), first, self.coupling, self._solver, self.newton)
+        return minimise(self._potential(load), first, self.coupling, self._solver, self.newton, most_factors=most_factors)
 
     def lowest(self, load: np.ndarray, poses: Sequence[Pose]) -> Pose:
         """Return the one of ``poses`` with the least potential under ``load``."""

@@ -77,11 +77,12 @@ Objective = Callable[[Pose, int], Value]
 
 def minimise(
     objective: Objective, start: Pose, coupling: Coupling, solver: LinearSolver, settings: NewtonSettings,
-    factors_ready: bool = False,
+    factors_ready: bool = False, most_factors: int | None = None,
 ) -> Solve:
     """Return the pose near ``start`` at which ``objective`` has no gradient.
 
-    ``factors_ready`` says that ``solver`` holds the factors of a similar Hessian, to begin with.
+    ``factors_ready`` says that ``solver`` holds the factors of a similar Hessian, to begin with. What needs more than
+    ``most_factors``, if given, ends as not converged.
     """
     shifts = 3 * len(coupling.free)
     learnt = Secants(solver)
@@ -93,6 +94,8 @@ def minimise(
     while len(steps) < settings.max_iterations:
         step = -learnt.solve(residual) if reusable else None
         if step is None or np.abs(step[:shifts]).max() > settings.reuse_below * previous:
+            if factorisations == most_factors:
+                break
             positive = factorise(objective(pose, TANGENT), pose, coupling, solver)
             learnt = Secants(solver)
             step, factorisations, fresh = -learnt.solve(residual), factorisations + 1, True
