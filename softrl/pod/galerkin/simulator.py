@@ -26,7 +26,7 @@ from softrl.robots.robot import Robot
 
 TUNABLE = ("youngs_modulus_scale", "damping_scale", "mass_scale")
 MODEL = ("law", "moduli_pa", "poisson", "element_order", "mean_dilatation", "rayleigh_mass_per_s", "rayleigh_stiffness_s")
-NEWTON = NewtonSettings(tolerance_m=1e-6, max_iterations=40, reuse_below=0.5)  # of the full model in training
+NEWTON = NewtonSettings(tolerance_m=1e-7, max_iterations=40, reuse_below=0.5)  # of the full model in training
 QUASI_STATIC_S, LOAD_STEPS = 1e6, 4
 TOLERANCE_M, ITERATIONS, PATIENCE = 1e-7, 60, 6  # a matrix is made anew after so many steps with an old one
 
