@@ -44,11 +44,11 @@ class Reference:
         # the law's own parameters, and the modulus that weighs the mean change of volume of an element, if any
         self._lame, self._bulk = model._parameters, model._bulk_pa
         self._viscous, self._viscous_bulk = model._viscous_moduli, model._viscous_bulk
-        quadratic = model.quadratic
-        corners = quadratic.elements[:, :4]
-        region = quadratic.region[quadratic.elements]
+        solid = model.solid
+        corners = solid.elements[:, :4]
+        region = solid.region[solid.elements]
         deformable = np.flatnonzero(~((region == region[:, :1]).all(axis=1) & (region[:, 0] != 0)))
-        mesh = self._fem.MeshTet(quadratic.points[: quadratic.corners].T.copy(), corners.T.copy())
+        mesh = self._fem.MeshTet(solid.points[: solid.corners].T.copy(), corners.T.copy())
         element = self._fem.ElementVector(self._fem.ElementTetP2())
         self.basis = self._fem.Basis(mesh, element, intorder=2, elements=deformable)
         self._mean = self._fem.Basis(mesh, self._fem.ElementTetP0(), intorder=2, elements=deformable)
@@ -56,7 +56,7 @@ class Reference:
         self._elements = deformable
         self.rows = self._rows(mesh)
         self._forms()
-        self._begin(quadratic.points, 0.0)
+        self._begin(solid.points, 0.0)
 
     def step(self, state: State, load: np.ndarray, dt: float) -> ReferenceStep:
         """Return the pose ``dt`` seconds after ``state`` under ``load``: the objective of ``FemModel.step``."""
@@ -158,12 +158,12 @@ class Reference:
 
     def _rows(self, mesh: Any) -> np.ndarray:
         """Return scikit-fem's numbers (nodes, 3) of the components of the model's nodes."""
-        quadratic = self.model.quadratic
-        rows = np.empty((len(quadratic.points), 3), dtype=int)
-        rows[: quadratic.corners] = self.basis.nodal_dofs.T
-        own = {(int(a), int(b)): k for k, (a, b) in enumerate(np.sort(quadratic.edge_ends, axis=1))}
+        solid = self.model.solid
+        rows = np.empty((len(solid.points), 3), dtype=int)
+        rows[: solid.corners] = self.basis.nodal_dofs.T
+        own = {(int(a), int(b)): k for k, (a, b) in enumerate(np.sort(solid.edge_ends, axis=1))}
         for edge, (a, b) in enumerate(np.sort(mesh.edges.T, axis=1)):
-            rows[quadratic.corners + own[(int(a), int(b))]] = self.basis.edge_dofs[:, edge]
+            rows[solid.corners + own[(int(a), int(b))]] = self.basis.edge_dofs[:, edge]
         return rows
 
     def _vector(self, position: np.ndarray) -> np.ndarray:
@@ -178,7 +178,7 @@ class Reference:
         self, pose: Pose, load: np.ndarray, dt: float, before: np.ndarray, flight: np.ndarray
     ) -> np.ndarray:
         """Return the gradient (nodes, 3) N of the step's objective in the nodes."""
-        model, q = self.model, self.model.quadratic
+        model, q = self.model, self.model.solid
         mass = model.nodal_mass[:, None]
         moved = pose.position - before
         push = np.zeros_like(pose.position)
@@ -192,7 +192,7 @@ class Reference:
 
     def _pressure_stiffness(self, pose: Pose, load: np.ndarray) -> sp.csr_matrix:
         """Return the derivative of the pressure's forces by the nodes, in scikit-fem's order."""
-        model, q, pairs = self.model, self.model.quadratic, self.model.pairs
+        model, q, pairs = self.model, self.model.solid, self.model.pairs
         blocks = np.zeros((len(pairs.first), 3, 3))
         pressure = -np.ascontiguousarray(load[: model.chambers])  # the model subtracts p.V
         add_volume_stiffness(

@@ -64,11 +64,11 @@ def row_of(model: FemModel, equilibrium: Equilibrium) -> Row:
     row = {
         "coordinate": model.coordinate(pose),
         "energy": np.asarray(model.elastic_energy(pose)),
-        "moments": model.moments(pose.position - model.quadratic.points),
+        "moments": model.moments(pose.position - model.solid.points),
         "moment_slope": np.moveaxis(model.moments(tangent.shapes), 0, -1),
         "tip_quaternion": model.tip_quaternion(pose),
         "viscosity_by_gravity": by_gravity,
-        "displacement": (pose.position - model.quadratic.points)[: model.quadratic.corners].astype(np.float32),
+        "displacement": (pose.position - model.solid.points)[: model.solid.corners].astype(np.float32),
     }
     row |= layers_at(model, pose, tangent, answers.forces[:, WEIGHT], model.solve)._asdict()
     return row | answers.row | {SLOPE + name: slope for name, slope in slopes.items()}

@@ -12,7 +12,7 @@ from softrl.core.errors import ConfigError, MeshError, SolverError
 from softrl.fem.assembly import ASSEMBLERS, multiply_blocks, node_pairs
 from softrl.fem.coupling import Coupling, Pose, quaternion_of
 from softrl.fem.damping import viscous, viscous_moduli
-from softrl.fem.elements import Solid, rigid_bodies, solid_of
+from softrl.fem.elements import rigid_bodies, solid_of
 from softrl.fem.law import ENERGY, STRESS, TANGENT, VISCOUS
 from softrl.fem.loads import VOLUME_RULE, add_volume_gradient, add_volume_stiffness, enclosed_volumes
 from softrl.fem.material import Material
@@ -107,11 +107,6 @@ class FemModel:
         self._stepping = 0.0  # the time step whose factors the solver holds, s
         self.rest_tip = solid.plate_centroid()
         self.rest_volume = self.volumes(self.rest())
-
-    @property
-    def quadratic(self) -> Solid:
-        """The elements, which are quadratic by default."""
-        return self.solid
 
     # what a pose means
 

@@ -294,9 +294,9 @@ def _collect(
 
 def corner_mass(model: FemModel) -> np.ndarray:
     """Return the mass (corners,) kg of the corner nodes once each mid-edge node has given half to either end."""
-    quadratic = model.quadratic
-    mass = model.nodal_mass[: quadratic.corners].copy()
-    np.add.at(mass, quadratic.edge_ends, 0.5 * model.nodal_mass[quadratic.corners :, None])
+    solid = model.solid
+    mass = model.nodal_mass[: solid.corners].copy()
+    np.add.at(mass, solid.edge_ends, 0.5 * model.nodal_mass[solid.corners :, None])
     return mass
 
 

@@ -67,7 +67,7 @@ def test_a_stiffer_layer_gives_what_was_told(tall: Mesh, layer: int) -> None:
     assert (energy[0] - energy[1]) / (2.0 * step) == pytest.approx(here.layer_energy[layer], rel=1e-3)
     give = (2.0 * model.elastic_energy(pose) - energy.sum()) / step**2
     assert give == pytest.approx(here.layer_give[layer, layer], rel=0.02)
-    moved = [model.moments(at.position - model.quadratic.points)[0] for at in poses]
+    moved = [model.moments(at.position - model.solid.points)[0] for at in poses]
     np.testing.assert_allclose((moved[0] - moved[1]) / (2.0 * step), here.layer_drop[:, layer],
                                atol=5e-3 * np.abs(here.layer_drop).max())  # fmt: skip
     turn = poses[0].rotation[0] @ poses[1].rotation[0].T

@@ -287,6 +287,16 @@ def test_reused_factors_give_the_same_equilibrium(box: Mesh) -> None:
     assert np.abs(always.pose.position - often.pose.position).max() < 1e-9
 
 
+def test_a_solve_ends_where_its_factorisations_are_used_up(box: Mesh) -> None:
+    fresh = replace(NEWTON, reuse_below=0.0)
+    whole = model_of(box, newton=fresh).static(LOAD)
+    ended = model_of(box, newton=fresh).static(LOAD, most_factors=whole.factorisations - 1)
+    assert whole.converged and not ended.converged
+    assert ended.factorisations == whole.factorisations - 1 > 0
+    enough = model_of(box, newton=fresh).static(LOAD, most_factors=whole.factorisations)
+    np.testing.assert_array_equal(enough.pose.position, whole.pose.position)
+
+
 def test_newton_converges_quadratically(box: Mesh) -> None:
     steps = np.array(model_of(box, newton=NewtonSettings(1e-10, 60, 0.0)).static(LOAD).steps_m)
     assert steps[-1] < 50.0 * steps[-2] ** 1.6

@@ -21,7 +21,7 @@ def test_products_turn_as_their_points_do(vector: np.ndarray) -> None:
 def test_of_a_rigid_motion_moments_know_the_whole_kinetic_energy(box: Mesh) -> None:
     model = model_of(box)
     shift, spin = np.array([0.3, -0.1, 0.2]), np.array([1.0, 2.0, -0.5])
-    moved = shift + np.cross(spin, model.quadratic.points)
+    moved = shift + np.cross(spin, model.solid.points)
     moments = model.moments(moved)
     np.testing.assert_allclose(moments[0], model.nodal_mass @ moved)
     known = np.einsum("ai,ab,bi->", moments, np.linalg.pinv(model.moment_gram, rcond=1e-12), moments)

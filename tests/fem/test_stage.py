@@ -62,7 +62,7 @@ def test_every_sample_is_an_equilibrium_of_its_load(box: Mesh, snapshots: Snapsh
         solve = model.static(snapshots.loads[row])
         assert np.allclose(model.coordinate(solve.pose)[2:], snapshots.coordinate[row, 2:], atol=1e-8)
         assert np.allclose(model.coordinate(solve.pose)[:2], snapshots.coordinate[row, :2], rtol=1e-4, atol=1e-12)
-        moved = (solve.pose.position - model.quadratic.points)[: len(box.points)]
+        moved = (solve.pose.position - model.solid.points)[: len(box.points)]
         assert np.abs(moved - snapshots.displacement[row]).max() < 1e-7
         assert snapshots.energy[row] == pytest.approx(model.elastic_energy(solve.pose), rel=1e-4)
 

@@ -19,7 +19,7 @@ GRAVITY = (30.0, 0.0, -90.0)
 
 
 def centre(model: FemModel, pose: Pose) -> np.ndarray:
-    return model.moments(pose.position - model.quadratic.points)[0] / model.nodal_mass.sum()
+    return model.moments(pose.position - model.solid.points)[0] / model.nodal_mass.sum()
 
 
 def centre_slope(model: FemModel, tangent: Tangent) -> np.ndarray:
