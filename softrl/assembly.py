@@ -109,7 +109,7 @@ class Assembly:
     def _chain(self) -> EffectChain:
         node = self.cfg["effect"] or {}
         self.used["effect"] = node
-        chosen = [build_target(value, f"effect.{key}") for key, value in node.items() if key != "identified"]
+        chosen = [_effect(value, f"effect.{key}") for key, value in node.items() if key != "identified"]
         self.modules += [type(effect).__module__ for effect in chosen]
         if "identified" in node:
             for found in self._artifact(Diagnosis).corrections():
@@ -207,6 +207,19 @@ class Assembly:
                     f"stage={kind.stage}"
                 )
         return self.store.folder(run, name), run.info.run_id
+
+
+def _effect(node: Any, path: str) -> Effect:
+    """Return an effect as the configuration imposes it.
+
+    Raises
+    ------
+    ConfigError : it says how suddenly the effect begins, and not when
+    """
+    effect: Effect = build_target(node, path)
+    if "over_s" in node and effect.since_s == 0.0:
+        raise ConfigError(f"{path}.over_s={node['over_s']} says how suddenly it begins; expected {path}.since_s > 0 beside it")
+    return effect
 
 
 def _corrected_by(name: str, values: dict[str, Any]) -> Effect:

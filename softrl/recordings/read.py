@@ -1,14 +1,18 @@
 """Read a user's dataset folder."""
 
+import difflib
 from pathlib import Path
 
 from softrl.core.errors import RecordingError
-from softrl.recordings.acting import until_rows
+from softrl.recordings.acting import ACTS, until_rows
 from softrl.recordings.load import load_runs
 from softrl.recordings.marked import DISTURBED, OUTSIDE, named
 from softrl.recordings.recording import RecordingSet
 from softrl.recordings.store import DATASET
 from softrl.robots.robot import Robot
+
+READ = ("robot", "sessions", ACTS, DISTURBED, OUTSIDE)  # keys that mean something; any other is a note of the user's own
+ALIKE = 0.85  # similarity, of 1, from which another key is one of these misspelt
 
 
 def read(folder: Path | str, robot: Robot | None) -> RecordingSet:
@@ -40,6 +44,7 @@ def read(folder: Path | str, robot: Robot | None) -> RecordingSet:
     describes.
     """
     recordings = RecordingSet(*load_runs(folder, robot))
+    _refuse_misspelt(recordings, Path(folder))
     known = {file.stem for file in Path(folder).glob("*.csv")} | set(recordings.sessions())
     for note in (DISTURBED, OUTSIDE):
         for name in sorted(named(recordings, note) - known):
@@ -51,3 +56,9 @@ def read(folder: Path | str, robot: Robot | None) -> RecordingSet:
         return until_rows(recordings)
     except RecordingError as error:
         raise RecordingError(f"{Path(folder) / DATASET}: {error}") from error
+
+
+def _refuse_misspelt(recordings: RecordingSet, folder: Path) -> None:
+    for key in (key for key in recordings.notes if key not in READ):
+        for meant in difflib.get_close_matches(str(key), READ, n=1, cutoff=ALIKE):
+            raise RecordingError(f"{folder / DATASET}: key '{key}' would be a note without effect; did you mean {meant}?")

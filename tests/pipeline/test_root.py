@@ -70,6 +70,14 @@ def test_a_correction_by_an_older_library_is_refused() -> None:
     assert _corrected_by("strain_stiffening", {"growth": 2.0, "chamber": 1}).chamber == 1
 
 
+def test_how_suddenly_an_effect_begins_needs_when() -> None:
+    assembly = Assembly(SimpleNamespace(), composed("stage=simulate", "effect=[leak]", "+effect.leak.over_s=0.2"), {})
+    with pytest.raises(ConfigError, match=r"leak.over_s=0.2 says how suddenly it begins; expected effect.leak.since_s > 0"):
+        assembly._chain()
+    late = composed("stage=simulate", "effect=[leak]", "+effect.leak.over_s=0.2", "+effect.leak.since_s=3")
+    assert Assembly(SimpleNamespace(), late, {})._chain().effects[0].since_s == 3.0
+
+
 def test_out_touches_no_folder_of_another_kind(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     for taken in (tmp_path, tmp_path / "notes.txt"):

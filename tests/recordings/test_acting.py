@@ -39,3 +39,13 @@ def test_else_commands_stay_where_they_are(tmp_path: Path, notes: dict[str, str 
 def test_anything_else_is_refused_with_what_is_expected(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"dataset.yaml: command_acts is 'late'; expected until_row or from_row"):
         read(written(tmp_path, {ACTS: "late"}), None)
+
+
+@pytest.mark.parametrize(("wrong", "meant"), [("command_act", ACTS), ("session", "sessions"), ("disturb", "disturbed")])
+def test_a_key_that_is_nearly_one_is_refused(tmp_path: Path, wrong: str, meant: str) -> None:
+    with pytest.raises(RecordingError, match=rf"dataset.yaml: key '{wrong}' would be a note .*; did you mean {meant}\?"):
+        read(written(tmp_path, {wrong: UNTIL}), None)
+
+
+def test_a_note_of_any_other_name_is_kept(tmp_path: Path) -> None:
+    assert read(written(tmp_path, {"source": "bench 3", "robots_head": "blue"}), None).notes["source"] == "bench 3"
