@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis
 from softrl.diagnosis.fitting.problem import Residual
 from softrl.diagnosis.judging import leftover
-from softrl.diagnosis.judging.leftover import Explained, reasons_of
+from softrl.diagnosis.judging.leftover import Explained, pieces_of_course, reasons_of
 
 
 @pytest.mark.parametrize(
@@ -113,3 +113,18 @@ def test_what_is_left_is_no_noise_where_it_is_loud_beside_the_motion(
     offer: Any = SimpleNamespace(pays=False, fitted=left**2)
     reasons = reasons_of(judge, final, offer, Explained(0.98, of_all, left))
     assert bool(reasons) is told and all("of the motion" in reason for reason in reasons)
+
+
+@pytest.mark.parametrize(
+    ("effects", "pieces"),
+    [
+        ([Choice("drift"), Choice("failure"), Choice("gain", 0)], ["drift", "failure"]),
+        ([Choice("drift"), Choice("failure", 1)], ["drift", "failure (chamber 2)"]),
+        ([Choice("drift", 1), Choice("failure", 1)], ["drift (chamber 2)", "failure (chamber 2)"]),
+        ([Choice("drift", 0), Choice("failure", 1)], []),  # two chambers, two misfortunes
+        ([Choice("drift"), Choice("viscoelasticity")], []),
+        ([Choice("failure")], []),
+    ],
+)
+def test_steps_and_ramps_of_one_place_are_no_law_together(effects: list[Choice], pieces: list[str]) -> None:
+    assert pieces_of_course(effects) == pieces

@@ -23,7 +23,15 @@ from softrl.diagnosis.fitting.trial import (
     raced,
 )
 from softrl.diagnosis.judging.dated import Dating, redated, told_of_dates
-from softrl.diagnosis.judging.leftover import Offer, explained_by, heldout_residual, offer_of, reasons_of, varies
+from softrl.diagnosis.judging.leftover import (
+    Offer,
+    explained_by,
+    heldout_residual,
+    offer_of,
+    pieces_of_course,
+    reasons_of,
+    varies,
+)
 from softrl.diagnosis.judging.rivalry import as_good, asked_again, overtakes
 from softrl.diagnosis.judging.rivals import Rival, of_another_chamber, overtaking, plainer, simpler, stand_in, suddenly
 from softrl.diagnosis.search.hypothesise import forward
@@ -166,6 +174,8 @@ def _judged(part: Part, judge: Judge, path: Path, base: Trial, final: Trial, sea
     reasons = reasons_of(judge, final, offer, explained)
     if not reasons and varies(part.problem, judge, final):
         reasons = ["the numbers of the effects named would have to change with the pressures"]
+    if not reasons and (pieces := pieces_of_course(final.hypothesis.effects)):
+        reasons = [f"{' and '.join(pieces)} depend on the time alone: steps and ramps together describe any course of it"]
     in_vain = explained.share < judge.thresholds.explained_share
     closest = final.hypothesis.label() if reasons and named and in_vain else ""
     if reasons and in_vain:

@@ -1,10 +1,12 @@
 """What effects leave on held-out runs: how much of it they explain, and whether the rest is structure or noise."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from softrl.diagnosis.fitting.flexible import correction, pressures
+from softrl.diagnosis.fitting.hypothesis import Choice
 from softrl.diagnosis.fitting.judge import Gap, Judge
 from softrl.diagnosis.fitting.problem import Problem, Residual
 from softrl.diagnosis.fitting.trial import Trial
@@ -72,6 +74,17 @@ def varies(problem: Problem, judge: Judge, trial: Trial) -> bool:
     heldout, changes = heldout_residual(judge, trial), varied(problem, trial, judge.problem)
     squares = Residual([values - change for values, change in zip(heldout.runs, changes, strict=True)], {}).squares
     return judge.shows(trial.squares, squares)
+
+
+def pieces_of_course(effects: Sequence[Choice]) -> list[str]:
+    """Return the names of those among ``effects`` that depend on the time alone and act in the same place, if there are two.
+
+    Steps and ramps together make up any course of time, as a polynomial does any curve: what swings with the warmth of a day
+    is a failure between two drifts then.
+    """
+    timed = [choice for choice in effects if effect_class(choice.name).lasts]
+    apart = {choice.chamber for choice in timed}
+    return [choice.label() for choice in timed] if len(timed) > 1 and (len(apart) < len(timed) or -1 in apart) else []
 
 
 class Explained(NamedTuple):
