@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import NullFormatter
 
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.diagnosis.fitting.problem import Problem
@@ -15,6 +16,7 @@ from softrl.effects.effect import SITES
 
 COLOURS = {"measured": "black", "nominal": "tab:gray", "retuned": "tab:blue", "corrected": "tab:red",
            "one_lag": "tab:purple", "static": "tab:olive", "blackbox": "tab:green"}  # fmt: skip
+IN_WORDS = {"blackbox": "black box", "heldout": "held out"}
 
 
 def draw_all(
@@ -164,13 +166,19 @@ def draw_errors(diagnosis: Diagnosis) -> Figure:
     shown = diagnosis.errors_deg or diagnosis.errors_mm
     width = 0.8 / max(len(shown), 1)
     for k, (split, errors) in enumerate(shown.items()):
-        bars = ax.bar(np.arange(len(errors)) + (k + 0.5) * width - 0.4, list(errors.values()), width, label=split)
+        bars = ax.bar(np.arange(len(errors)) + (k + 0.5) * width - 0.4, list(errors.values()), width, label=_words(split))
         ax.bar_label(bars, fmt="%.2g", fontsize=7)
     ax.set_yscale("log")  # what is corrected would be a line at the bottom
-    ax.set_xticks(np.arange(len(errors)), [name.replace("_", " ") for name in errors])
+    ax.yaxis.set_major_formatter("{x:g}")
+    ax.yaxis.set_minor_formatter(NullFormatter())  # the bars say their values
+    ax.set_xticks(np.arange(len(errors)), [_words(name) for name in errors])
     ax.set_ylabel(f"rms error, {'deg' if diagnosis.errors_deg else 'mm'}")
     ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
     return figure
+
+
+def _words(name: str) -> str:
+    return IN_WORDS.get(name, name.replace("_", " "))
 
 
 def draw_rivals(diagnosis: Diagnosis) -> Figure:
