@@ -245,10 +245,13 @@ class Problem:
         past = np.abs([first, self.before.get(run.name, first)]).max()
         return bool(past <= AT_REST_SHARE * self.robot.pressure_max_pa)
 
-    def _rows_apart(self, run: Recording) -> float:
-        """Return how far apart the rows of ``run`` are, in intervals of most runs."""
-        apart = float(np.median(np.diff(run.time))) / self.interval_s if self.interval_s > 0.0 else 1.0
-        return apart if abs(apart - 1.0) > SAME_RATE else 1.0
+    @cached_property
+    def _rows_apart(self) -> dict[str, float]:
+        """By run how far apart its rows are, in intervals of most runs."""
+        if self.interval_s <= 0.0:
+            return dict.fromkeys((run.name for run in self.runs), 1.0)
+        apart = {run.name: float(np.median(np.diff(run.time))) / self.interval_s for run in self.runs}
+        return {name: times if abs(times - 1.0) > SAME_RATE else 1.0 for name, times in apart.items()}
 
     def _unjudged(self, run: Recording) -> float:
         return 0.0 if self._from_rest(run) else min(UNJUDGED_S, UNJUDGED_SHARE * float(np.ptp(run.time)))
@@ -256,7 +259,7 @@ class Problem:
     def _replay(self, plant: Plant, run: Recording, channels: tuple[str, ...], late_s: float) -> Recording:
         settle = 0.0 if self._from_rest(run) else self.numerics.settle_s
         before, supply, later = self.before.get(run.name), self.supply.get(run.name), self._later.get(run.name)
-        late_s *= self._rows_apart(run)
+        late_s *= self._rows_apart[run.name]
         made = replay(plant, run, self.numerics.dt_s, self.drive, settle, before, channels, late_s, supply, later)
         for name in self._compared:
             if not np.isfinite(_present(getattr(made, name))).all():
