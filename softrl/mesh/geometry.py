@@ -13,6 +13,7 @@ from softrl.mesh.surface import Surface
 from softrl.robots.robot import Robot
 
 MM = 1e3  # the solid modeller works in mm, where its single precision is 1e-5
+OTHER = 0.01  # of its length: a robot that differs by more is another
 PROFILE_POINTS = 9  # along one bulge; more would be finer than what the envelope of the tetrahedraliser keeps
 
 
@@ -34,6 +35,7 @@ class TripodGeometry:
     plate_from_m, plate_to_m, plate_radius_m : the disc of the top plate
     plate_arm_width_m, plate_arm_reach_m : one arm of the plate above each bellows, reaching so far from the axis
     facets : corners of a circle; polygons keep the area of their circle
+    edge_m, envelope_m : of the tetrahedra, where stage.tetrahedra leaves them to it
     """
 
     bulges: int
@@ -59,6 +61,8 @@ class TripodGeometry:
     plate_arm_width_m: float
     plate_arm_reach_m: float
     facets: int
+    edge_m: float
+    envelope_m: float
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -75,6 +79,10 @@ class TripodGeometry:
         values = [getattr(self, name) for name in heights]
         if any(low >= high for low, high in pairwise(values)):
             raise ConfigError(f"stage.geometry: {', '.join(heights)} are {values}; expected them rising")
+
+    def is_of(self, robot: Robot) -> bool:
+        """Return whether ``robot`` may be this tripod: three chambers and as long."""
+        return robot.chambers == 3 and abs(robot.length_m - self.plate_to_m) <= OTHER * self.plate_to_m
 
     @property
     def bulge_height(self) -> np.ndarray:

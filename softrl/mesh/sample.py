@@ -65,7 +65,7 @@ def write_sample(
 
 
 def _recipe(geometry: TripodGeometry, settings: TetrahedraSettings) -> dict[str, float]:
-    measures = {f"geometry.{key}": value for key, value in asdict(geometry).items()}
+    measures = {f"geometry.{key}": value for key, value in asdict(geometry).items() if key not in asdict(settings)}
     return measures | {f"tetrahedra.{key}": value for key, value in asdict(settings).items()}
 
 

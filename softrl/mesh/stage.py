@@ -14,11 +14,11 @@ from softrl.mesh.figures import draw_cuts, draw_quality
 from softrl.mesh.geometry import TripodGeometry, build_tripod
 from softrl.mesh.quality import check_orientation, check_slivers, smallest_dihedral
 from softrl.mesh.reader import join_surfaces, read_mesh, read_surface
-from softrl.mesh.region import Regions, layer_of_elements, tag_nodes
+from softrl.mesh.region import Regions, RegionSettings, layer_of_elements, tag_nodes
 from softrl.mesh.sample import read_sample
 from softrl.mesh.sector import fill
 from softrl.mesh.surface import Surface
-from softrl.mesh.tetrahedra import Tetrahedra, TetrahedraSettings
+from softrl.mesh.tetrahedra import Tetrahedra, TetrahedraSettings, TetrahedraWanted
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
@@ -36,18 +36,19 @@ class Config:
     unit_m : length in m of one unit in the files of ``source`` and ``cavity_surfaces``
     cavity_surfaces : files with the surfaces of single cavities, if ``source`` shows the outside only
     min_dihedral_deg : a mesh with a flatter element is refused
-    tetrahedra : edge length and envelope, where a surface is to be meshed
+    tetrahedra : edge length and envelope, where a surface is to be meshed; where null, of the tripod those of its geometry,
+        of the user's own surface by its walls
     geometry : measures of the tripod
-    regions : where base, plate and ribs are
+    regions : where base, plate and ribs are; where null, those of the geometry if the robot may be that tripod, else the ends
     """
 
     source: str
     unit_m: float
     cavity_surfaces: tuple[str, ...]
     min_dihedral_deg: float
-    tetrahedra: TetrahedraSettings
+    tetrahedra: TetrahedraWanted
     geometry: TripodGeometry
-    regions: Regions
+    regions: RegionSettings
 
     def __post_init__(self) -> None:
         if self.unit_m <= 0:
@@ -59,28 +60,40 @@ class Config:
         if self.cavity_surfaces and self.source in (SAMPLE, GENERATE):
             raise ConfigError(f"stage.cavity_surfaces is given, but stage.source={self.source} brings its own cavities")
 
+    def of_tripod(self) -> TetrahedraSettings:
+        """Return the settings of the tripod's tetrahedra."""
+        return self.tetrahedra.or_else(self.geometry.edge_m, self.geometry.envelope_m)
+
+    def regions_of(self, points: np.ndarray, robot: Robot) -> Regions:
+        """Return where base, plate and ribs of a body with ``points`` (nodes, 3) m are."""
+        return self.regions.of_tripod(self.geometry) if self.geometry.is_of(robot) else self.regions.of_ends(points)
+
 
 def run(config: Config, robot: Robot, *, tracker: Tracker) -> Mesh:
     """Return the robot's mesh with its regions and cavities, checked; log sizes, volumes and quality."""
     name = config.source if config.source in (SAMPLE, GENERATE) else Path(config.source).name
-    solid = _solid(config, robot, name)
+    body = _body(config, robot)
+    regions = config.regions_of(body.points, robot)
+    solid = body if isinstance(body, Tetrahedra) else _filled(body, config, robot, name)
     check_orientation(solid, name)
     cavities = find_cavities(solid, robot, name)
     check_slivers(solid, config.min_dihedral_deg, name)
-    mesh = _assemble(config, robot, solid, cavities, name)
+    mesh = _assemble(regions, robot, solid, cavities, name)
     mesh.validate()
-    _report(mesh, solid, config, robot, tracker)
+    _report(mesh, solid, regions, config.min_dihedral_deg, robot, tracker)
     return mesh
 
 
-def _solid(config: Config, robot: Robot, name: str) -> Tetrahedra:
+def _body(config: Config, robot: Robot) -> Tetrahedra | Surface:
     if config.source == SAMPLE:
-        return read_sample(config.geometry, config.tetrahedra, robot)
-    body = build_tripod(config.geometry, robot) if config.source == GENERATE else _read_own(config, robot)
-    if isinstance(body, Tetrahedra):
-        return body
-    cavities_of(body, robot, name)  # a wrong surface is refused before it is meshed
-    return fill(body, robot, config.tetrahedra)
+        return read_sample(config.geometry, config.of_tripod(), robot)
+    return build_tripod(config.geometry, robot) if config.source == GENERATE else _read_own(config, robot)
+
+
+def _filled(surface: Surface, config: Config, robot: Robot, name: str) -> Tetrahedra:
+    cavities_of(surface, robot, name)  # a wrong surface is refused before it is meshed
+    settings = config.of_tripod() if config.source == GENERATE else config.tetrahedra.of_walls(surface)
+    return fill(surface, robot, settings)
 
 
 def _read_own(config: Config, robot: Robot) -> Tetrahedra | Surface:
@@ -91,19 +104,23 @@ def _read_own(config: Config, robot: Robot) -> Tetrahedra | Surface:
     return join_surfaces(outside, [read_surface(Path(path), config.unit_m) for path in config.cavity_surfaces])
 
 
-def _assemble(config: Config, robot: Robot, solid: Tetrahedra, cavities: Cavities, name: str) -> Mesh:
+def _assemble(regions: Regions, robot: Robot, solid: Tetrahedra, cavities: Cavities, name: str) -> Mesh:
+    rigid = f"base up to {1e3 * regions.base_below_m:.1f} mm, plate from {1e3 * regions.plate_from_m:.1f} mm on"
+    log.info("%s, %d ribs (stage.regions)", rigid, len(regions.rib_from_m))
     return Mesh(
         points=solid.points,
         tetrahedra=solid.corners,
-        node_region=tag_nodes(solid.points, config.regions, name),
-        element_layer=layer_of_elements(solid.points, solid.corners, config.regions),
+        node_region=tag_nodes(solid.points, regions, name),
+        element_layer=layer_of_elements(solid.points, solid.corners, regions),
         cavity_triangles=cavities.triangles,
         cavity_of_triangle=cavities.chamber,
         robot_name=robot.name,
     )
 
 
-def _report(mesh: Mesh, solid: Tetrahedra, config: Config, robot: Robot, tracker: Tracker) -> None:
+def _report(
+    mesh: Mesh, solid: Tetrahedra, regions: Regions, least_deg: float, robot: Robot, tracker: Tracker
+) -> None:
     angle = smallest_dihedral(solid)
     tracker.metric("nodes_count", len(mesh.points))
     tracker.metric("tetrahedra_count", len(mesh.tetrahedra))
@@ -113,10 +130,9 @@ def _report(mesh: Mesh, solid: Tetrahedra, config: Config, robot: Robot, tracker
     volumes = [1e6 * mesh.cavity_volume(chamber) for chamber in range(mesh.chambers)]
     for chamber, volume in enumerate(volumes):
         tracker.metric(f"cavity_{chamber + 1}_volume_cm3", volume)
-    rib = config.regions.rib_from_m
-    height = 0.5 * (rib[0] + config.regions.rib_to_m[0]) if rib else 0.5 * robot.length_m
+    height = 0.5 * (regions.rib_from_m[0] + regions.rib_to_m[0]) if regions.rib_from_m else 0.5 * robot.length_m
     tracker.figure("cuts", draw_cuts(mesh, robot.chamber_angle_deg[0], height))
-    tracker.figure("quality", draw_quality(angle, config.min_dihedral_deg))
+    tracker.figure("quality", draw_quality(angle, least_deg))
     size = f"{len(mesh.points)} nodes, {len(mesh.tetrahedra)} tetrahedra, {1e6 * mesh.volume():.1f} cm3 of solid"
     hollow = ", ".join(f"{v:.1f}" for v in volumes)
     log.info("%s, cavities of %s cm3, smallest dihedral angle %.1f deg", size, hollow, angle.min())

@@ -26,6 +26,11 @@ class Surface:
         """Return the enclosed volume in m^3; negative when the normals point inward."""
         return enclosed_volume(self.points, self.triangles)
 
+    def wall(self) -> float:
+        """Return the mean thickness in m of what it bounds: twice its volume over its area, as of a thin plate."""
+        a, b, c = self.points[self.triangles].transpose(1, 0, 2)
+        return 2.0 * self.volume() / float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+
 
 def enclosed_volume(points: np.ndarray, triangles: np.ndarray) -> float:
     """Return the signed volume in m^3 inside closed ``triangles`` (triangles, 3) over ``points`` (nodes, 3) m."""

@@ -18,6 +18,7 @@ log = logging.getLogger(__name__)
 FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))  # corners of a tetrahedron's faces, normals outward
 MM = 1e3
 LARGEST_VOLUME_ERROR = 0.1  # of the tetrahedra against the surface they fill
+EDGE_WALLS, EDGE_HEIGHTS, ENVELOPE_WALLS = 3.0, 1.0 / 7.0, 0.125  # of a body's wall and height, where nobody says otherwise
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,30 @@ class TetrahedraSettings:
             raise ConfigError(
                 f"stage.tetrahedra.stop_energy={self.stop_energy:g}; expected above 3 (a regular element)"
             )
+
+
+@dataclass(frozen=True)
+class TetrahedraWanted:
+    """What is said about ``TetrahedraSettings``; null where it is left to the body at hand."""
+
+    edge_m: float | None
+    envelope_m: float | None
+    stop_energy: float
+
+    def or_else(self, edge_m: float, envelope_m: float) -> TetrahedraSettings:
+        """Return the settings, with the given lengths where nothing is said."""
+        edge = edge_m if self.edge_m is None else self.edge_m
+        envelope = envelope_m if self.envelope_m is None else self.envelope_m
+        return TetrahedraSettings(edge, envelope, self.stop_energy)
+
+    def of_walls(self, surface: Surface) -> TetrahedraSettings:
+        """Return the settings, by the walls and the height of the solid that ``surface`` bounds where nothing is said."""
+        wall, height = surface.wall(), float(np.ptp(surface.points[:, 2]))
+        made = self.or_else(min(EDGE_WALLS * wall, EDGE_HEIGHTS * height), ENVELOPE_WALLS * wall)
+        log.info(
+            "walls of %.1f mm on average: stage.tetrahedra.edge_m=%.4f, envelope_m=%.5f", MM * wall, made.edge_m, made.envelope_m
+        )
+        return made
 
 
 @dataclass(frozen=True)

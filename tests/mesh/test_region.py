@@ -15,8 +15,12 @@ def mesh(configure, robot):
     return run(configure(), robot, tracker=NullTracker())
 
 
-def test_each_rib_is_one_flat_part_between_all_bellows(mesh, configure) -> None:
-    regions = configure().regions
+@pytest.fixture(scope="module")
+def regions(mesh, configure, robot):
+    return configure().regions_of(mesh.points, robot)
+
+
+def test_each_rib_is_one_flat_part_between_all_bellows(mesh, regions) -> None:
     for i, (low, high) in enumerate(zip(regions.rib_from_m, regions.rib_to_m, strict=True)):
         points = mesh.points[mesh.node_region == FIRST_RIB + i]
         assert points[:, 2].min() > low - regions.tolerance_m
@@ -27,9 +31,8 @@ def test_each_rib_is_one_flat_part_between_all_bellows(mesh, configure) -> None:
             assert (points[:, :2] @ [np.cos(angle), np.sin(angle)]).max() > 0.025
 
 
-def test_whole_ribs_are_tagged(mesh, configure) -> None:
+def test_whole_ribs_are_tagged(mesh, regions) -> None:
     # an element well inside a rib's prism has four nodes of that rib: no soft remainder in a stiff part
-    regions = configure().regions
     centre = mesh.points[mesh.tetrahedra].mean(axis=1)
     within = np.hypot(centre[:, 0], centre[:, 1]) < 0.020
     for i, (low, high) in enumerate(zip(regions.rib_from_m, regions.rib_to_m, strict=True)):
@@ -52,21 +55,37 @@ def test_layers_count_upward(mesh) -> None:
         assert centre[mesh.element_layer == layer].max() <= centre[mesh.element_layer == layer + 1].min()
 
 
-def test_box_narrows_the_ribs(mesh, configure) -> None:
-    regions = dataclasses.replace(configure().regions, rib_box_m=(-0.1, 0.0, 0.1, 0.1))
+def test_box_narrows_the_ribs(mesh, regions) -> None:
+    regions = dataclasses.replace(regions, rib_box_m=(-0.1, 0.0, 0.1, 0.1))
     ribs = tag_nodes(mesh.points, regions, "sample") >= FIRST_RIB
     assert mesh.points[ribs, 1].min() >= -regions.tolerance_m
     assert 0 < ribs.sum() < (mesh.node_region >= FIRST_RIB).sum()
 
 
-def test_region_without_nodes_is_an_error(mesh, configure) -> None:
-    regions = dataclasses.replace(configure().regions, plate_from_m=0.2, plate_to_m=0.3)
+def test_region_without_nodes_is_an_error(mesh, regions) -> None:
+    regions = dataclasses.replace(regions, plate_from_m=0.2, plate_to_m=0.3)
     with pytest.raises(MeshError, match=r"0 nodes in the region of stage\.regions\.plate_from_m.*17\d\.\d mm"):
         tag_nodes(mesh.points, regions, "sample")
 
 
-def test_planes_must_rise(configure) -> None:
+def test_planes_must_rise(configure, robot) -> None:
     with pytest.raises(ConfigError, match="expected them rising"):
-        configure("regions.base_below_m=0.03")
+        run(configure("regions.base_below_m=0.03"), robot, tracker=NullTracker())
     with pytest.raises(ConfigError, match="expected pairs"):
-        configure("regions.rib_from_m=[0.02]")
+        run(configure("regions.rib_from_m=[0.02]"), robot, tracker=NullTracker())
+
+
+def test_of_the_tripod_regions_are_where_its_measures_put_them(regions) -> None:
+    assert (regions.base_below_m, regions.plate_from_m, regions.plate_to_m) == (0.005, 0.1715, 0.1765)
+    assert np.allclose(regions.rib_from_m, 0.02275 + 0.025 * np.arange(6))
+    assert np.allclose(np.subtract(regions.rib_to_m, regions.rib_from_m), 0.005)
+
+
+def test_of_another_robot_the_ends_are_rigid_unless_something_is_said(configure, robot) -> None:
+    other, points = dataclasses.replace(robot, length_m=0.12), np.array([[0.0, 0.0, -0.01], [0.0, 0.0, 0.11]])
+    found = configure().regions_of(points, other)
+    assert np.allclose((found.base_below_m, found.plate_from_m, found.plate_to_m), (-0.0076, 0.1076, 0.11))
+    assert found.rib_from_m == ()
+    said = configure("regions.plate_from_m=0.1", "regions.rib_from_m=[0.05]", "regions.rib_to_m=[0.06]")
+    found = said.regions_of(points, other)
+    assert (found.plate_from_m, found.rib_from_m, found.rib_to_m) == (0.1, (0.05,), (0.06,))

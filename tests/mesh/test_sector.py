@@ -47,7 +47,7 @@ def test_sector_is_its_share_of_the_solid(surface, sector) -> None:
 
 
 def test_mesh_is_symmetric_and_its_images_meet_face_to_face(surface, sector, config, robot) -> None:
-    whole = fill(surface, robot, config.tetrahedra)
+    whole = fill(surface, robot, config.of_tripod())
     assert max(image_error(whole.points, image) for image in sector.images) < 1e-9
     assert tetrahedron_volumes(whole.points, whole.corners).min() > 0.0
     boundary = whole.boundary()
@@ -60,7 +60,7 @@ def test_mesh_is_symmetric_and_its_images_meet_face_to_face(surface, sector, con
 
 def test_samples_are_symmetric(sector, configure, robot) -> None:
     for config in (configure(), configure(profile="tiny")):
-        points = read_sample(config.geometry, config.tetrahedra, robot).points
+        points = read_sample(config.geometry, config.of_tripod(), robot).points
         assert max(image_error(points, image) for image in sector.images) < 1e-6
 
 

@@ -123,11 +123,15 @@ def test_values_out_of_range(configure) -> None:
     for override, message in (
         ("unit_m=0", "unit_m=0 must be positive"),
         ("min_dihedral_deg=80", "min_dihedral_deg=80"),
-        ("tetrahedra.envelope_m=0.1", "expected 0 < envelope < edge"),
         ("cavity_surfaces=[a.stl]", "brings its own cavities"),
     ):
         with pytest.raises(ConfigError, match=message):
             configure(override)
+
+
+def test_an_envelope_wider_than_an_edge_is_refused(configure, robot) -> None:
+    with pytest.raises(ConfigError, match="expected 0 < envelope < edge"):
+        run(configure("tetrahedra.envelope_m=0.1"), robot, tracker=NullTracker())
 
 
 @pytest.mark.slow
@@ -145,7 +149,7 @@ def test_sample_is_what_its_recipe_makes(sample, configure, robot, tmp_path, mon
     masks = [[mesh.node_region == region for region in regions] for mesh in (sample, *runs)]
     height = np.array([[mesh.points[m, 2].mean() for m in row] for mesh, row in zip((sample, *runs), masks, strict=True)])
     assert np.median(height[1:], axis=0) == pytest.approx(height[0], abs=1e-3)
-    ribs = configure().regions
+    ribs = configure().regions_of(sample.points, robot)
     middle = 0.5 * (np.array(ribs.rib_from_m) + ribs.rib_to_m)
     assert np.abs(height[:, 2:] - middle).max() < 1e-3  # of every rib in every mesh
     assert np.abs(height[1:, :2] - height[0, :2]).max() < 1e-3

@@ -30,7 +30,7 @@ pytestmark = [
     pytest.mark.realdata,
     pytest.mark.skipif(not DATA.is_dir(), reason=f"no real data at {DATA}"),
 ]
-MODULUS_PA, ENVELOPE_M = 2e6, 0.0012
+MODULUS_PA, EDGE_M, ENVELOPE_M = 2e6, 0.025, 0.0012
 SAMPLES, RANGE_PA = 16, (-2e4, 3.4e4)
 ROWS = 2000
 NEWTON = NewtonSettings(1e-7, 40, 0.3)
@@ -39,7 +39,7 @@ NEWTON = NewtonSettings(1e-7, 40, 0.3)
 def surface_mesh(robot: Robot) -> Any:
     path = DATA / "ManipulatorWhole25.stl"
     base = OmegaConf.load(ROOT / "conf" / "stage" / "mesh.yaml")
-    own = OmegaConf.from_dotlist([f"source={path}", f"tetrahedra.envelope_m={ENVELOPE_M}"])
+    own = OmegaConf.from_dotlist([f"source={path}", f"tetrahedra.edge_m={EDGE_M}", f"tetrahedra.envelope_m={ENVELOPE_M}"])
     settings = build(OmegaConf.to_container(OmegaConf.merge(base, own)), Config, "stage")
     return run(settings, robot, tracker=NullTracker())
 
