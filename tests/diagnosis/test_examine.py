@@ -111,6 +111,8 @@ def test_what_pays_stands_in_for_what_does_not(judges: tuple[Judge, Judge]) -> N
         ("knee", "supply_limit", 6.5, False),  # a slope that counts
         ("knee", "leak", 5.0, False),  # another law, however alike
         ("supply_limit", "knee", 5.0, False),
+        ("flow_limit", "lag", 5.5, True),  # hardly ever bounded
+        ("flow_limit", "lag", 6.5, False),
     ],
 )
 def test_the_law_that_is_extended_in_vain_takes_the_place(

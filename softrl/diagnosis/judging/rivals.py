@@ -54,12 +54,13 @@ def overtaking(rivals: Sequence[Rival]) -> Rival | None:
 
 
 def plainer(judge: Judge, rivals: Sequence[Rival], final: Trial) -> Rival | None:
-    """Return the one of ``rivals`` whose law what is named extends by less than counts, if there is one.
+    """Return the one of ``rivals`` whose law what is named extends, or contains, and betters by less than counts, if any.
 
-    A ceiling that yields by a hundredth is a ceiling; but a law that needs more numbers for it is no plainer.
+    A ceiling that yields by a hundredth is a ceiling, and a flow that is hardly ever bounded a lag; but a law that needs more
+    numbers for it is no plainer.
     """
     most = len(final.fit.point)
-    plain = [rival for rival in rivals if _extended(rival) and len(rival.trial.fit.point) <= most]
+    plain = [rival for rival in rivals if _within(rival) and len(rival.trial.fit.point) <= most]
     return next((r for r in plain if judge.removed(r.trial.squares, final.squares) < judge.material), None)
 
 
@@ -84,7 +85,7 @@ def simpler(rivals: Sequence[Rival], final: Trial, redated: Sequence[Choice]) ->
     return min(ready, key=lambda rival: rival.gap.value, default=None)
 
 
-def _extended(rival: Rival) -> bool:
-    """Return whether the effect whose place ``rival`` would take extends its law, where it acts."""
+def _within(rival: Rival) -> bool:
+    """Return whether the effect whose place ``rival`` would take extends or contains its law, where it acts."""
     named, other = rival.instead_of, rival.choice
-    return effect_class(named.name).extends == other.name and named.chamber == other.chamber
+    return other.name in (effect_class(named.name).extends, effect_class(named.name).contains) and named.chamber == other.chamber
