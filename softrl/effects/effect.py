@@ -132,6 +132,7 @@ class Effect:
     essence : names of the parameters without all of which it is another effect: never are all held at their neutral values
     onset_of : name of the effect that this one is where that begins in a moment, or empty: a failed chamber has a smaller gain
     sudden : whether it may begin from one moment to the next: a camera is knocked rather than a robot's mount
+    above_own : whether it acts above a pressure of its own only, and so in no need of a gate that says one
     layered : whether it changes the layers of the body itself, before anything moves: it has ``layers`` in place of a kernel,
         and no gate
     stores : whether its first parameter is a flow into a store of each chamber's, which stays when a gate stops the flow
@@ -166,6 +167,7 @@ class Effect:
     essence: ClassVar[tuple[str, ...]] = ()
     onset_of: ClassVar[str] = ""
     sudden: ClassVar[bool] = True
+    above_own: ClassVar[bool] = False
     layered: ClassVar[bool] = False
 
     above_share: float = dataclasses.field(default=EVERYWHERE, kw_only=True, metadata=_gate("1", EVERYWHERE, 1.0, 0.3))

@@ -36,6 +36,7 @@ class Knee(Effect):
     site: ClassVar[str] = "chamber"
     title: ClassVar[str] = "change of a chamber's effect above a pressure"
     kernel: ClassVar = knee_kernel
+    above_own: ClassVar[bool] = True
     of_area: ClassVar[bool] = True
     gauged: ClassVar[bool] = True
     variant_of: ClassVar[str] = "area_growth"

@@ -33,6 +33,7 @@ class SupplyLimit(Effect):
     site: ClassVar[str] = "valve"
     title: ClassVar[str] = "saturation of the supply pressure"
     kernel: ClassVar = supply_limit_kernel
+    above_own: ClassVar[bool] = True
 
     ceiling: float = parameter("1", 0.1, 1.0, 1.0, typical=0.6, of="pressure")
     floor: float = parameter("1", 0.0, 1.0, 1.0, typical=0.6)

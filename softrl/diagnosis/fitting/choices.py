@@ -125,12 +125,12 @@ def that_last(choices: Sequence[Choice], training: Sequence[str], heldout: Seque
 
 
 def may_be_gated(choice: Choice) -> list[str]:
-    """Return the fields of the gates that ``choice`` may have: a time, and where pressure acts a pressure."""
+    """Return the fields of the gates that ``choice`` may have: a time, and a pressure where that acts and the law has none."""
     effect = effect_class(choice.name)
     if effect.together or effect.layered:
         return []
     times = [] if effect.clock is not None else ["since_s"]
-    return times + ["above_share"] * (effect.site in ("valve", "chamber", "body"))
+    return times + ["above_share"] * (effect.site in ("valve", "chamber", "body") and not effect.above_own)
 
 
 def gated(choice: Choice, duration_s: float, highest_share: float) -> list[Choice]:
