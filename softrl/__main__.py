@@ -12,6 +12,8 @@ from typing import NoReturn
 os.environ.setdefault("HYDRA_FULL_ERROR", "1")
 
 import hydra
+import yaml
+from hydra.core.config_store import ConfigStore
 from hydra.errors import ConfigCompositionException, HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -20,6 +22,7 @@ from softrl.core.errors import SoftrlError
 
 HERE = Path(__file__).resolve().parent
 NOISE = ("full_key:", "object_type=", "reference_type=", "Config search path", "provider=", "Set the environment")
+OWN = "own"  # name of the option that a robot's file is
 _mistakes: list[SoftrlError] = []
 _home = os.getpid()  # points of a sweep may run in other processes, which get this number with ``run``
 CONF = next(folder for folder in (HERE / "conf", HERE.parent / "conf") if folder.is_dir())
@@ -82,8 +85,10 @@ def _spell_out(word: str, sweep: bool = False) -> list[str]:
 
     ``effect=run:<id>`` stands for two overrides, ``launcher=slurm`` for a key of Hydra's, and ``bench=fem,rom`` for a
     list: with commas alone Hydra takes it for a sweep, which it is in a ``sweep``. ``proof.<key>`` is a key of that
-    stage.
+    stage. ``robot=<file>.yaml`` is a robot that may lie anywhere.
     """
+    if word.startswith("robot=") and word.endswith((".yaml", ".yml")):
+        return [f"robot={_own_robot(Path(word.removeprefix('robot=')).expanduser())}"]
     if word.startswith("effect=run:"):
         return ["effect=identified", f"inputs.diagnosis={word.removeprefix('effect=')}"]
     if word.startswith("launcher="):
@@ -93,6 +98,19 @@ def _spell_out(word: str, sweep: bool = False) -> list[str]:
     if word.startswith("proof."):
         return [f"stage.{word.removeprefix('proof.')}"]
     return [word]
+
+
+def _own_robot(path: Path) -> str:
+    """Give Hydra the robot in the file ``path`` as one of its options, and return that option's name."""
+    try:
+        node = OmegaConf.load(path)
+        why = "" if isinstance(node, DictConfig) else "it has no keys"
+    except (OSError, yaml.YAMLError) as error:
+        why = " ".join(str(error).split())
+    if why:
+        _leave(f"robot={path} cannot be read ({why}); expected a file such as conf/robot/tripod.yaml", 2)
+    ConfigStore.instance().store(name=OWN, group="robot", node=node)
+    return OWN
 
 
 def _one_line(error: Exception) -> str:

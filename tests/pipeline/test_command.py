@@ -31,6 +31,7 @@ from tests.pipeline.command import softrl
         (["stage=simulate", "simulator=pcc", "recordings=nowhere"], "nowhere is no folder"),
         (["stage=mesh", "inputs.mehs=latest"], "snapshots (of stage=fem)"),
         (["stage=mesh", "driver=nothing"], "'driver': rig_serial rig_udp"),
+        (["stage=mesh", "robot=nowhere.yaml"], "robot=nowhere.yaml cannot be read"),
     ],
 )
 def test_a_mistake_is_one_line_and_status_2(tmp_path: Path, words: list[str], says: str) -> None:
@@ -39,6 +40,15 @@ def test_a_mistake_is_one_line_and_status_2(tmp_path: Path, words: list[str], sa
     lines = [line for line in done.stderr.splitlines() if line.startswith("softrl: ")]
     assert len(lines) == 1 and says in lines[0], done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_a_robot_may_be_a_file_of_its_own(tmp_path: Path) -> None:
+    text = (Path(__file__).resolve().parents[2] / "conf" / "robot" / "tripod.yaml").read_text()
+    (tmp_path / "mine.yaml").write_text(text.replace("name: tripod", "name: mine"))
+    shown = softrl(tmp_path, "stage=mesh", "robot=mine.yaml", "robot.mass_kg=2.5", "--cfg", "job").stdout
+    assert "  name: mine\n" in shown and "  mass_kg: 2.5\n" in shown
+    (tmp_path / "mine.yaml").write_text("- mine\n")
+    assert "robot=mine.yaml cannot be read (it has no keys)" in softrl(tmp_path, "stage=mesh", "robot=mine.yaml").stderr
 
 
 def test_help_is_quick_to_say_what_one_can_do(tmp_path: Path) -> None:
