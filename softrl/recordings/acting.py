@@ -1,7 +1,7 @@
 """When a row's command acts: until the row's time, as simulators take it, or from its time on until the next row's."""
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +13,7 @@ ACTS = "command_acts"  # the note of a dataset whose author knows; without it a 
 UNTIL, FROM = "until_row", "from_row"
 STEP, STILL = 0.05, 0.1  # of a command's range in one row: a step; of a step: more in a row before, and it is none
 AT_ONCE = 0.3  # of steps, which gauges do not show at their own row where commands act from there on
-STEPS = 5  # that tell
+STEPS = 5  # of a chamber, that tell
 
 log = logging.getLogger(__name__)
 
@@ -35,11 +35,11 @@ def until_rows(recordings: RecordingSet) -> RecordingSet:
         )
     if said != FROM:
         return recordings
-    shown = [share for run in recordings.recordings for share in _shown_at_once(run)]
-    if len(shown) >= STEPS and float(np.median(shown)) > AT_ONCE:
+    shown = _shown_at_once(recordings.recordings)
+    if shown > AT_ONCE:
         log.warning(
-            "%s is %s, but measured pressures show %.0f %% of %d steps at the step's own row: taken as not known",
-            ACTS, FROM, 100.0 * float(np.median(shown)), len(shown),
+            "%s is %s, but a measured pressure shows %.0f %% of its command's steps at their own row: taken as not known",
+            ACTS, FROM, 100.0 * shown,
         )  # fmt: skip
         return replace(recordings, notes={key: note for key, note in recordings.notes.items() if key != ACTS})
     return replace(
@@ -58,12 +58,18 @@ def _a_row_later(run: Recording) -> Recording:
     return replace(run, pressure_cmd=np.vstack([run.pressure_cmd[:1], run.pressure_cmd[:-1]]))
 
 
-def _shown_at_once(run: Recording) -> Iterator[float]:
-    """Yield the share of every step of a command that its measured pressure has done at the step's own row."""
-    if run.pressure_meas is None:
-        return
-    for command, measured in zip(run.pressure_cmd.T, run.pressure_meas.T, strict=True):
-        change, answer = np.diff(command), np.diff(measured)
-        for k in np.flatnonzero(np.abs(change) >= STEP * max(np.ptp(command), 1e-300)):
-            if k >= 2 and np.abs(change[k - 2 : k]).max() <= STILL * abs(change[k]):
-                yield float(answer[k] / change[k])
+def _shown_at_once(runs: Sequence[Recording]) -> float:
+    """Return the share of a step that the measured pressure of the quickest chamber has done at the step's own row."""
+    shares: dict[int, list[float]] = {}
+    for run in runs:
+        if run.pressure_meas is not None:
+            for chamber, (command, measured) in enumerate(zip(run.pressure_cmd.T, run.pressure_meas.T, strict=True)):
+                shares.setdefault(chamber, []).extend(_steps(np.diff(command), np.diff(measured), float(np.ptp(command))))
+    return max((float(np.median(mine)) for mine in shares.values() if len(mine) >= STEPS), default=0.0)
+
+
+def _steps(change: np.ndarray, answer: np.ndarray, span: float) -> Iterator[float]:
+    """Yield what share of every step among the changes (rows,) of a command from row to row is seen in the same row's answer."""
+    for k in np.flatnonzero(np.abs(change) >= STEP * max(span, 1e-300)):
+        if k >= 2 and np.abs(change[k - 2 : k]).max() <= STILL * abs(change[k]):
+            yield float(answer[k] / change[k])

@@ -66,5 +66,5 @@ def test_a_gauge_that_shows_steps_before_they_act_is_believed(
     write(tmp_path, RecordingSet("robot", (run,), {ACTS: FROM}))
     found = read(tmp_path, None)
     assert is_known(found) is known
-    assert ("of 30 steps at the step's own row: taken as not known" in caplog.text) is not known
+    assert ("shows 100 % of its command's steps at their own row: taken as not known" in caplog.text) is not known
     np.testing.assert_allclose(found.recordings[0].pressure_cmd[20], command[19 if known else 20])
