@@ -93,6 +93,7 @@ def test_what_is_far_behind_is_not_improved_and_the_best_is_found_the_same(
     few = rank(problem, retuned, choices, search)
     thrifty = asked[0]
     monkeypatch.setattr(ranks, "FAR_BEHIND", np.inf)
+    monkeypatch.setattr(ranks, "HOPE", -np.inf)
     many = rank(problem, retuned, choices, search)
     assert thrifty < 0.8 * (asked[0] - thrifty)
     assert [lead.choice.name for lead in few[:2]] == [lead.choice.name for lead in many[:2]] == ["hysteresis", "play"]

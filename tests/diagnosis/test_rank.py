@@ -48,8 +48,8 @@ def test_where_the_first_begin_leads_nowhere_another_is_followed(monkeypatch: py
     monkeypatch.setattr(ranking, "_stepped", lambda *_: None)
     monkeypatch.setattr(ranking, "_gain", lambda *_: 1.0)
     leads = [
-        ranking._rough_fit(None, [base], Choice("dead_time"), begins, 4, begun, best=0.05)
+        ranking._rough_fit(None, [base], Choice("dead_time"), begins, 4, begun, best=0.05, limit=0.1)
         for begun in (ended(flat, 1.9), ended(flat + 1.0, 1.9))
     ]
     np.testing.assert_array_equal(leads[0].point, there)
-    np.testing.assert_array_equal(leads[1].point, flat + 1.0)  # it moved, and is far behind the best: not followed further
+    np.testing.assert_array_equal(leads[1].point, flat + 1.0)  # it moved, and costs more than the limit: not followed further

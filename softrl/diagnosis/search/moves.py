@@ -11,13 +11,12 @@ from softrl.diagnosis.fitting.judge import SHOWN, SHOWN_BESIDE, Judge
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.fitting.trial import Search, Trial, as_nominal, columns_of, drop, join, raced
 from softrl.diagnosis.search.path import Path
-from softrl.diagnosis.search.rank import LEAD_SHARE, Lead, form_of, rank
+from softrl.diagnosis.search.rank import LEAD_GAIN, LEAD_SHARE, Lead, form_of, rank
 from softrl.diagnosis.search.slim import slim
 from softrl.effects.library import effect_class
 
 log = logging.getLogger(__name__)
 SAME_NAME = 2  # forms of one effect (all chambers, one chamber) that are fitted in full
-LEAD_GAIN = 0.03  # share of the squared error: a rough fit that saves less will not save what counts when fitted in full
 CLOSE = 1.3  # times the best mean square of a round: what came as near is fitted in full in later rounds, too
 REFORMED = 2  # fits of a round, the best, in which older effects are tried in their other forms
 

@@ -29,6 +29,8 @@ PROMISING = 0.3  # of the best gain: what an effect above a pressure saves in al
 SECOND_LOOK = 0.5  # of an effect's best begin's gain, which another begin of it needs to be followed
 FAR_BEHIND = 2.0  # times the cost of the best rough fit: another is not improved further
 LEAD_SHARE = 0.3  # of the best rough fit's gain, which another needs to be fitted in full
+LEAD_GAIN = 0.03  # share of the squared error: a rough fit that saves less will not save what counts when fitted in full
+HOPE = 0.3  # of what a lead needs: a rough fit that neither gains nor promised as much by its first steps is not improved
 
 
 class Lead(NamedTuple):
@@ -123,14 +125,20 @@ def _leads(
     ]
     begun = parallel(_first_steps, [(*job[:3], job[3][0], job[4]) for job in jobs], search.workers)
     cost = min([best.cost, *(fit.cost for fit in begun if fit)])
-    target = np.inf if bent else cost
-    followed_jobs = [(*job, fit, target) for job, fit in zip(jobs, begun, strict=True)]
+    target, limit = (np.inf, np.inf) if bent else (cost, _limit(bases[0].trial, cost))
+    followed_jobs = [(*job, fit, target, limit) for job, fit in zip(jobs, begun, strict=True)]
     fitted = iter(parallel(_rough_fit, followed_jobs, search.workers))
     leads = [
         next(fitted) if kept else _left_behind(bases, choice, points, look)
         for (choice, points), look, kept in zip(tasks, looks, followed, strict=True)
     ]
     return Leads(leads, Best(reach, cost))
+
+
+def _limit(current: Trial, best: float) -> float:
+    """Return the cost above which a rough fit is not improved, ``best`` being the least of all after their first steps."""
+    gain = max(LEAD_SHARE * (1.0 - best / max(current.fit.cost, 1e-300)), LEAD_GAIN)
+    return min(FAR_BEHIND * best, (1.0 - HOPE * gain) * current.fit.cost)
 
 
 def _looks(
@@ -213,18 +221,19 @@ def _rough_fit(
     steps: int,
     begun: Fit | None,
     best: float,
+    limit: float,
 ) -> Lead:
     """Return one effect, fitted in few steps; ``begun`` is where the first lead from the best begin.
 
-    What is far behind the ``best`` cost of any effect by then, and never promised more, stays there, unless it did not move at
-    all: where a derivative is flat nothing is told. Else the derivatives are found once more where the first steps led, and the
-    other begins are followed, unless they come to the same place.
+    What costs more than the ``limit`` by then, and never promised less, stays there, unless it did not move at all: where a
+    derivative is flat nothing is told. Else the derivatives are found once more where the first steps led, and the other begins
+    are followed, unless they come to the same place. ``best`` is the least cost of any effect after its first steps.
     """
     current, own = bases[0].trial, _own(bases, choice)
     found: list[Fit] = [begun] if begun else []
     promised = 0.5 * (1.0 - begins[0].share) * float(np.sum(bases[0].left ** 2))
     stuck = begun is not None and np.abs(begun.point[own] - begins[0].point).max() < NEAR
-    if begun is None or stuck or min(begun.cost, promised) <= FAR_BEHIND * best:
+    if begun is None or stuck or min(begun.cost, promised) <= limit:
         for begin in begins:
             fit = begun if begin is begins[0] else _first_steps(fitting, bases, choice, begin, steps)
             least = min(found, key=lambda one: one.cost, default=None)
