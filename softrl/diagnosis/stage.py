@@ -16,6 +16,7 @@ from softrl.diagnosis.checks.frames import in_other_frames
 from softrl.diagnosis.checks.mistaken import mistaken
 from softrl.diagnosis.checks.prelude import preludes
 from softrl.diagnosis.checks.quality import mixed
+from softrl.diagnosis.checks.reach import as_it_stands
 from softrl.diagnosis.fitting.hypothesis import Hypothesis
 from softrl.diagnosis.fitting.judge import Judge, Thresholds
 from softrl.diagnosis.fitting.problem import Numerics, Problem
@@ -148,11 +149,13 @@ def _diagnosed(
     apart = _contradiction(whole, found)
     if apart:
         return cannot_tell(Refusal(data.check, apart), robot.name, type(simulator).__name__), None
+    if not whole.register:
+        whole = replace(whole, simulator=as_it_stands(simulator, data.training, robot))
     findings = _examine(config, whole, data, found)
     whole = put_together(whole, findings)
     findings = joined(whole.on(data.training), findings, config.search, config.thresholds)
     models = competitors(config.search, whole.on(data.training), findings)
-    judged = judged_on(whole, data, models, config.search.workers)
+    judged = judged_on(whole, data, models, config.search.workers, simulator)
     if calibration is not None:
         add_calibrated(whole, data, calibration, models["retuned"], judged, config.search)
     located = [f for part in findings for f in _locate(part)]

@@ -15,6 +15,7 @@ from softrl.pcc.model import Model, fill_shape
 from softrl.pcc.pose import tip_orientation, tip_position
 from softrl.robots.robot import Robot
 
+LENGTH = "length_scale"
 QUASI_STATIC_S = 1e12  # one implicit step of this length is an equilibrium
 _NONE = pack(())
 
@@ -43,6 +44,7 @@ class PccSimulator:
     bending_stiffness_scale, axial_stiffness_scale : of the stiffnesses that follow from the two numbers above
     damping_s : damping over stiffness: the time constant with which a massless body settles
     mass_scale : of ``robot.mass_kg``
+    length_scale : of ``robot.length_m``; not retuned, but a diagnosis sets it where the tip at rest tells another length
 
     Notes
     -----
@@ -65,6 +67,7 @@ class PccSimulator:
     axial_stiffness_scale: float
     damping_s: float
     mass_scale: float
+    length_scale: float = 1.0
 
     def __post_init__(self) -> None:
         if self.robot.axis != "+z":
@@ -75,7 +78,7 @@ class PccSimulator:
             raise ConfigError(
                 f"robot.pressure_max_pa={self.robot.pressure_max_pa:g} must be positive for simulator pcc"
             )
-        for name in ("bend_at_full_pressure_rad", "elongation_at_full_pressure", *self._tunable):
+        for name in ("bend_at_full_pressure_rad", "elongation_at_full_pressure", LENGTH, *self._tunable):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise ConfigError(f"simulator.{name}={getattr(self, name):g} must be positive")
 
@@ -90,8 +93,8 @@ class PccSimulator:
         return {name: getattr(self, name) for name in self._tunable}
 
     def with_parameters(self, **values: float) -> "PccSimulator":
-        """Return a copy with some tunable parameters replaced."""
-        unknown = set(values) - set(self._tunable)
+        """Return a copy with some tunable parameters, or its length, replaced."""
+        unknown = set(values) - {LENGTH, *self._tunable}
         if unknown:
             raise ConfigError(
                 f"simulator pcc has no parameter {', '.join(sorted(unknown))}; it has {', '.join(self._tunable)}"
@@ -100,11 +103,16 @@ class PccSimulator:
         return replace(self, **changed)
 
     @property
+    def length_m(self) -> float:
+        """Length at rest, m."""
+        return self.length_scale * self.robot.length_m
+
+    @property
     def stiffness(self) -> np.ndarray:
         """(3,) J: of b_x, b_y (per rad^2) and elongation."""
         r = self.robot
         bending = r.pressure_max_pa * r.chamber_area_m2 * r.chamber_radius_m / self.bend_at_full_pressure_rad
-        axial = r.chambers * r.pressure_max_pa * r.chamber_area_m2 * r.length_m / self.elongation_at_full_pressure
+        axial = r.chambers * r.pressure_max_pa * r.chamber_area_m2 * self.length_m / self.elongation_at_full_pressure
         return np.array([bending, bending, axial]) * [
             self.bending_stiffness_scale,
             self.bending_stiffness_scale,
@@ -114,11 +122,11 @@ class PccSimulator:
     @property
     def strain_map(self) -> np.ndarray:
         """(chambers, 3): chamber elongation per coordinate (b_x, b_y, epsilon)."""
-        return _strains_of(tuple(self.robot.chamber_angle_deg), self.robot.chamber_radius_m / self.robot.length_m)
+        return _strains_of(tuple(self.robot.chamber_angle_deg), self.robot.chamber_radius_m / self.length_m)
 
     @property
     def _maps(self) -> tuple[np.ndarray, ...]:
-        return _maps_of(tuple(self.robot.chamber_angle_deg), self.robot.chamber_radius_m / self.robot.length_m)
+        return _maps_of(tuple(self.robot.chamber_angle_deg), self.robot.chamber_radius_m / self.length_m)
 
     @cached_property
     def _model(self) -> Model:
@@ -126,7 +134,7 @@ class PccSimulator:
         return self._model_about(self._equilibrium((_NONE, _NONE)))
 
     def _model_about(self, rest: np.ndarray) -> Model:
-        r, length = self.robot, self.robot.length_m
+        r, length = self.robot, self.length_m
         plane, to_strain, to_moving = self._maps
         mass = self.mass_scale * r.mass_kg
         bending, _, axial = self.stiffness
@@ -230,7 +238,7 @@ class PccSimulator:
         position, quaternion = np.empty(3), np.empty(4)
         shape = np.empty(5)
         fill_shape(self._model, state.coordinates, shape)
-        tip_position(shape, self.robot.length_m, position)
+        tip_position(shape, self.length_m, position)
         tip_orientation(shape, quaternion)
         return position, quaternion
 

@@ -21,7 +21,8 @@ log = logging.getLogger(__name__)
 def until_rows(recordings: RecordingSet) -> RecordingSet:
     """Return the recordings with commands that act until their row's time, where they are said to act from it on.
 
-    Where gauges show steps at their own row what is said cannot be: then nobody knows.
+    Where gauges show steps earlier than they could what is said cannot be: then nobody knows. Commands that are seen a row
+    before their own were written a row late.
 
     Raises
     ------
@@ -33,20 +34,16 @@ def until_rows(recordings: RecordingSet) -> RecordingSet:
         raise RecordingError(
             f"{ACTS} is '{said}'; expected {UNTIL} or {FROM}, or no such key where nobody knows when a row's command acts"
         )
+    runs, notes = recordings.recordings, {key: note for key, note in recordings.notes.items() if key != ACTS}
+    if (shown := _shown(runs, 1)) > AT_ONCE:
+        log.warning("%s a row before their own: taken as written a row late", _steps_are_seen(shown))
+        return replace(recordings, recordings=tuple(_by_a_row(run, -1) for run in runs), notes=notes)
+    if said == FROM and (shown := _shown(runs, 0)) > AT_ONCE:
+        log.warning("%s is %s, but %s at their own row: taken as not known", ACTS, FROM, _steps_are_seen(shown))
+        return replace(recordings, notes=notes)
     if said != FROM:
         return recordings
-    shown = _shown_at_once(recordings.recordings)
-    if shown > AT_ONCE:
-        log.warning(
-            "%s is %s, but a measured pressure shows %.0f %% of its command's steps at their own row: taken as not known",
-            ACTS, FROM, 100.0 * shown,
-        )  # fmt: skip
-        return replace(recordings, notes={key: note for key, note in recordings.notes.items() if key != ACTS})
-    return replace(
-        recordings,
-        recordings=tuple(_a_row_later(run) for run in recordings.recordings),
-        notes=recordings.notes | {ACTS: UNTIL},
-    )
+    return replace(recordings, recordings=tuple(_by_a_row(run, 1) for run in runs), notes=notes | {ACTS: UNTIL})
 
 
 def is_known(recordings: RecordingSet) -> bool:
@@ -54,22 +51,29 @@ def is_known(recordings: RecordingSet) -> bool:
     return recordings.notes.get(ACTS) is not None
 
 
-def _a_row_later(run: Recording) -> Recording:
-    return replace(run, pressure_cmd=np.vstack([run.pressure_cmd[:1], run.pressure_cmd[:-1]]))
+def _by_a_row(run: Recording, later: int) -> Recording:
+    """Return the run with commands that stand a row ``later``, 1, or earlier, -1."""
+    rows = np.clip(np.arange(len(run.time)) - later, 0, len(run.time) - 1)
+    return replace(run, pressure_cmd=run.pressure_cmd[rows])
 
 
-def _shown_at_once(runs: Sequence[Recording]) -> float:
-    """Return the share of a step that the measured pressure of the quickest chamber has done at the step's own row."""
+def _steps_are_seen(share: float) -> str:
+    return f"a measured pressure shows {share:.0%} of its command's steps"
+
+
+def _shown(runs: Sequence[Recording], before: int) -> float:
+    """Return the share of a step that the measured pressure of the quickest chamber does ``before`` rows ahead of its own row."""
     shares: dict[int, list[float]] = {}
     for run in runs:
         if run.pressure_meas is not None:
             for chamber, (command, measured) in enumerate(zip(run.pressure_cmd.T, run.pressure_meas.T, strict=True)):
-                shares.setdefault(chamber, []).extend(_steps(np.diff(command), np.diff(measured), float(np.ptp(command))))
+                shares.setdefault(chamber, []).extend(_steps(command, measured, before))
     return max((float(np.median(mine)) for mine in shares.values() if len(mine) >= STEPS), default=0.0)
 
 
-def _steps(change: np.ndarray, answer: np.ndarray, span: float) -> Iterator[float]:
-    """Yield what share of every step among the changes (rows,) of a command from row to row is seen in the same row's answer."""
-    for k in np.flatnonzero(np.abs(change) >= STEP * max(span, 1e-300)):
+def _steps(command: np.ndarray, measured: np.ndarray, before: int) -> Iterator[float]:
+    """Yield the share of every step of a command (rows,), out of rest, that is measured ``before`` rows ahead of its own row."""
+    change, answer = np.diff(command), np.diff(measured)
+    for k in np.flatnonzero(np.abs(change) >= STEP * max(np.ptp(command), 1e-300)):
         if k >= 2 and np.abs(change[k - 2 : k]).max() <= STILL * abs(change[k]):
-            yield float(answer[k] / change[k])
+            yield float(answer[k - before] / change[k])

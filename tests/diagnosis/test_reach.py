@@ -3,8 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from softrl.diagnosis.checks.reach import of_other_length
+from softrl.diagnosis.checks.reach import as_it_stands, of_other_length, taken_length
+from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
@@ -16,15 +18,43 @@ def run_at(tripod: Robot, share: float, pressure_pa: float = 0.0, session: str =
     return Recording("run", session, time, np.full((50, tripod.chambers), pressure_pa), position=tip)
 
 
-def test_a_tip_that_rests_elsewhere_than_the_length_has_it_is_told_in_numbers(tripod: Robot) -> None:
-    told = of_other_length([run_at(tripod, 0.95), run_at(tripod, 0.951)], tripod)
+def test_a_tip_that_rests_elsewhere_than_the_length_has_it_is_told_in_numbers(tripod: Robot, body: PccSimulator) -> None:
+    told = of_other_length([run_at(tripod, 0.95), run_at(tripod, 0.951)], tripod, body)
     assert told is not None and f"{950.5 * tripod.length_m:.4g} mm" in told and f"{1e3 * tripod.length_m:.4g} mm" in told
-    assert of_other_length([run_at(tripod, 0.98), run_at(tripod, 0.98)], tripod) is None, "weight does as much"
+    assert of_other_length([run_at(tripod, 0.98), run_at(tripod, 0.98)], tripod, body) is None, "weight does as much"
 
 
-def test_it_is_told_by_runs_that_begin_without_pressure_and_agree(tripod: Robot) -> None:
+def test_it_is_told_by_runs_that_begin_without_pressure_and_agree(tripod: Robot, body: PccSimulator) -> None:
     pressed = run_at(tripod, 1.2, 0.5 * tripod.pressure_max_pa)
-    assert of_other_length([pressed], tripod) is None
-    assert of_other_length([run_at(tripod, 0.9), run_at(tripod, 1.1)], tripod) is None, "something changed between the runs"
-    assert of_other_length([run_at(tripod, 0.9), pressed], tripod) is not None
-    assert of_other_length([run_at(tripod, 0.9)], replace(tripod, output="bend_angle")) is None
+    assert of_other_length([pressed], tripod, body) is None
+    assert of_other_length([run_at(tripod, 0.9), run_at(tripod, 1.1)], tripod, body) is None, "something changed between the runs"
+    assert of_other_length([run_at(tripod, 0.9), pressed], tripod, body) is not None
+    assert of_other_length([run_at(tripod, 0.9)], replace(tripod, output="bend_angle"), body) is None
+
+
+def test_the_lumped_body_is_as_long_as_its_straight_tip_at_rest_tells(tripod: Robot, body: PccSimulator) -> None:
+    runs = [run_at(tripod, 1.02), run_at(tripod, 1.0201), run_at(tripod, 1.5, 0.5 * tripod.pressure_max_pa)]
+    stands = as_it_stands(body, runs, tripod)
+    assert isinstance(stands, PccSimulator)
+    assert taken_length(stands)["length_scale"] == pytest.approx(1.02005)
+    assert stands.length_m == pytest.approx(1.02005 * tripod.length_m)
+    assert stands.parameters == body.parameters, "it is not retuned"
+    told = of_other_length(runs, tripod, stands)
+    assert told is not None and "takes the body to be so long (simulator.length_scale=1.02)" in told
+
+
+def aside(tripod: Robot, share: float, by_m: float) -> Recording:
+    run = run_at(tripod, share)
+    return replace(run, position=np.asarray(run.position) + np.array([by_m, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize("shares", [(1.001, 1.001), (1.01, 1.02), (1.2, 1.2), (1.02,)])
+def test_little_too_much_or_not_always_is_no_length(tripod: Robot, body: PccSimulator, shares: tuple[float, ...]) -> None:
+    assert as_it_stands(body, [run_at(tripod, share) for share in shares], tripod) is body
+
+
+def test_a_tip_that_rests_aside_is_no_matter_of_length(tripod: Robot, body: PccSimulator) -> None:
+    runs = [aside(tripod, 1.02, 0.3 * 0.02 * tripod.length_m) for _ in range(2)]
+    assert as_it_stands(body, runs, tripod) is body
+    runs = [aside(tripod, 1.02, 0.2 * 0.02 * tripod.length_m) for _ in range(2)]
+    assert as_it_stands(body, runs, tripod) is not body

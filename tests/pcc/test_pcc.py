@@ -391,3 +391,13 @@ def test_corrections_of_the_jacobian_do_not_change_the_solution() -> None:
         state = body.step(state, row, 0.01)
         last.append(body.observe(state)[0])
     np.testing.assert_allclose(coordinates, last, atol=2e-9)
+
+
+def test_a_longer_body_is_that_of_a_longer_robot() -> None:
+    robot = robot_named("tripod")
+    longer = simulator(robot).with_parameters(length_scale=1.03)
+    of_longer = simulator(replace(robot, length_m=1.03 * robot.length_m))
+    poses = [body.observe(body.equilibrium(np.array([2e4, 5e3, 0.0]))) for body in (longer, of_longer)]
+    for a, b in zip(*poses, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12)
+    np.testing.assert_allclose(longer.stiffness, of_longer.stiffness)

@@ -51,20 +51,31 @@ def test_a_note_of_any_other_name_is_kept(tmp_path: Path) -> None:
     assert read(written(tmp_path, {"source": "bench 3", "robots_head": "blue"}), None).notes["source"] == "bench 3"
 
 
-@pytest.mark.parametrize(("rows", "known"), [(0, False), (1, True)])
+@pytest.mark.parametrize(
+    ("said", "rows", "known", "later", "told"),
+    [
+        (FROM, 1, True, 1, ""),
+        (FROM, 0, False, 0, "shows 100% of its command's steps at their own row: taken as not known"),
+        (FROM, -1, False, -1, "shows 100% of its command's steps a row before their own: taken as written a row late"),
+        (UNTIL, 0, True, 0, ""),
+        (UNTIL, -1, False, -1, "a row before their own"),
+        (None, -1, False, -1, "a row before their own"),
+        (None, 0, False, 0, ""),
+    ],
+)
 def test_a_gauge_that_shows_steps_before_they_act_is_believed(
-    tmp_path: Path, rows: int, known: bool, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, said: str | None, rows: int, known: bool, later: int, told: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     """What acts from a row on is seen at the next one: a gauge that follows at once says that it acted until then."""
     rng = np.random.default_rng(3)
     command = np.repeat(rng.uniform(0.0, 5e4, (12, 3)), 9, axis=0)
-    measured = np.vstack([command[:1]] * rows + [command])[: len(command)] + rng.normal(0.0, 300.0, command.shape)
+    number = np.arange(len(command))
+    measured = command[np.clip(number - rows, 0, len(command) - 1)] + rng.normal(0.0, 100.0, command.shape)
     run = Recording(
-        "steps", "monday", 0.02 * np.arange(len(command)), command, pressure_meas=measured,
-        position=np.tile([0.0, 0.0, 0.1], (len(command), 1)),
-    )  # fmt: skip
-    write(tmp_path, RecordingSet("robot", (run,), {ACTS: FROM}))
+        "steps", "monday", 0.02 * number, command, pressure_meas=measured, position=np.tile([0.0, 0.0, 0.1], (len(command), 1))
+    )
+    write(tmp_path, RecordingSet("robot", (run,), {ACTS: said}))
     found = read(tmp_path, None)
     assert is_known(found) is known
-    assert ("shows 100 % of its command's steps at their own row: taken as not known" in caplog.text) is not known
-    np.testing.assert_allclose(found.recordings[0].pressure_cmd[20], command[19 if known else 20])
+    assert told in caplog.text if told else not caplog.text
+    np.testing.assert_allclose(found.recordings[0].pressure_cmd[20], command[20 - later])

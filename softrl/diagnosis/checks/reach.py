@@ -4,39 +4,71 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from softrl.core.simulator import Simulator
 from softrl.diagnosis.checks.mistaken import still
+from softrl.pcc.simulator import LENGTH, PccSimulator
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
 OTHER_LENGTH = 0.03  # of the length, by which the tip may be nearer or farther: weight and pressure left over do as much
 ALIKE = 0.02  # of the length: sessions that differ by more differ in something else
 AT_FIRST_S = 0.2
+LEAST, MOST = 0.005, 0.15  # of the length, by which a straight tip tells another one
+STRAIGHT, STEADY = 0.25, 0.25  # of that: a tip that rests aside, or now here and now there, tells of something else
+RUNS = 2  # that tell
 
 
-def of_other_length(runs: Sequence[Recording], robot: Robot) -> str | None:
+def as_it_stands(simulator: Simulator, runs: Sequence[Recording], robot: Robot) -> Simulator:
+    """Return the lumped body as long as its tip at rest tells: what a robot's file says wrongly is no physics.
+
+    Any other simulator, and one whose tip rests where it should, aside, or not always in the same place, is returned as it is.
+    """
+    rests = _rests(runs, robot)
+    if not isinstance(simulator, PccSimulator) or len(rests) < RUNS:
+        return simulator
+    along, aside = rests[:, 2], np.linalg.norm(np.median(rests[:, :2], axis=0))
+    off = float(np.median(along)) - simulator.length_m
+    plain = LEAST * robot.length_m < abs(off) < MOST * robot.length_m
+    if not plain or aside > STRAIGHT * abs(off) or np.ptp(along) > STEADY * abs(off):
+        return simulator
+    return simulator.with_parameters(**{LENGTH: float(np.median(along)) / robot.length_m})
+
+
+def of_other_length(runs: Sequence[Recording], robot: Robot, simulator: Simulator) -> str | None:
     """Return in a sentence that the tip at rest is not where a robot of this length has it, or None.
 
     By runs that begin without pressure, if they agree. A marker beyond the tip shows so, too: which of both it is no recording
     of the tip can tell.
     """
-    if robot.output == "bend_angle":
+    reach = np.linalg.norm(_rests(runs, robot), axis=1)
+    if not len(reach) or np.ptp(reach) > ALIKE * robot.length_m:
         return None
-    reach = [_reach(run) for run in runs if still(run, robot)[_at_first(run)].all()]
-    if not reach or np.ptp(reach) > ALIKE * robot.length_m:
+    found, scale = float(np.median(reach)), taken_length(simulator).get(LENGTH)
+    if scale is None and abs(found - robot.length_m) <= OTHER_LENGTH * robot.length_m:
         return None
-    found = float(np.median(reach))
-    if abs(found - robot.length_m) <= OTHER_LENGTH * robot.length_m:
-        return None
-    return (
+    told = (
         f"at rest the tip is {1e3 * found:.4g} mm from the base, and length_m of robot {robot.name} is "
         f"{1e3 * robot.length_m:.4g} mm: measure it again. If it is right, the marker sits before or beyond the tip, or the "
-        "camera's scale is wrong; if it is not, marker_offset, or an offset of all chambers, may be named for it"
+        "camera's scale is wrong; "
     )
+    if scale is None:
+        return f"{told}if it is not, marker_offset, or an offset of all chambers, may be named for it"
+    return f"{told}what is said here takes the body to be so long (simulator.length_scale={scale:.4g})"
+
+
+def taken_length(simulator: Simulator) -> dict[str, float]:
+    """Return the length of a lumped body, in those of its robot, where it is another; else nothing."""
+    scale = simulator.length_scale if isinstance(simulator, PccSimulator) else 1.0
+    return {LENGTH: scale} if scale != 1.0 else {}
+
+
+def _rests(runs: Sequence[Recording], robot: Robot) -> np.ndarray:
+    """Return where the tip rests (runs, 3) m before anything acts, of the runs that begin without pressure."""
+    if robot.output == "bend_angle":
+        return np.empty((0, 3))
+    quiet = [run for run in runs if still(run, robot)[_at_first(run)].all()]
+    return np.array([np.median(np.asarray(run.position)[_at_first(run)], axis=0) for run in quiet]).reshape(-1, 3)
 
 
 def _at_first(run: Recording) -> np.ndarray:
     return np.asarray(run.time <= run.time[0] + AT_FIRST_S)
-
-
-def _reach(run: Recording) -> float:
-    return float(np.linalg.norm(np.median(np.asarray(run.position)[_at_first(run)], axis=0)))

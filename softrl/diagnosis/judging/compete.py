@@ -6,6 +6,7 @@ import numpy as np
 
 from softrl.artifacts.calibration import Calibration
 from softrl.artifacts.diagnosis import Diagnosis
+from softrl.core.simulator import Simulator
 from softrl.diagnosis.checks.data import Data
 from softrl.diagnosis.fitting.hypothesis import Hypothesis
 from softrl.diagnosis.fitting.problem import Problem
@@ -40,11 +41,17 @@ def competitors(search: Search, training: Problem, findings: list[Finding]) -> d
     } | ({"one_lag": lag} if lag else {})
 
 
-def judged_on(whole: Problem, data: Data, models: dict[str, Model], workers: int) -> dict[str, dict[str, Traces]]:
-    """Return what every competitor predicts, with physics and without: split -> name -> traces."""
+def judged_on(
+    whole: Problem, data: Data, models: dict[str, Model], workers: int, given: Simulator
+) -> dict[str, dict[str, Traces]]:
+    """Return what every competitor predicts, with physics and without: split -> name -> traces.
+
+    The nominal one is the simulator as it was ``given``: a length that was said wrongly is an error of it.
+    """
     splits = {split: whole.on(runs) for split, runs in data.splits.items()}
     plain = without_physics(whole.on(data.training), splits, models["corrected"].placed)
-    jobs = [(problem, model) for problem in splits.values() for model in models.values()]
+    nominal = {split: replace(problem, simulator=given) for split, problem in splits.items()}
+    jobs = [((nominal if name == "nominal" else splits)[s], model) for s in splits for name, model in models.items()]
     made = iter(parallel(traces, jobs, 1 if isinstance(whole.simulator, PccSimulator) else workers))
     return {split: {name: next(made) for name in models} | plain[split] for split in splits}
 

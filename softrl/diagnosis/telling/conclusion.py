@@ -7,7 +7,7 @@ import numpy as np
 
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.diagnosis.checks.data import Data, Refusal
-from softrl.diagnosis.checks.reach import of_other_length
+from softrl.diagnosis.checks.reach import of_other_length, taken_length
 from softrl.diagnosis.checks.response import step_responses
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.judging.correct import Model, Traces, errors, in_mm
@@ -47,7 +47,7 @@ def conclude(
         verdict=verdict,
         sentences=[],
         effects=effect_entries(findings),
-        simulator_parameters=spaces["corrected"].tuned(models["corrected"].point),
+        simulator_parameters=spaces["corrected"].tuned(models["corrected"].point) | taken_length(whole.simulator),
         retuned=retuned_entries(whole, models["retuned"]),
         rivals=rival_entries(findings, robot),
         located=located,
@@ -99,6 +99,6 @@ def _warnings(data: Data, whole: Problem) -> list[str]:
             "the recorded frame differs from the robot's base frame, or between sessions: every session is placed by "
             "the rigid motion that fits best, so that a tilt or an offset of the frame cannot be told"
         )
-    elif length := of_other_length(data.training, whole.robot):
+    elif length := of_other_length(data.training, whole.robot, whole.simulator):
         lines.append(length)
     return lines
