@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from softrl.core.errors import SolverError
 from softrl.diagnosis.fitting.hypothesis import GATES, Choice, Hypothesis, effect_axes, is_essential, may_be_pinned
 from softrl.diagnosis.fitting.judge import Judge
 from softrl.diagnosis.fitting.minimise import jacobian_at
@@ -48,9 +49,13 @@ def pinned(trial: Trial, choice: Choice, name: str) -> tuple[Hypothesis, np.ndar
     place = trial.hypothesis.effects.index(choice)
     less = without_gate(choice) if name in GATES else choice._replace(pinned=(*choice.pinned, name))
     effects = tuple(less if effect == choice else effect for effect in trial.hypothesis.effects)
-    gone = (name, WIDTHS.get(name))
-    columns = columns_of(trial, choice)[[axis.name in gone for axis in effect_axes(choice)]]
-    return Hypothesis(effects, trial.hypothesis.tuned), np.delete(trial.fit.point, columns), place
+    return Hypothesis(effects, trial.hypothesis.tuned), np.delete(trial.fit.point, _gone(trial, choice, name)), place
+
+
+def _gone(trial: Trial, choice: Choice, name: str) -> np.ndarray:
+    """Return the places in the point of ``trial`` of what goes with the parameter ``name`` of ``choice``."""
+    names = (name, WIDTHS.get(name))
+    return columns_of(trial, choice)[[axis.name in names for axis in effect_axes(choice)]]
 
 
 def _contained(trial: Trial, choice: Choice) -> list[tuple[Hypothesis, np.ndarray, int]]:
@@ -97,8 +102,26 @@ def _without_silent(fitting: Problem, judge: Judge, trial: Trial, search: Search
             if size[column] > SILENT * size.max() or len(columns) == 1 or is_essential(choice, axis.name):
                 continue
             hypothesis, point, place = pinned(trial, choice, axis.name)
-            fitted = path.fit(fitting, [(hypothesis, point)], search)
+            same = _the_same(fitting, trial, hypothesis, point, _gone(trial, choice, axis.name))
+            fitted = [same] if same else path.fit(fitting, [(hypothesis, point)], search)
             if fitted and not judge.tells(fitted[0].squares, trial.squares):
                 path.tried[hypothesis.effects[place]] = path.tried.pop(choice, [])
                 return _without_silent(fitting, judge, fitted[0], search, path, first)
     return trial
+
+
+def _the_same(
+    fitting: Problem, trial: Trial, hypothesis: Hypothesis, point: np.ndarray, gone: np.ndarray
+) -> Trial | None:
+    """Return ``trial`` as ``hypothesis`` at ``point`` (p,), if that predicts just the same without the parameters ``gone``.
+
+    Else None. So it does without a run, then, however much estimates of that differ beside a law with a corner.
+    """
+    try:
+        residual = fitting.residual(hypothesis, point, trial.placed).flat
+    except SolverError:
+        return None
+    if np.linalg.norm(residual - trial.fit.residual) > SILENT * np.linalg.norm(residual):
+        return None
+    jacobian = np.delete(trial.fit.jacobian, gone, axis=1)
+    return trial._replace(hypothesis=hypothesis, fit=trial.fit._replace(point=point, jacobian=jacobian))
