@@ -32,11 +32,17 @@ class Offset(Effect):
 
     site: ClassVar[str] = "chamber"
     title: ClassVar[str] = "offset of a chamber's pressure"
+    gauged: ClassVar[bool] = True
     kernel: ClassVar = offset_kernel
     exact: ClassVar[bool] = True
 
     offset: float = parameter("1", -0.5, 0.5, 0.0, typical=0.05, of="pressure")
     chamber: int = -1
+
+    @classmethod
+    def shapes(cls) -> list[dict[str, float]]:
+        """Return an offset downwards: its dead zone is all that a gauge shows, since one may be off by a constant itself."""
+        return [{"offset": -0.05}]
 
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (offset Pa, lowest pressure Pa, chamber)."""

@@ -1,5 +1,7 @@
 """A line from the gauge to the chambers is told as one: no gauge shows it, and the valve before it is another."""
 
+from dataclasses import replace
+
 import pytest
 
 from softrl.core.errors import ConfigError
@@ -11,7 +13,7 @@ from softrl.effects.library import effect_class
 from softrl.pcc.simulator import PccSimulator
 from tests.diagnosis.conftest import configured, made
 
-Lag = effect_class("lag")
+Gain, Lag, Offset = (effect_class(name) for name in ("gain", "lag", "offset"))
 FEW = {"candidates": ["lag", "delay", "gain", "viscoelasticity"], "search": {"max_effects": 2, "keep": 4}}
 
 
@@ -33,3 +35,16 @@ def test_valve_and_line_are_told_apart(body: PccSimulator) -> None:
     assert told["lag", 1, "chamber"]["parameters"]["fill_s"]["value"] == pytest.approx(0.08, abs=0.02)
     assert told["lag", -1, "valve"]["parameters"]["fill_s"]["value"] == pytest.approx(0.15, abs=0.02)
     assert "behind the gauge" in told["lag", 1, "chamber"]["where"] and told["lag", 1, "chamber"]["pinned"]["behind_gauge"]
+
+
+def test_a_regulator_s_dead_zone_and_span_are_told_by_a_gauge_that_may_be_off_itself(body: PccSimulator) -> None:
+    """Neither does much alone, and of an offset its dead zone is all that such a gauge shows."""
+    hidden = Offset(offset=-0.08, before_gauge=True), Gain(gain=1.09, before_gauge=True)
+    body = replace(body, robot=replace(body.robot, pressure_min_pa=0.0))
+    recordings = made(body, hidden, seed=5, sessions=4, measured=True)
+    few = FEW | {"candidates": ["offset", "gain", "knee", "lag", "leak", "deadband"]}
+    found = run(configured(**few), body.robot, recordings, body, tracker=NullTracker())
+    told = {e["name"]: e["parameters"] for e in found.effects if e["site"] == "valve"}
+    assert set(told) == {"offset", "gain"}, found.sentences
+    low, high = told["offset"]["offset"]["low"], told["offset"]["offset"]["high"]
+    assert low <= -0.08 * 1.09 <= high or low <= -0.08 <= high  # whichever comes first

@@ -48,8 +48,8 @@ def of_other_length(runs: Sequence[Recording], robot: Robot, simulator: Simulato
         return None
     told = (
         f"at rest the tip is {1e3 * found:.4g} mm from the base, and length_m of robot {robot.name} is "
-        f"{1e3 * robot.length_m:.4g} mm: measure it again. If it is right, the marker sits before or beyond the tip, or the "
-        "camera's scale is wrong; "
+        f"{1e3 * robot.length_m:.4g} mm: measure it again. If it is right, the marker sits before or beyond the tip, "
+        "pressure stays in all chambers, or the camera's scale is wrong; "
     )
     if scale is None:
         return f"{told}if it is not, marker_offset, or an offset of all chambers, may be named for it"
