@@ -15,6 +15,7 @@ from softrl.effects.library import effect_class
 
 NEW = (0.0, 0.0, 0.0)  # how long a run, its session and all sessions had gone on before the first sample
 LASTING = {"session": "lasting through a session", "ever": "lasting"}
+MOMENTS = ("since_s", "onset_s")  # parameters that say from when on something acts
 LATE = "late_s"  # how late a log has it that rows act, tuned with the simulator's parameters
 LATE_SCALE = 12.0  # sampling intervals that are one scaled unit: what a log may be late counts as no far retuning
 AT_END = 0.97  # a retuned parameter this close to the end of its range (in logarithms) is not plausible

@@ -9,7 +9,7 @@ import numpy as np
 
 from softrl.core.errors import SolverError
 from softrl.diagnosis.fitting.choices import alike, may_be_gated
-from softrl.diagnosis.fitting.hypothesis import Choice, Gate, Hypothesis, effect_axes, neutral
+from softrl.diagnosis.fitting.hypothesis import MOMENTS, Choice, Gate, Hypothesis, effect_axes, neutral
 from softrl.diagnosis.fitting.judge import Judge
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.fitting.trial import Trial, axes_of, columns_of
@@ -19,7 +19,6 @@ from softrl.recordings.gone import sessions_in_order
 from softrl.recordings.recording import Recording
 
 log = logging.getLogger(__name__)
-MOMENTS = ("since_s", "onset_s")  # parameters that say from when on something acts
 SLACK_S = 1.0  # by which a fit may miss the edge of what it does not see
 COARSE, FINE, ROUNDS = 25, 7, 3  # moments that are tried, then about the best one, ever closer
 SUDDEN = 20.0  # times as long and as short as a gate takes to open, and ever closer likewise

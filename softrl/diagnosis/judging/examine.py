@@ -37,7 +37,7 @@ from softrl.diagnosis.judging.rivals import Rival, of_another_chamber, overtakin
 from softrl.diagnosis.search.hypothesise import forward
 from softrl.diagnosis.search.moves import implausible
 from softrl.diagnosis.search.path import Path
-from softrl.diagnosis.search.slim import slim
+from softrl.diagnosis.search.slim import slim, without_silent
 from softrl.effects.library import effect_class
 from softrl.recordings.recording import Recording
 
@@ -241,7 +241,10 @@ def _confirm(
         gone.append(weakest)
         rivals = _rivals(part, judge, path, final, without[weakest], weakest, search) if len(gaps) > 1 else []
         instead = stand_in(judge, without[weakest], [rival for rival in rivals if rival.choice not in gone])
-        final = _put_in(part, judge, path, final, instead, search) if instead else _slimmed(part, judge, path, less, search)
+        if instead is None:
+            final = _without_silent(part, judge, path, less, search)
+        else:
+            final = _put_in(part, judge, path, final, instead, search)
     return base, [], {}
 
 
@@ -273,7 +276,7 @@ def _rivals(
     for trial in map(Dating(part.problem, judge).of, (*race.finished, *race.beaten)):
         alike = as_good(judge, both, trial, final)
         if alike and _freer(trial, final):
-            trial = _slimmed(part, judge, path, trial, search, len(trial.hypothesis.effects) - 1)
+            trial = _slimmed(part, judge, path, trial, search)
             if set(trial.hypothesis.effects) == set(final.hypothesis.effects):
                 continue
             alike = as_good(judge, both, trial, final) and not _freer(trial, final)
@@ -291,14 +294,23 @@ def _freer(trial: Trial, final: Trial) -> bool:
     return len(trial.fit.point) > len(final.fit.point) and bool(trial.everywhere.mean() > final.everywhere.mean())
 
 
-def _slimmed(part: Part, judge: Judge, path: Path, trial: Trial, search: Search, first: int = 0) -> Trial:
-    """Return ``trial`` with those parameters of its effects, from the ``first`` on, that pay: what was named was slimmed, too.
+def _without_silent(part: Part, judge: Judge, path: Path, trial: Trial, search: Search) -> Trial:
+    """Return ``trial`` without parameters that do nothing any more beside what is left, such as a gate that opens at once."""
+    if not trial.hypothesis.effects:
+        return trial
+    inside = part.judge(part.problem.runs, judge.thresholds, judge.seed)
+    less = without_silent(part.problem, inside, trial._replace(squares=trial.inside), search, path)
+    return next(iter(Dating(part.problem, judge).that_run([less])), trial)
+
+
+def _slimmed(part: Part, judge: Judge, path: Path, trial: Trial, search: Search) -> Trial:
+    """Return ``trial`` with those parameters of its last effect that pay: what was named was slimmed, too.
 
     A dead time that disperses by nothing is a delay. A map without physics means something with all its parameters only.
     """
-    effects = trial.hypothesis.effects
-    if not effects or effect_class(effects[-1].name).together:
+    if effect_class(trial.hypothesis.effects[-1].name).together:
         return trial
     inside = part.judge(part.problem.runs, judge.thresholds, judge.seed)
-    less = slim(part.problem, inside, trial._replace(squares=trial.inside), search, path, first)
+    last = len(trial.hypothesis.effects) - 1
+    less = slim(part.problem, inside, trial._replace(squares=trial.inside), search, path, last)
     return next(iter(Dating(part.problem, judge).that_run([less])), trial)

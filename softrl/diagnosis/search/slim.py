@@ -3,7 +3,16 @@
 import numpy as np
 
 from softrl.core.errors import SolverError
-from softrl.diagnosis.fitting.hypothesis import GATES, Choice, Hypothesis, effect_axes, is_essential, may_be_pinned
+from softrl.diagnosis.fitting.hypothesis import (
+    GATES,
+    LASTING,
+    MOMENTS,
+    Choice,
+    Hypothesis,
+    effect_axes,
+    is_essential,
+    may_be_pinned,
+)
 from softrl.diagnosis.fitting.judge import Judge
 from softrl.diagnosis.fitting.minimise import jacobian_at
 from softrl.diagnosis.fitting.problem import Problem
@@ -23,7 +32,7 @@ def slim(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Pat
     than one that it contains gives way to it. Effects before the ``first``, counted from 0, stay as they are.
     """
     if any(choice.gate for choice in trial.hypothesis.effects[first:]):
-        trial = _without_silent(fitting, judge, trial, search, path, first)
+        trial = without_silent(fitting, judge, trial, search, path, first)
     again = True
     while again:
         again = False
@@ -39,7 +48,7 @@ def slim(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Pat
                 slimmer = min(as_good, key=lambda t: t.mean_square)
                 place = trial.hypothesis.effects.index(choice)
                 path.tried[slimmer.hypothesis.effects[place]] = path.tried.pop(choice, [])
-                trial, again = _without_silent(fitting, judge, slimmer, search, path, first), True
+                trial, again = without_silent(fitting, judge, slimmer, search, path, first), True
                 break
     return trial
 
@@ -90,7 +99,9 @@ def _influence(fitting: Problem, trial: Trial) -> np.ndarray:
     return np.asarray(np.linalg.norm(columns, axis=0))
 
 
-def _without_silent(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Path, first: int) -> Trial:
+def without_silent(
+    fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Path, first: int = 0
+) -> Trial:
     """Return ``trial`` with the parameters of its effects, from the ``first`` on, pinned that have no influence any more.
 
     When something began between two fitted runs has no influence where it is, and yet it did not act always.
@@ -102,12 +113,20 @@ def _without_silent(fitting: Problem, judge: Judge, trial: Trial, search: Search
             if size[column] > SILENT * size.max() or len(columns) == 1 or is_essential(choice, axis.name):
                 continue
             hypothesis, point, place = pinned(trial, choice, axis.name)
-            same = _the_same(fitting, trial, hypothesis, point, _gone(trial, choice, axis.name))
+            value = axis.physical(float(trial.fit.point[column]))
+            shown = axis.name not in MOMENTS or _is_shown(fitting, choice, value)
+            same = _the_same(fitting, trial, hypothesis, point, _gone(trial, choice, axis.name)) if shown else None
             fitted = [same] if same else path.fit(fitting, [(hypothesis, point)], search)
             if fitted and not judge.tells(fitted[0].squares, trial.squares):
                 path.tried[hypothesis.effects[place]] = path.tried.pop(choice, [])
-                return _without_silent(fitting, judge, fitted[0], search, path, first)
+                return without_silent(fitting, judge, fitted[0], search, path, first)
     return trial
+
+
+def _is_shown(fitting: Problem, choice: Choice, moment_s: float) -> bool:
+    """Return whether a fitted run was recorded at a moment by the clock of ``choice``: only that shows that nothing happened."""
+    clock = ("", *LASTING).index(choice.lasting)
+    return any(run.gone_s[clock] <= moment_s <= run.gone_s[clock] + float(np.ptp(run.time)) for run in fitting.runs)
 
 
 def _the_same(
