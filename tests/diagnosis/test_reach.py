@@ -5,10 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrl.diagnosis.checks.reach import as_it_stands, of_other_length, taken_length
+from softrl.core.tracking import NullTracker
+from softrl.diagnosis.checks.reach import as_it_stands, of_other_length, taken_length, told_of_length
+from softrl.diagnosis.stage import run
+from softrl.effects.library import effect_class
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
+from tests.diagnosis.conftest import configured, made
 
 
 def run_at(tripod: Robot, share: float, pressure_pa: float = 0.0, session: str = "day") -> Recording:
@@ -39,8 +43,9 @@ def test_the_lumped_body_is_as_long_as_its_straight_tip_at_rest_tells(tripod: Ro
     assert taken_length(stands)["length_scale"] == pytest.approx(1.02005)
     assert stands.length_m == pytest.approx(1.02005 * tripod.length_m)
     assert stands.parameters == body.parameters, "it is not retuned"
-    told = of_other_length(runs, tripod, stands)
-    assert told is not None and "takes the body to be so long (simulator.length_scale=1.02)" in told
+    assert of_other_length(runs, tripod, stands) is None and told_of_length(body, tripod) == []
+    (told,) = told_of_length(stands, tripod)
+    assert f"{1020.05 * tripod.length_m:.4g} mm long" in told and f"length_m is {1e3 * tripod.length_m:.4g} mm" in told
 
 
 def aside(tripod: Robot, share: float, by_m: float) -> Recording:
@@ -58,3 +63,15 @@ def test_a_tip_that_rests_aside_is_no_matter_of_length(tripod: Robot, body: PccS
     assert as_it_stands(body, runs, tripod) is body
     runs = [aside(tripod, 1.02, 0.2 * 0.02 * tripod.length_m) for _ in range(2)]
     assert as_it_stands(body, runs, tripod) is not body
+
+
+def test_a_length_said_wrongly_is_no_missing_physics(body: PccSimulator) -> None:
+    longer = body.with_parameters(length_scale=1.025)
+    recordings = made(longer, (effect_class("lag")(fill_s=0.2, vent_s=0.3),), sessions=4)
+    few = {"candidates": ["lag", "frame", "marker_offset", "offset", "payload"], "search": {"keep": 3}}
+    found = run(configured(**few), body.robot, recordings, body, tracker=NullTracker())
+    assert [effect["name"] for effect in found.effects] == ["lag"], found.sentences
+    assert found.simulator_parameters["length_scale"] == pytest.approx(1.025, abs=5e-4)
+    assert "long, as its tip at rest tells" in found.sentences[1]
+    held = found.errors_mm["heldout"]
+    assert held["nominal"] > 25.0 * body.robot.length_m > held["corrected"], "the nominal one is as it was given"

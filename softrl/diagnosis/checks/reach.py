@@ -35,25 +35,32 @@ def as_it_stands(simulator: Simulator, runs: Sequence[Recording], robot: Robot) 
 
 
 def of_other_length(runs: Sequence[Recording], robot: Robot, simulator: Simulator) -> str | None:
-    """Return in a sentence that the tip at rest is not where a robot of this length has it, or None.
+    """Return in a sentence that the tip at rest is not where a robot of this length has it, or None; see ``told_of_length``.
 
     By runs that begin without pressure, if they agree. A marker beyond the tip shows so, too: which of both it is no recording
     of the tip can tell.
     """
     reach = np.linalg.norm(_rests(runs, robot), axis=1)
-    if not len(reach) or np.ptp(reach) > ALIKE * robot.length_m:
+    if taken_length(simulator) or not len(reach) or np.ptp(reach) > ALIKE * robot.length_m:
         return None
-    found, scale = float(np.median(reach)), taken_length(simulator).get(LENGTH)
-    if scale is None and abs(found - robot.length_m) <= OTHER_LENGTH * robot.length_m:
+    found = float(np.median(reach))
+    if abs(found - robot.length_m) <= OTHER_LENGTH * robot.length_m:
         return None
-    told = (
+    return (
         f"at rest the tip is {1e3 * found:.4g} mm from the base, and length_m of robot {robot.name} is "
-        f"{1e3 * robot.length_m:.4g} mm: measure it again. If it is right, the marker sits before or beyond the tip, "
-        "pressure stays in all chambers, or the camera's scale is wrong; "
+        f"{1e3 * robot.length_m:.4g} mm: measure it again. If it is right, the marker sits before or beyond the tip, or the "
+        "camera's scale is wrong; if it is not, marker_offset, or an offset of all chambers, may be named for it"
     )
-    if scale is None:
-        return f"{told}if it is not, marker_offset, or an offset of all chambers, may be named for it"
-    return f"{told}what is said here takes the body to be so long (simulator.length_scale={scale:.4g})"
+
+
+def told_of_length(simulator: Simulator, robot: Robot) -> list[str]:
+    """Return in a sentence which length the lumped body was taken to have, if it is not the robot's."""
+    return [
+        f"The body was taken to be {1e3 * scale * robot.length_m:.4g} mm long, as its tip at rest tells, where length_m is "
+        f"{1e3 * robot.length_m:.4g} mm: measure it again. A marker beyond the tip, a camera shifted along it, or pressure that "
+        "stays in all chambers would show so, too."
+        for scale in taken_length(simulator).values()
+    ]
 
 
 def taken_length(simulator: Simulator) -> dict[str, float]:

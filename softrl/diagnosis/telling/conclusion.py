@@ -7,7 +7,7 @@ import numpy as np
 
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.diagnosis.checks.data import Data, Refusal
-from softrl.diagnosis.checks.reach import of_other_length, taken_length
+from softrl.diagnosis.checks.reach import of_other_length, taken_length, told_of_length
 from softrl.diagnosis.checks.response import step_responses
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.judging.correct import Model, Traces, errors, in_mm
@@ -68,7 +68,9 @@ def conclude(
     )
     read = responses.sentence()
     wander = wandering_zeros(findings[0]) if len(findings) > 1 else []
-    return replace(made, sentences=sentences(made, findings) + wander + ([read] if read else []))
+    verdict_first, *others = sentences(made, findings)
+    length = told_of_length(whole.simulator, robot)
+    return replace(made, sentences=[verdict_first, *length, *others, *wander, *([read] if read else [])])
 
 
 def cannot_tell(refusal: Refusal, robot_name: str, simulator_name: str) -> Diagnosis:
