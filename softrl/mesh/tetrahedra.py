@@ -18,7 +18,8 @@ log = logging.getLogger(__name__)
 FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))  # corners of a tetrahedron's faces, normals outward
 MM = 1e3
 LARGEST_VOLUME_ERROR = 0.1  # of the tetrahedra against the surface they fill
-EDGE_WALLS, EDGE_HEIGHTS, ENVELOPE_WALLS = 3.0, 1.0 / 7.0, 0.125  # of a body's wall and height, where nobody says otherwise
+# of a body's mean wall and height, where nobody says otherwise; a thick body's cavities are smaller than its walls
+EDGE_WALLS, EDGE_HEIGHTS, ENVELOPE_WALLS, ENVELOPE_EDGES = 3.0, 1.0 / 7.0, 0.125, 0.1
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,8 @@ class TetrahedraWanted:
     def of_walls(self, surface: Surface) -> TetrahedraSettings:
         """Return the settings, by the walls and the height of the solid that ``surface`` bounds where nothing is said."""
         wall, height = surface.wall(), float(np.ptp(surface.points[:, 2]))
-        made = self.or_else(min(EDGE_WALLS * wall, EDGE_HEIGHTS * height), ENVELOPE_WALLS * wall)
+        edge = min(EDGE_WALLS * wall, EDGE_HEIGHTS * height)
+        made = self.or_else(edge, min(ENVELOPE_WALLS * wall, ENVELOPE_EDGES * edge))
         log.info(
             "walls of %.1f mm on average: stage.tetrahedra.edge_m=%.4f, envelope_m=%.5f", MM * wall, made.edge_m, made.envelope_m
         )

@@ -6,13 +6,13 @@ import pytest
 from omegaconf import OmegaConf
 from scipy.spatial import cKDTree
 
-from softrl.artifacts.mesh import Mesh
+from softrl.artifacts.mesh import BASE, FREE, PLATE, Mesh
 from softrl.core.config import build
 from softrl.core.errors import ConfigError, MeshError
 from softrl.core.tracking import NullTracker
 from softrl.mesh.stage import run
 from softrl.robots.robot import Robot
-from tests.mesh.conftest import CONF
+from tests.mesh.conftest import CONF, THREE, hollow
 
 CM3 = 1e6
 
@@ -159,6 +159,18 @@ def test_sample_is_what_its_recipe_makes(sample, configure, robot, tmp_path, mon
     count = np.c_[count[:, :2], count[:, 2:].sum(axis=1)]
     assert np.median(count[1:], axis=0) == pytest.approx(count[0], rel=0.25)
     assert count[1:] == pytest.approx(np.broadcast_to(count[0], count[1:].shape), rel=0.5)
+
+
+@pytest.mark.slow
+def test_a_surface_of_another_robot_needs_no_numbers(cubes, block, configure, robot, tmp_path) -> None:
+    solid, path = cubes(hollow(block, *THREE)), tmp_path / "block.stl"
+    meshio.write(path, meshio.Mesh(1e3 * solid.points, [("triangle", solid.boundary())]))
+    mesh = run(configure(f"source={path}"), dataclasses.replace(robot, length_m=0.05), tracker=NullTracker())
+    assert mesh.volume() == pytest.approx(solid.volume(), rel=0.01)
+    assert [mesh.cavity_volume(k) for k in range(3)] == pytest.approx([3 * 0.01**3] * 3, rel=0.03)
+    assert set(np.unique(mesh.node_region)) == {FREE, BASE, PLATE}
+    assert mesh.points[mesh.node_region == BASE][:, 2].max() < 0.003
+    assert mesh.points[mesh.node_region == PLATE][:, 2].min() > 0.047
 
 
 @pytest.mark.slow

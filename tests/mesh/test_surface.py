@@ -32,6 +32,12 @@ def test_enclosed_volume_is_that_of_the_solid_wherever_it_stands() -> None:
     assert flipped(tetrahedron()).volume() == pytest.approx(-1 / 6, rel=1e-12)
 
 
+def test_the_wall_of_a_thin_plate_is_its_thickness(cubes) -> None:
+    plate = cubes(np.ones((30, 30, 1), bool), 0.01)
+    wall = Surface(plate.points, plate.boundary()).wall()
+    assert wall == pytest.approx(0.01 / (1.0 + 2.0 / 30.0))  # its rim is area, too
+
+
 def test_winding_number_tells_inside_from_outside() -> None:
     surface = tetrahedron()
     query = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0], [-0.2, -0.2, -0.2], [-0.3, 0.0, 0.0]])
