@@ -16,7 +16,7 @@ from softrl.diagnosis.checks.frames import in_other_frames
 from softrl.diagnosis.checks.mistaken import mistaken
 from softrl.diagnosis.checks.prelude import preludes
 from softrl.diagnosis.checks.quality import mixed
-from softrl.diagnosis.checks.reach import as_it_stands
+from softrl.diagnosis.checks.reach import as_it_stands, stands_for_length
 from softrl.diagnosis.fitting.hypothesis import Hypothesis
 from softrl.diagnosis.fitting.judge import Judge, Thresholds
 from softrl.diagnosis.fitting.problem import Numerics, Problem
@@ -149,9 +149,7 @@ def _diagnosed(
     apart = _contradiction(whole, found)
     if apart:
         return cannot_tell(Refusal(data.check, apart), robot.name, type(simulator).__name__), None
-    if not whole.register:
-        whole = replace(whole, simulator=as_it_stands(simulator, data.training, robot))
-    findings = _examine(config, whole, data, found)
+    whole, findings = _as_long(config, whole, data, found, _examine(config, whole, data, found))
     whole = put_together(whole, findings)
     findings = joined(whole.on(data.training), findings, config.search, config.thresholds)
     models = competitors(config.search, whole.on(data.training), findings)
@@ -208,6 +206,24 @@ def _examine(config: Config, whole: Problem, data: Data, full: Data) -> list[Fin
         return [_look(config, both_at_once(whole, data, config.effects))]
     valve = punctual(_look(config, valve_part(whole, full, config.effects)))
     return [valve, _look(config, part_behind(valve, whole, data, config.effects))]
+
+
+def _as_long(
+    config: Config, whole: Problem, data: Data, full: Data, findings: list[Finding]
+) -> tuple[Problem, list[Finding]]:
+    """Return the problem and the findings, with the length that the tip at rest tells where that does as well as what was found.
+
+    Only where a shift along the body was found, which a length said wrongly looks like; so may a load that presses the body.
+    """
+    body, last = as_it_stands(whole.simulator, data.training, whole.robot), findings[-1]
+    found = [*last.path.best.hypothesis.effects, *(named.choice for named in last.named)]
+    if whole.register or body is whole.simulator or not any(stands_for_length(choice) for choice in found):
+        return whole, findings
+    log.info("the body is examined again as long as its tip at rest tells: a length said wrongly may be what was found")
+    other = replace(whole, simulator=body)
+    again = _examine(config, other, data, full)
+    worse = last.judge.tells(again[-1].final.squares, last.final.squares) or (again[-1].unknown and not last.unknown)
+    return (whole, findings) if worse or len(again[-1].named) > len(last.named) else (other, again)
 
 
 def _look(config: Config, part: Part) -> Finding:

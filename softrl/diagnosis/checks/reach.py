@@ -6,6 +6,7 @@ import numpy as np
 
 from softrl.core.simulator import Simulator
 from softrl.diagnosis.checks.mistaken import still
+from softrl.diagnosis.fitting.hypothesis import Choice
 from softrl.pcc.simulator import LENGTH, PccSimulator
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
@@ -16,6 +17,13 @@ AT_FIRST_S = 0.2
 LEAST, MOST = 0.005, 0.15  # of the length, by which a straight tip tells another one
 STRAIGHT, STEADY = 0.25, 0.25  # of that: a tip that rests aside, or now here and now there, tells of something else
 RUNS = 2  # that tell
+SHIFTS = ("marker_offset", "frame", "offset")
+
+
+def stands_for_length(choice: Choice) -> bool:
+    """Return whether an effect may be a shift of the tip along the body, always and in all chambers."""
+    everywhere = choice.chamber < 0 and not (choice.sessions or choice.gate or choice.lasting)
+    return everywhere and choice.name in SHIFTS
 
 
 def as_it_stands(simulator: Simulator, runs: Sequence[Recording], robot: Robot) -> Simulator:
