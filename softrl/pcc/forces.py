@@ -71,7 +71,7 @@ def _fill_loads(
     y: np.ndarray, rate: np.ndarray, per_s: float, tip_force: np.ndarray, model: Any, hook: Any, ports: Any
 ) -> None:
     """Fill ``ports[4]`` with the work of weight, tip force and load effects per change of each coordinate, J."""
-    shape, loads, weight, gravity = ports[2], ports[4], model.mass, model.gravity
+    shape, loads, weight, end, gravity = ports[2], ports[4], model.mass, model.end, model.gravity
     fill_shape(model, y, shape)
     c = stumpff(squared_bend(shape))
     g0, g1, g2 = gravity[0], gravity[1], gravity[2]
@@ -82,6 +82,7 @@ def _fill_loads(
         run_load_effects(hook, ports, model, c, 1.0 / per_s, False)
         g0, g1, g2 = port[GRAVITY, 0], port[GRAVITY, 1], port[GRAVITY, 2]
         f0, f1, f2 = f0 + port[FORCE, 0], f1 + port[FORCE, 1], f2 + port[FORCE, 2]
+    f0, f1, f2 = f0 + end * g0, f1 + end * g1, f2 + end * g2
     work_of_loads(shape, model.length, c, weight * g0, weight * g1, weight * g2, f0, f1, f2, loads)
     loads[2] -= model.axial_weight
     if len(model.order) == 2:

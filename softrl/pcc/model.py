@@ -20,7 +20,7 @@ class Model(NamedTuple):
     to_elastic : (chambers, stretching) Pa, pressures that hold them
     slope : (chambers,) Pa, of those by the chamber's own strain
     rest : (m,), equilibrium from which strains count
-    length, mass : m, kg
+    length, mass, end : m; kg along the body, kg at its tip
     axial_weight : N m, of the elongation, which the length at rest includes
     gravity : (3,) m/s^2
     order : m numbers: how many there are is known when loops over them are compiled
@@ -38,6 +38,7 @@ class Model(NamedTuple):
     rest: np.ndarray
     length: float
     mass: float
+    end: float
     axial_weight: float
     gravity: np.ndarray
     order: tuple[float, ...]

@@ -45,6 +45,7 @@ class PccSimulator:
     damping_s : damping over stiffness: the time constant with which a massless body settles
     mass_scale : of ``robot.mass_kg``
     length_scale : of ``robot.length_m``; not retuned, but a diagnosis sets it where the tip at rest tells another length
+    end_mass_kg : how much of ``robot.mass_kg`` sits at the tip (an end plate, markers); the rest lies evenly along the body
 
     Notes
     -----
@@ -53,7 +54,7 @@ class PccSimulator:
     does the work ``p A L de``, so that it bends the tip away from itself. Loads bend it more at the base than at the tip:
     curvature ``b + c (1 - 2 s)`` at the share ``s`` of the length, with elastic energy ``K (b^2 + c^2 / 3) / 2``. Small bends
     under any loads across then move the tip as those of Euler and Bernoulli's rod do, exactly (``F L^3 / (3 E I)`` for a
-    force at the tip), and its swing has the first frequency of that rod to 0.5 %. Of ``c``, first-order terms count, and its
+    force at the tip), and its swing has the first frequency of that rod to 0.5 %, with a mass at its end or without. Of ``c``, first-order terms count, and its
     square along the axis. Inertia is that of an evenly loaded rod that is slightly bent so, along the axis that of its first
     mode, and is held constant: centrifugal terms are left out. The length at rest already includes the axial weight. A robot
     with one chamber bends in its plane and does not elongate. Effects of the wall are evaluated at a chamber's mean strain, so
@@ -68,6 +69,7 @@ class PccSimulator:
     damping_s: float
     mass_scale: float
     length_scale: float = 1.0
+    end_mass_kg: float = 0.0
 
     def __post_init__(self) -> None:
         if self.robot.axis != "+z":
@@ -81,6 +83,10 @@ class PccSimulator:
         for name in ("bend_at_full_pressure_rad", "elongation_at_full_pressure", LENGTH, *self._tunable):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise ConfigError(f"simulator.{name}={getattr(self, name):g} must be positive")
+        if not 0.0 <= self.end_mass_kg < self.robot.mass_kg:
+            raise ConfigError(
+                f"simulator.end_mass_kg={self.end_mass_kg:g} is a part of robot.mass_kg={self.robot.mass_kg:g}: from 0 to below that"
+            )
 
     @property
     def _tunable(self) -> tuple[str, ...]:
@@ -136,10 +142,12 @@ class PccSimulator:
     def _model_about(self, rest: np.ndarray) -> Model:
         r, length = self.robot, self.length_m
         plane, to_strain, to_moving = self._maps
-        mass = self.mass_scale * r.mass_kg
+        end = self.mass_scale * self.end_mass_kg
+        mass = self.mass_scale * r.mass_kg - end
         bending, _, axial = self.stiffness
         stiffness = np.array([bending, bending, axial, bending / 3.0, bending / 3.0])
-        inertia = mass * length**2 * np.array([1 / 20, 1 / 20, 4.0 / np.pi**2, 13 / 1260, 13 / 1260])
+        inertia = mass * np.array([1 / 20, 1 / 20, 4.0 / np.pi**2, 13 / 1260, 13 / 1260])
+        inertia = length**2 * (inertia + end * np.array([1 / 4, 1 / 4, 1.0, 1 / 36, 1 / 36]))
         if r.chambers == 1:
             stiffness, inertia = stiffness[[0, 3]], inertia[[0, 3]]
         work = r.chamber_area_m2 * length  # of a pascal over a strain of 1
@@ -150,7 +158,7 @@ class PccSimulator:
             stiffness=stiffness,
             damping=self.damping_s * stiffness,
             inertia=inertia,
-            crossed=mass * length**2 / 45.0,
+            crossed=length**2 * (mass / 45.0 + end / 12.0),
             push=np.ascontiguousarray(work * to_strain.T),
             to_strain=to_strain,
             to_elastic=to_elastic,
@@ -158,7 +166,8 @@ class PccSimulator:
             rest=rest,
             length=float(length),
             mass=float(mass),
-            axial_weight=float(mass * gravity[2] * length / 2.0),
+            end=float(end),
+            axial_weight=float((mass / 2.0 + end) * gravity[2] * length),
             gravity=gravity,
             order=(0.0,) * len(stiffness),
         )

@@ -131,17 +131,20 @@ def potential(body: PccSimulator, shape: np.ndarray, pressure: np.ndarray, force
     robot = body.robot
     tip, centre = (robot.length_m * point for point in backbone(shape))
     gravity = np.array(robot.gravity_m_s2)
-    mass = body.mass_scale * robot.mass_kg
+    end = body.mass_scale * body.end_mass_kg
+    mass = body.mass_scale * robot.mass_kg - end
     strain = body.strain_map @ shape[:3]
-    work = robot.chamber_area_m2 * robot.length_m * pressure @ strain + mass * gravity @ centre + force @ tip
-    prestress = mass * gravity[2] * robot.length_m / 2.0 * shape[2]
+    work = robot.chamber_area_m2 * robot.length_m * pressure @ strain + mass * gravity @ centre
+    work += (force + end * gravity) @ tip
+    prestress = (mass / 2.0 + end) * gravity[2] * robot.length_m * shape[2]
     elastic = 0.5 * body.stiffness @ shape[:3] ** 2 + body.stiffness[0] * shape[3:] @ shape[3:] / 6.0
     return float(elastic - work + prestress)
 
 
-@pytest.mark.parametrize("gravity", [(0.0, 0.0, -9.81), (6.0, -3.0, 5.0)])
-def test_equilibrium_is_a_minimum_of_the_potential(gravity: tuple[float, float, float]) -> None:
-    body = simulator(replace(robot_named("tripod"), gravity_m_s2=gravity))
+@pytest.mark.parametrize(("gravity", "end"), [((0.0, 0.0, -9.81), 0.0), ((6.0, -3.0, 5.0), 0.0), ((3.0, -1.5, 2.5), 0.4)])
+def test_equilibrium_is_a_minimum_of_the_potential(gravity: tuple[float, float, float], end: float) -> None:
+    robot = replace(robot_named("tripod"), gravity_m_s2=gravity)
+    body = simulator(robot, end_mass_kg=end * robot.mass_kg)
     pressure, force = np.array([3e4, -1e4, 5e3]), np.array([3.0, -2.0, 0.7])
     steps = 2000
     motion_state = body.reset()
@@ -266,11 +269,18 @@ def test_units_scale_as_they_must() -> None:
     np.testing.assert_allclose(large.quaternion, small.quaternion, atol=1e-8)
 
 
-def test_free_oscillation_has_the_first_frequency_of_a_rod() -> None:
-    """Clamped at one end: 1.87510 squared, times the root of E I / (m L^3) (the roots of cos x cosh x = -1)."""
-    body = simulator(replace(robot_named("tripod"), gravity_m_s2=(0.0, 0.0, 0.0)), damping_s=2e-4)
-    root = brentq(lambda x: math.cos(x) * math.cosh(x) + 1.0, 1.0, 3.0)
-    inertia = body.robot.mass_kg * body.robot.length_m**2
+@pytest.mark.parametrize("end", [0.0, 0.2, 0.9])
+def test_free_oscillation_has_the_first_frequency_of_a_rod(end: float) -> None:
+    """Clamped at one end, a share of its mass at the other: the square of x times the root of E I / (m L^3), m along the rod.
+
+    x is the smallest root of 1 + cos x cosh x + r x (cos x sinh x - sin x cosh x), r the end's mass over the rod's: 1.87510 without.
+    """
+    robot = replace(robot_named("tripod"), gravity_m_s2=(0.0, 0.0, 0.0))
+    body = simulator(robot, damping_s=2e-4, end_mass_kg=end * robot.mass_kg)
+    ratio = end / (1.0 - end)
+    uneven = lambda x: math.cos(x) * math.sinh(x) - math.sin(x) * math.cosh(x)  # noqa: E731
+    root = brentq(lambda x: 1.0 + math.cos(x) * math.cosh(x) + ratio * x * uneven(x), 0.3, 3.0)
+    inertia = (1.0 - end) * robot.mass_kg * robot.length_m**2
     period = 2.0 * np.pi / root**2 * np.sqrt(inertia / body.stiffness[0])
     dt = period / 2000.0
     state, still = body.equilibrium(np.array([1e3, 0.0, 0.0])), np.zeros(3)
