@@ -49,16 +49,17 @@ class PccSimulator:
 
     Notes
     -----
-    Without weight and force the robot is an arc of constant curvature, as in the reviews of continuum robots (no equation number
-    checked). A chamber at direction ``d`` and radius ``r`` elongates by ``e = epsilon - (r / L) b.d``, and its pressure
+    Without weight and force the robot is an arc of constant curvature, as in the reviews of continuum robots (no equation
+    number checked). A chamber at direction ``d`` and radius ``r`` elongates by ``e = epsilon - (r / L) b.d``, and its pressure
     does the work ``p A L de``, so that it bends the tip away from itself. Loads bend it more at the base than at the tip:
     curvature ``b + c (1 - 2 s)`` at the share ``s`` of the length, with elastic energy ``K (b^2 + c^2 / 3) / 2``. Small bends
-    under any loads across then move the tip as those of Euler and Bernoulli's rod do, exactly (``F L^3 / (3 E I)`` for a
-    force at the tip), and its swing has the first frequency of that rod to 0.5 %, with a mass at its end or without. Of ``c``, first-order terms count, and its
-    square along the axis. Inertia is that of an evenly loaded rod that is slightly bent so, along the axis that of its first
-    mode, and is held constant: centrifugal terms are left out. The length at rest already includes the axial weight. A robot
-    with one chamber bends in its plane and does not elongate. Effects of the wall are evaluated at a chamber's mean strain, so
-    that one which creeps or slips resists ``c`` as it does without; one that is stiffer does so by as much (``UNEVEN``).
+    under any loads across then move the tip as those of Euler and Bernoulli's rod do, exactly (``F L^3 / (3 E I)`` for a force
+    at the tip), and its swing has the first frequency of that rod to 0.5 %, with a mass at its end or without. Of ``c``,
+    first-order terms count, and its square along the axis. Inertia is that of an evenly loaded rod that is slightly bent so,
+    along the axis that of its first mode, and is held constant: centrifugal terms are left out. The length at rest already
+    includes the axial weight. A robot with one chamber bends in its plane and does not elongate. Effects of the wall are
+    evaluated at a chamber's mean strain, so that one which creeps or slips resists ``c`` as it does without; one that is
+    stiffer does so by as much (``UNEVEN``).
     """
 
     robot: Robot
@@ -85,7 +86,7 @@ class PccSimulator:
                 raise ConfigError(f"simulator.{name}={getattr(self, name):g} must be positive")
         if not 0.0 <= self.end_mass_kg < self.robot.mass_kg:
             raise ConfigError(
-                f"simulator.end_mass_kg={self.end_mass_kg:g} is a part of robot.mass_kg={self.robot.mass_kg:g}: from 0 to below that"
+                f"simulator.end_mass_kg={self.end_mass_kg:g} must be a part of robot.mass_kg={self.robot.mass_kg:g}, 0 or more"
             )
 
     @property

@@ -273,7 +273,8 @@ def test_units_scale_as_they_must() -> None:
 def test_free_oscillation_has_the_first_frequency_of_a_rod(end: float) -> None:
     """Clamped at one end, a share of its mass at the other: the square of x times the root of E I / (m L^3), m along the rod.
 
-    x is the smallest root of 1 + cos x cosh x + r x (cos x sinh x - sin x cosh x), r the end's mass over the rod's: 1.87510 without.
+    x is the smallest root of 1 + cos x cosh x + r x (cos x sinh x - sin x cosh x), r the end's mass over the rod's; without it
+    1.87510.
     """
     robot = replace(robot_named("tripod"), gravity_m_s2=(0.0, 0.0, 0.0))
     body = simulator(robot, damping_s=2e-4, end_mass_kg=end * robot.mass_kg)
