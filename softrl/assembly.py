@@ -103,8 +103,7 @@ class Assembly:
         if TARGET not in node:  # several, by name
             return {key: build_target(value, f"{name}.{key}", self._fill) for key, value in node.items()}
         made = build_target(node, name, self._fill)
-        parameters = self._identified_parameters() if name == "simulator" else {}
-        return made.with_parameters(**parameters) if parameters else made
+        return self._corrected(made) if name == "simulator" and "identified" in (self.cfg["effect"] or {}) else made
 
     def _chain(self) -> EffectChain:
         node = self.cfg["effect"] or {}
@@ -118,10 +117,24 @@ class Assembly:
                 chosen.append(_corrected_by(found["name"], found["parameters"] | fixed))
         return EffectChain(self.robot, tuple(chosen))
 
-    def _identified_parameters(self) -> dict[str, float]:
-        if "identified" not in (self.cfg["effect"] or {}):
-            return {}
-        return dict(self._artifact(Diagnosis).simulator_parameters)
+    def _corrected(self, simulator: Any) -> Any:
+        """Return the simulator with the parameters that a diagnosis found.
+
+        Raises
+        ------
+        ArtifactError : it was found with a simulator that has others
+        """
+        found = self._artifact(Diagnosis)
+        if found.simulator_name == type(simulator).__name__:
+            return simulator.with_parameters(**found.simulator_parameters)
+        lacking = sorted(set(found.simulator_parameters) - set(simulator.parameters))
+        if lacking:
+            raise ArtifactError(
+                f"the diagnosis was made with {found.simulator_name} and gives its {', '.join(lacking)}, which "
+                f"{type(simulator).__name__} does not have; choose that simulator (simulator=...), or diagnose with this one"
+            )
+        log.warning("the diagnosis was made with %s, and corrects %s here", found.simulator_name, type(simulator).__name__)
+        return simulator.with_parameters(**found.simulator_parameters)
 
     def _recordings(self, optional: bool) -> RecordingSet | None:
         folder = self.cfg["recordings"]

@@ -1,5 +1,6 @@
 """The stages in order, and how one is run: inputs found, objects built, outputs stored."""
 
+import functools
 import importlib
 import json
 import logging
@@ -55,6 +56,8 @@ def run_stage(stage: str, cfg: Mapping[str, Any], folder: Path, made: Mapping[st
     if task.before is not None:
         run_id = task.before.info.run_id
         log.info("%s: run %s did the same already and is reused (force=true runs it again)", stage, run_id[:8])
+        if task.write_out is not None:
+            task.write_out(*_loaded(store, task.before, stage))
         _copy(store, run_id, task.out)
         return _reused(store, stage, task.before, folder)
     log.info("%s: started", stage)
@@ -66,6 +69,8 @@ def run_stage(stage: str, cfg: Mapping[str, Any], folder: Path, made: Mapping[st
         run.link(assembly.inputs)
         try:
             output = task.run(task.config, **task.arguments, tracker=run)
+            if task.write_out is not None:
+                task.write_out(*_parts(output))
         except BaseException as error:
             _write_result(run, stage, "failed", start, assembly.inputs, [], error=str(error))
             raise
@@ -87,7 +92,16 @@ def finished_before(stage: str, cfg: Mapping[str, Any], made: Mapping[str, str])
 
 def outputs(stage: str) -> list[str]:
     """Return the names of the artifacts that a stage makes."""
-    return [kind.key() for kind in output_kinds(importlib.import_module(f"softrl.{stage}.stage").run)]
+    return [kind.key() for kind in _kinds(stage)]
+
+
+def _kinds(stage: str) -> list[type[Artifact]]:
+    return output_kinds(importlib.import_module(f"softrl.{stage}.stage").run)
+
+
+def _loaded(store: Store, run: Any, stage: str) -> list[Artifact]:
+    """Return the artifacts that a finished run made."""
+    return [kind.load(store.folder(run, kind.key())) for kind in _kinds(stage)]
 
 
 class _Prepared(NamedTuple):
@@ -101,6 +115,7 @@ class _Prepared(NamedTuple):
     mark: str
     before: Any
     out: Path | None
+    write_out: Callable[..., None] | None
 
 
 def _prepare(stage: str, cfg: Mapping[str, Any], made: Mapping[str, str] | None) -> _Prepared:
@@ -111,14 +126,13 @@ def _prepare(stage: str, cfg: Mapping[str, Any], made: Mapping[str, str] | None)
     module = importlib.import_module(f"softrl.{stage}.stage")
     assembly = Assembly(store, cfg, dict(made or {}))
     config = configuration.build(cfg["stage"], module.Config, "stage")
-    writes_itself = hasattr(config, "out")
+    writes_itself = hasattr(module, "write_out")  # a dataset, and nothing else
     out = None if writes_itself or not cfg["out"] else _own_folder(cfg["out"])
+    write_out = functools.partial(module.write_out, config, assembly.robot) if writes_itself else None
     arguments = assembly.arguments(module.run)
     mark = _fingerprint(stage, assembly)
-    lost = writes_itself and config.out is not None and not Path(config.out).exists()
-    again = cfg["force"] or lost
-    before = None if again else store.find({"stage": stage, "fingerprint": mark})
-    return _Prepared(store, assembly, module.run, config, arguments, mark, before, out)
+    before = None if cfg["force"] else store.find({"stage": stage, "fingerprint": mark})
+    return _Prepared(store, assembly, module.run, config, arguments, mark, before, out, write_out)
 
 
 def _own_folder(out: str) -> Path:
@@ -219,7 +233,12 @@ def _assets_mark(robot: str) -> str:
 
 
 def _git_revision() -> str:
-    done = subprocess.run(
-        ["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True, check=False
-    )
+    """Return the revision of the sources; installed elsewhere than in a checkout, or without git, they have none."""
+    root = Path(__file__).parents[1]
+    if not (root / ".git").exists():
+        return "unknown"
+    try:
+        done = subprocess.run(["git", "rev-parse", "HEAD"], cwd=root, capture_output=True, text=True, check=False)
+    except OSError:
+        return "unknown"
     return done.stdout.strip() or "unknown"

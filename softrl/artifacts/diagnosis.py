@@ -1,11 +1,13 @@
 """What a simulator leaves out, as found in recordings."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 from softrl.artifacts.artifact import Artifact
 from softrl.core.errors import ArtifactError
 
+LONGEST_S = 1.0  # of one dead time; a log with a row in seconds may be later
 VERDICTS = ("nothing missing", "named", "indistinguishable", "unknown")
 
 
@@ -25,8 +27,9 @@ class Diagnosis(Artifact):
         nothing), evidence (one sentence with numbers)
     simulator_parameters : tunable parameter -> identified value, in the unit of its name
     retuned : tunable parameter -> {nominal, value, plausible}: the competitor that changes parameters only
-    rivals : {name, score_gap, low, high, equivalent, effect (as in effects, its parameters plain numbers), replaces}, score
-        gaps in mm of held-out error, best first
+    rivals : {name, instead_of, score_gap, low, high, unit, equivalent (it does as well), contests (and says something else),
+        effect (as in effects, its parameters plain numbers), replaces}, best first; gaps of the held-out error, of motion in mm
+        or deg, of measured pressure in kPa
     located : {site, channel, chamber, region, effect_size, p_value}, p-values corrected for their number
     errors_mm : train, heldout and, where the dataset marks such runs, ood (out of distribution) -> competitor
         -> rms error, mm; of an angle-only robot arc length times angle
@@ -120,5 +123,6 @@ class Diagnosis(Artifact):
 
 
 def late(delay_s: float) -> list[dict[str, Any]]:
-    """Return the entry of ``Diagnosis.corrections`` for a log by which commands act ``delay_s`` late; none for one on time."""
-    return [{"name": "dead_time", "chamber": -1, "parameters": {"delay_s": delay_s}}] if delay_s > 0.0 else []
+    """Return the entries of ``Diagnosis.corrections`` for a log by which commands act ``delay_s`` late; none for one on time."""
+    pieces = math.ceil(delay_s / LONGEST_S)
+    return [{"name": "dead_time", "chamber": -1, "parameters": {"delay_s": delay_s / pieces}}] * pieces

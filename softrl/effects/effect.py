@@ -264,8 +264,8 @@ class Effect:
         """Return when a sensor took what it reports at ``time`` (steps,) s since the first sample."""
         return time
 
-    def undo(self, robot: Robot, reported: np.ndarray) -> np.ndarray:
-        """Return the pressures (steps, chambers) Pa behind what a gauge with this error ``reported``."""
+    def undo(self, robot: Robot, reported: np.ndarray, share: np.ndarray) -> np.ndarray:
+        """Return the pressures (steps, chambers) Pa behind what a gauge ``reported``, if a ``share`` (steps, 1) of its error acts."""
         raise NotImplementedError(f"effect {self.name()} does not act on a pressure sensor")
 
     def layers(self, count: int) -> np.ndarray:

@@ -102,6 +102,13 @@ def gated_load(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: 
         state[-1] = _after(state[-1], dt)
 
 
+def share_at(effect: Effect, since_s: np.ndarray) -> np.ndarray:
+    """Return the share of ``effect`` that acts at times (steps,) since a run's first sample, by its gate in time."""
+    if effect.since_s <= 0.0:
+        return np.ones(len(since_s))
+    return np.clip((effect.begun_s + since_s - effect.since_s) / effect.over_s, 0.0, 1.0)
+
+
 KERNELS = {"body": gated_body, "load": gated_load}
 
 

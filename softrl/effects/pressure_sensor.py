@@ -6,7 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
+from softrl.core.errors import ConfigError
+from softrl.effects.effect import EVERYWHERE, SIGNAL_KERNEL, Effect, parameter
 from softrl.robots.robot import Robot
 
 
@@ -42,9 +43,20 @@ class PressureSensor(Effect):
         """Return (gain, offset Pa, chamber)."""
         return super().pack(robot) * [1.0, robot.pressure_max_pa, 1.0]
 
-    def undo(self, robot: Robot, reported: np.ndarray) -> np.ndarray:
-        """Return the pressures (steps, chambers) Pa that the gauge saw where it ``reported`` these."""
+    def undo(self, robot: Robot, reported: np.ndarray, share: np.ndarray) -> np.ndarray:
+        """Return the pressures (steps, chambers) Pa that the gauge saw where it ``reported`` these.
+
+        Raises
+        ------
+        ConfigError
+            If it misreads above a pressure only: what it saw does not follow from what it reported.
+        """
+        if self.above_share > EVERYWHERE:
+            raise ConfigError(
+                f"effect pressure_sensor.above_share={self.above_share:g}: measured pressures cannot drive a body behind a gauge "
+                "that misreads above a pressure only; expected drive=command"
+            )
         seen = np.array(reported, dtype=float)
         mine = slice(None) if self.chamber < 0 else slice(self.chamber, self.chamber + 1)
-        seen[:, mine] = (seen[:, mine] - self.offset * robot.pressure_max_pa) / self.gain
+        seen[:, mine] = (seen[:, mine] - share * self.offset * robot.pressure_max_pa) / (1.0 + share * (self.gain - 1.0))
         return seen

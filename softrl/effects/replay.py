@@ -14,6 +14,7 @@ from softrl.core.simulator import Motion
 from softrl.effects.chain import EffectChain, Plant, simulate_batch
 from softrl.effects.driving import Supply, drive_on_grid
 from softrl.effects.effect import Effect
+from softrl.effects.gate import share_at
 from softrl.effects.hold import Hold, reading_phase
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
@@ -95,7 +96,8 @@ def replay_batch(
         behind = [_behind_valve(plant) for plant in plants]
         motions = []
         for gauges, group in groupby(range(len(plants)), lambda k: plants[k].chain.gauges):
-            seen = _seen_by(gauges, plants[0].chain.robot, pressure)
+            since_s = dt_s * np.arange(1, len(pressure) + 1) - settle_s
+            seen = _seen_by(gauges, plants[0].chain.robot, pressure, since_s)
             motions += simulate_batch([behind[k] for k in group], time, seen, force, workers, past)
     robot = plants[0].chain.robot
     pairs = zip(motions, taken, strict=True)
@@ -229,10 +231,10 @@ def _behind_valve(plant: Plant) -> Plant:
     return replace(plant, chain=replace(plant.chain, effects=plant.chain.at("chamber", "body", "load", "sensor")))
 
 
-def _seen_by(gauges: Sequence[Effect], robot: Robot, reported: np.ndarray) -> np.ndarray:
-    """Return the pressures that acted where the gauges ``reported`` these (steps, chambers) Pa."""
+def _seen_by(gauges: Sequence[Effect], robot: Robot, reported: np.ndarray, since_s: np.ndarray) -> np.ndarray:
+    """Return the pressures (steps, chambers) Pa that gauges ``reported`` as these, ``since_s`` (steps,) the first sample."""
     for gauge in reversed(gauges):
-        reported = gauge.undo(robot, reported)
+        reported = gauge.undo(robot, reported, share_at(gauge, since_s)[:, None])
     return reported
 
 

@@ -189,13 +189,15 @@ def _open_in(diagnosis: Diagnosis, robot: Robot, simulator: Simulator, factor: f
     the first is enough.
     """
     tuned = diagnosis.simulator_parameters
-    body = simulator.with_parameters(**{k: v for k, v in tuned.items() if k in simulator.parameters})
+    if diagnosis.simulator_name != type(simulator).__name__:
+        tuned = {name: value for name, value in tuned.items() if name in simulator.parameters}
+    body = simulator.with_parameters(**tuned)
     named = [form_of(entry) for entry in diagnosis.effects]
     open_: dict[tuple[Effect, ...], str] = {_built(named): "+".join(_labels(named)) or NOTHING}
     for row in diagnosis.rivals:
         gone = form_of(row["replaces"]) if "replaces" in row else form_of_label(row["instead_of"])
         place = next((k for k, form in enumerate(named) if form.same_as(gone)), None)
-        if not row["equivalent"] or place is None:
+        if not row.get("contests", row["equivalent"]) or place is None:
             continue
         rival = form_of(row["effect"]) if "effect" in row else form_of_label(row["name"])
         before, after = named[:place], named[place + 1 :]

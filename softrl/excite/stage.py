@@ -136,9 +136,13 @@ def run(
     programs["planned"] = _refined(programs, pairs, candidates, robot, sensing, config)
     excitation = _conclude(robot, pairs, programs, sensing, config.effort)
     _report(excitation, tracker)
+    return excitation
+
+
+def write_out(config: Config, robot: Robot, excitation: Excitation) -> None:
+    """Write the commands to the folder ``config.out``, if one is named; the pipeline calls this for a reused run, too."""
     if config.out is not None:
         write_commands(Path(config.out), robot, excitation, config.runs)
-    return excitation
 
 
 def usual_program(robot: Robot, usual: Identification, dt_s: float, count: int, seed: int) -> np.ndarray:
@@ -158,10 +162,17 @@ def write_commands(folder: Path, robot: Robot, excitation: Excitation, runs: int
     Raises
     ------
     ConfigError
-        If the folder holds another dataset.
+        If the folder holds another dataset, or commands beside which something was recorded.
     """
     if (folder / DATASET).is_file() and "planned_by" not in (folder / DATASET).read_text():
         raise ConfigError(f"out={folder} holds a dataset that was not planned by stage=excite; choose another folder")
+    earlier = sorted(folder.glob("*.csv"))
+    for path in earlier:
+        measured = [name for name in path.read_text().partition("\n")[0].split(",") if name != "time_s" and "_cmd_" not in name]
+        if measured:
+            raise ConfigError(f"out={folder}: {path.name} holds more than commands ({measured[0]}); choose another folder")
+    for path in earlier:
+        path.unlink()
     named = [
         Recording(f"excite_{k + 1}", f"session_{k + 1}", excitation.time, excitation.pressure) for k in range(runs)
     ]

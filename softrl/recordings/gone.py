@@ -2,8 +2,23 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import NamedTuple
 
 from softrl.recordings.run import Recording
+
+
+class Now(NamedTuple):
+    """Where recording has come to: the session of the last run, and ``gone_s`` of a run that followed it at once."""
+
+    session: str
+    gone_s: tuple[float, float, float]
+
+
+def now_after(runs: Iterable[Recording]) -> Now:
+    """Return where ``runs``, out of ``in_order`` and whole, have come to."""
+    last = max(runs, key=lambda run: run.gone_s[-1])
+    lasted = float(last.time[-1] - last.time[0])
+    return Now(last.session, (0.0, last.gone_s[1] + lasted, last.gone_s[2] + lasted))
 
 
 def sessions_in_order(runs: Iterable[Recording]) -> list[str]:
@@ -12,7 +27,7 @@ def sessions_in_order(runs: Iterable[Recording]) -> list[str]:
 
 
 def in_order(runs: Iterable[Recording]) -> tuple[Recording, ...]:
-    """Return ``runs``, in the order in which they were recorded, each with how long its session and all had gone on.
+    """Return ``runs``, which stand in the order of recording, each with how long its session and all had gone on before.
 
     Where the times of a run go on from those of the run before, in its session, a pause between them counts; else each
     begins where the last one ended. What lies between two sessions is not known, and counts as nothing.

@@ -54,8 +54,8 @@ def _require_increasing(path: Path, header: list[str], table: np.ndarray, column
     if (step <= 0).any():
         row = int(np.argmax(step <= 0)) + 1
         raise RecordingError(
-            f"{path}, line {_line(row)}, column '{header[number]}': {time[row]:g} does not exceed "
-            f"{time[row - 1]:g} of the line before; expected increasing time; sort the rows and drop repeated ones"
+            f"{path}, line {_line(row)}, column '{header[number]}': {time[row]:.15g} does not exceed "
+            f"{time[row - 1]:.15g} of the line before; expected increasing time; sort the rows and drop repeated ones"
         )
     period = float(np.median(step)) * factor
     if not FASTEST_PERIOD_S <= period <= SLOWEST_PERIOD_S:

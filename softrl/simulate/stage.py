@@ -16,6 +16,7 @@ from softrl.core.tracking import Tracker
 from softrl.effects.chain import EffectChain, Plant
 from softrl.effects.replay import replay
 from softrl.recordings.acting import ACTS, UNTIL
+from softrl.recordings.marked import OUTSIDE
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.store import DATASET
 from softrl.recordings.write import write
@@ -104,11 +105,16 @@ def run(
     seconds = time.perf_counter() - started
     # the effects stay out of the notes: whoever diagnoses the data shall not read the answer beside them
     notes = {SIMULATED: type(simulator).__name__, "seed": config.seed, ACTS: UNTIL}
+    notes |= {OUTSIDE: recordings.notes[OUTSIDE]} if OUTSIDE in recordings.notes else {}  # what only judges goes on doing so
     result = RecordingSet(robot_name=robot.name, recordings=tuple(simulated), notes=notes)
     _report(recordings, result, seconds, tracker)
-    if config.out is not None:
-        write_dataset(Path(config.out), result)
     return result
+
+
+def write_out(config: Config, robot: Robot, simulated: RecordingSet) -> None:
+    """Write the dataset to the folder ``config.out``, if one is named; the pipeline calls this for a reused run, too."""
+    if config.out is not None:
+        write_dataset(Path(config.out), simulated)
 
 
 def write_dataset(folder: Path, simulated: RecordingSet) -> None:

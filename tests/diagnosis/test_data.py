@@ -45,3 +45,12 @@ def test_a_run_in_which_no_command_changes_judges_nothing(body: PccSimulator) ->
         assert runs[k].name not in {run.name for run in found.heldout}
     refused = prepare(replace(whole, recordings=(runs[0], *still[1:])), body.robot, 0.34, 0)
     assert isinstance(refused, Refusal) and "commands change in 1 of 3 runs only" in refused.reason
+
+
+def test_clocks_go_on_to_the_end_of_the_last_run_however_little_fits_see(body: PccSimulator) -> None:
+    whole = made(body, sessions=3)
+    last = whole.recordings[-1]
+    found = prepare(replace(whole, notes={"out_of_distribution": [last.name]}), body.robot, 0.34, 0)
+    assert isinstance(found, Data)
+    took = sum(float(np.ptp(run.time)) for run in whole.recordings)
+    assert found.shortened(5.0).now.session == last.session and found.shortened(5.0).now.gone_s[-1] == pytest.approx(took)

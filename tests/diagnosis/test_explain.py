@@ -10,11 +10,12 @@ import pytest
 from softrl.diagnosis.fitting.hypothesis import Choice, Gate, Hypothesis, Space, effect_axes
 from softrl.diagnosis.judging.verdict import verdict_of
 from softrl.diagnosis.telling.entries import rival_entries
-from softrl.diagnosis.telling.explain import _at_the_end, _but, _ungauged
+from softrl.diagnosis.telling.explain import _at_the_end, _but, _rival_sentence, _ungauged
 from softrl.diagnosis.telling.parameters import effect_sentence
 from softrl.effects.knee import Knee
 from softrl.excite.form import form_of
 from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.gone import Now
 
 
 @pytest.mark.parametrize(
@@ -66,6 +67,18 @@ def test_shares_are_told_in_units_of_the_robot(name: str, parameter: str, unit: 
     assert f"{parameter} 0.03 (0.02 to 0.04)" in effect_sentence(effect, robot) and told in effect_sentence(effect, robot)
 
 
+@pytest.mark.parametrize(
+    ("gap", "equivalent", "contests", "told"),
+    [(0.02, True, True, "cannot be told from lag: its held-out error is larger by 0.02 mm (-0.1 to 0.2)"),
+     (-0.01, True, False, "does no better than lag: its held-out error is smaller by 0.01 mm (-0.2 to 0.1)"),
+     (-0.01, False, False, "fits all runs together no better than lag: its held-out error is smaller"),
+     (0.3, False, False, "is worse than lag")],
+)  # fmt: skip
+def test_only_what_contests_cannot_be_told_apart(gap: float, equivalent: bool, contests: bool, told: str) -> None:
+    row = {"name": "rate_limit", "instead_of": "lag", "score_gap": gap, "low": -0.1, "high": 0.2, "unit": "mm"}
+    assert told in _rival_sentence(row | {"equivalent": equivalent, "contests": contests})
+
+
 def test_what_begins_within_the_shortest_time_begins_at_once() -> None:
     entry = {"value": 0.05, "low": 0.05, "high": 0.2, "unit": "s", "at_bound": True}
     effect = {"name": "frame", "site": "sensor", "where": "pose sensor", "parameters": {"over_s": entry}, "evidence": "so"}
@@ -77,19 +90,17 @@ def test_alternatives_are_told_as_they_were_fitted_so_that_a_program_can_be_plan
     named = Choice("gain", 1)
     gated = Choice("knee", 1, ("slope",), Gate("since_s", 5.0), before_gauge=True)
     lasting = Choice("failure", 2, sessions=("monday",), lasting="ever")
-    runs = [SimpleNamespace(session=day, gone_s=(0.0, 0.0, gone), time=np.array([0.0, 30.0]))
-            for day, gone in (("monday", 0.0), ("tuesday", 30.0))]  # fmt: skip
-    problem = SimpleNamespace(target="pressure", runs=runs[:1], space=lambda hypothesis: Space(hypothesis, body, 4.0))
+    problem = SimpleNamespace(target="pressure", space=lambda hypothesis: Space(hypothesis, body, 4.0))
 
     def rival(choice: Choice, values: list[float]) -> Any:
         hypothesis = Hypothesis((Choice("lag"), choice), ())
         point = [0.0, 0.0, *(axis.scaled(v) for axis, v in zip(effect_axes(choice), values, strict=True))]
         gap = SimpleNamespace(value=values[-1], low=0.0, high=1.0)
         trial = SimpleNamespace(hypothesis=hypothesis, fit=SimpleNamespace(point=np.array(point)))
-        return SimpleNamespace(choice=choice, instead_of=named, gap=gap, equivalent=True, trial=trial)
+        return SimpleNamespace(choice=choice, instead_of=named, gap=gap, equivalent=True, contests=True, trial=trial)
 
     rivals = [rival(gated, [0.7, 0.5, 12.0]), rival(lasting, [0.3, 40.0])]
-    finding: Any = SimpleNamespace(part=SimpleNamespace(problem=problem, heldout=runs[1:]), rivals=rivals)
+    finding: Any = SimpleNamespace(part=SimpleNamespace(problem=problem, now=Now("tuesday", (0.0, 30.0, 60.0))), rivals=rivals)
     rows = rival_entries([finding], body.robot)
     first, second = (row["effect"] for row in rows)
     assert first["parameters"] == pytest.approx({"threshold": 0.7, "over_s": 0.5, "since_s": 12.0})

@@ -45,3 +45,9 @@ def test_gain_and_offset_are_read_in_their_chamber() -> None:
 
 def test_an_identity_has_absorbed_nothing() -> None:
     assert "absorbed nothing" in in_words(read_map(linear_map(np.ones(3), np.zeros(3))))[0]
+
+
+def test_nothing_is_read_of_a_chamber_that_was_not_driven() -> None:
+    still = linear_map(np.array([1.0, 0.8, 1.0]), np.zeros(3))
+    still.pressure_low[2] = still.pressure_high[2] = 0.0
+    assert [row["chamber"] for row in read_map(still)] == [1, 2]

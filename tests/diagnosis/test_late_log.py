@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrl.artifacts.diagnosis import Diagnosis
+from softrl.artifacts.diagnosis import Diagnosis, late
 from softrl.core.tracking import NullTracker
 from softrl.diagnosis.fitting.hypothesis import LATE, Choice, Gate, Hypothesis, Space
 from softrl.diagnosis.stage import run
@@ -149,3 +149,9 @@ def test_a_dead_time_contests_a_delay_where_no_gauge_tells_them_apart(body: PccS
     found = run(configured(candidates=["delay", "dead_time", "lag"]), body.robot, recordings, body, tracker=NullTracker())
     assert found.verdict == "indistinguishable", found.sentences
     assert {found.effects[0]["name"], *(r["name"] for r in found.rivals if r["equivalent"])} == {"delay", "dead_time"}
+
+
+def test_a_log_that_is_later_than_a_dead_time_can_be_is_several() -> None:
+    for late_s in (0.0, 0.4, 2.5):
+        delays = [DeadTime(**entry["parameters"]).delay_s for entry in late(late_s)]
+        assert sum(delays) == pytest.approx(late_s)

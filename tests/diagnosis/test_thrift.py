@@ -21,10 +21,12 @@ from softrl.effects.replay import CHANNELS, replay
 from softrl.excite.block import blocks
 from softrl.excite.separation import Sensing
 from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.gone import Now
 from softrl.robots.robot import Robot
 from tests.diagnosis.conftest import configured, made
 
 NUMERICS = Numerics(0.02, 0.04, 0.1, 0.0, 4.0)
+NOW = Now("mon", (0.0, 60.0, 200.0))
 
 
 def problem_of(robot: Robot, body: PccSimulator) -> Problem:
@@ -150,8 +152,8 @@ def test_the_pieces_that_tell_two_hypotheses_apart_are_the_best_of_all(
         hypothesis, point = Hypothesis((Choice(name),), ("damping_s",)), np.r_[starts(Choice(name))[0], 0.0]
         fit = Fit(point, np.zeros(1), np.zeros((1, len(point))), 0.0, 1)
         trials.append(Trial(hypothesis, fit, {}, np.zeros(1), np.zeros(1)))
-    found = separating_program(problem, *trials, noise_m=1e-4)
-    one, other = (_rival(problem, trial) for trial in trials)
+    found = separating_program(problem, *trials, noise_m=1e-4, now=NOW)
+    one, other = (_rival(problem, trial, NOW) for trial in trials)
     sensing = Sensing(STEP_S, NUMERICS.bin_s, 1e-4, None)
     pieces = blocks(tripod, STEP_S, REST_S, 0)[::4]
     apart = np.array([separation(one, other, piece.pressure, sensing) for piece in pieces])
@@ -159,6 +161,20 @@ def test_the_pieces_that_tell_two_hypotheses_apart_are_the_best_of_all(
     best = np.argsort(-(apart**2) / [len(piece.pressure) for piece in pieces])[:PIECES]
     assert found is not None and found["program"] == "; then ".join(pieces[k].label for k in best)
     np.testing.assert_allclose(found["separation"], np.linalg.norm(apart[best]))
+
+
+def test_what_is_over_tells_nothing_apart_and_what_lasts_goes_on(tripod: Robot, body: PccSimulator) -> None:
+    problem = problem_of(tripod, body)
+    trials = []
+    for choice in (Choice("payload", sessions=("tue",)), Choice("drift", sessions=("tue",), lasting="ever")):
+        point = np.r_[starts(choice)[0], 0.0]
+        fit = Fit(point, np.zeros(1), np.zeros((1, len(point))), 0.0, 1)
+        trials.append(Trial(Hypothesis((choice,), ("damping_s",)), fit, {}, np.zeros(1), np.zeros(1)))
+    assert separating_program(problem, *trials, noise_m=1e-4, now=NOW) is None
+    tuesday = NOW._replace(session="tue")
+    assert _rival(problem, trials[1], tuesday).effects[0].begun_s == NOW.gone_s[-1]
+    found = separating_program(problem, *trials, noise_m=1e-4, now=tuesday)
+    assert found is not None and found["separation"] > 1.0
 
 
 def test_how_many_processes_rank_changes_nothing(tripod: Robot, body: PccSimulator) -> None:

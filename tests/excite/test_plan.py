@@ -22,7 +22,7 @@ from softrl.excite.block import blocks
 from softrl.excite.plan import Effort, pairs_of, plan, refitted_separation, score, separation, sums
 from softrl.excite.rival import Rival, parse, rivals_of
 from softrl.excite.separation import Normal, Sensing, normal, refitted, responses, tangent
-from softrl.excite.stage import Config, csv_text, run
+from softrl.excite.stage import Config, csv_text, run, write_out
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.read import read
 from softrl.robots.robot import Robot
@@ -158,6 +158,8 @@ def test_the_stage_writes_a_program_that_reads_back(tmp_path: Path) -> None:
     settings = config(hypotheses=["lag", "dead_time"], out=str(tmp_path / "plan"))
     planned = run(settings, robot(), body(), None, tracker=tracker)
     again = run(settings, robot(), body(), None, tracker=NullTracker())
+    for _ in range(2):
+        write_out(settings, robot(), planned)
     np.testing.assert_array_equal(planned.pressure, again.pressure)
     assert planned.time[-1] <= 60.0 * settings.minutes + 1e-9
     apart = planned.pairs[0]["separation_sigma"]
@@ -167,6 +169,9 @@ def test_the_stage_writes_a_program_that_reads_back(tmp_path: Path) -> None:
     written = read(tmp_path / "plan", robot())
     assert len(written.recordings) == settings.runs
     np.testing.assert_allclose(written.recordings[0].pressure_cmd, planned.pressure, atol=1e-4)
+    (tmp_path / "plan" / "excite_1.csv").write_text("time_s,p1_cmd_kpa,tip_x_mm\n")
+    with pytest.raises(ConfigError, match="holds more than commands"):
+        write_out(settings, robot(), planned)
     planned.save(tmp_path / "excitation")
     np.testing.assert_array_equal(Excitation.load(tmp_path / "excitation").pressure, planned.pressure)
     header, first, *_ = csv_text(planned).splitlines()

@@ -78,6 +78,19 @@ def test_a_finished_run_is_reused_until_forced(tmp_path: Path) -> None:
     assert "reused" in second.stderr
 
 
+def test_a_reused_run_writes_its_dataset_again(tmp_path: Path) -> None:
+    rows = [f"{0.1 * k:.1f},{k % 20},0,0" for k in range(40)]
+    (tmp_path / "given").mkdir()
+    (tmp_path / "given" / "run.csv").write_text("\n".join(["time_s,p1_cmd_kpa,p2_cmd_kpa,p3_cmd_kpa", *rows]) + "\n")
+    (tmp_path / "given" / "dataset.yaml").write_text("robot: tripod\n")
+    words, made = ("stage=simulate", "simulator=pcc", "recordings=given", "out=made"), []
+    for effect in ("lag", "gain", "lag"):
+        done = softrl(tmp_path, *words, f"effect=[{effect}]")
+        assert done.returncode == 0, done.stderr
+        made.append((tmp_path / "made" / "run.csv").read_text())
+    assert "reused" in done.stderr and made[0] == made[2] != made[1]
+
+
 def test_a_sweep_is_one_parent_with_a_child_per_point(tmp_path: Path) -> None:
     done = softrl(tmp_path, "-m", "stage=mesh", "profile=tiny", "seed=1,2", "force=true")
     assert done.returncode == 0, done.stderr

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import hydra
 import pytest
@@ -62,6 +63,17 @@ def test_the_latest_diagnosis_is_found_where_its_effects_are_asked_for() -> None
     assembly = Assembly(store, composed("stage=rl", "effect=identified"), {})
     assert assembly._latest(Diagnosis) is found
     assert assembly._latest(Policy) is found, "the mark of its effects asks for the diagnosis"
+
+
+def test_a_correction_of_another_body_is_refused() -> None:
+    found = Diagnosis.__new__(Diagnosis)
+    object.__setattr__(found, "simulator_name", "PccSimulator")
+    object.__setattr__(found, "simulator_parameters", {"axial_stiffness_scale": 1.2})
+    assembly = Assembly(SimpleNamespace(), composed("stage=simulate", "simulator=rom"), {})
+    assembly._artifact = lambda kind: found
+    rom: Any = SimpleNamespace(parameters={"damping_scale": 1.0})
+    with pytest.raises(ArtifactError, match="made with PccSimulator and gives its axial_stiffness_scale, which SimpleNamespace"):
+        assembly._corrected(rom)
 
 
 def test_a_correction_by_an_older_library_is_refused() -> None:

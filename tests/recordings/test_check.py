@@ -37,6 +37,13 @@ def test_noise_is_recovered_from_holds_and_from_differences() -> None:
         assert abs(found.noise["position"] / 2e-4 - 1.0) < 0.15, found.noise
 
 
+def test_a_run_of_two_samples_says_nothing_about_noise() -> None:
+    whole = run_with_noise(2e-4, 1)
+    torn = replace(whole, name="torn", time=whole.time[:2], pressure_cmd=whole.pressure_cmd[:2], position=whole.position[:2])
+    found = check(RecordingSet("tripod", (whole, torn)), TRIPOD)
+    assert found.noise_floor == check(RecordingSet("tripod", (whole,)), TRIPOD).noise_floor
+
+
 def test_repeats_measure_the_noise_too() -> None:
     runs = tuple(run_with_noise(3e-4, seed) for seed in (1, 2))
     found = check(RecordingSet("tripod", runs), TRIPOD)

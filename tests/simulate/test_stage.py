@@ -21,7 +21,7 @@ from softrl.recordings.read import read
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.write import write
 from softrl.robots.robot import Robot
-from softrl.simulate.stage import Config, coloured_noise, run
+from softrl.simulate.stage import Config, coloured_noise, run, write_out
 
 CONF = Path(__file__).parents[2] / "conf"
 
@@ -80,15 +80,24 @@ def test_measured_drive_bypasses_the_valve() -> None:
         replay(lagging, commands(body.robot).recordings[0], 0.01, drive="measured")
 
 
-def test_a_gauges_error_is_undone_where_its_readings_drive_the_body() -> None:
+@pytest.mark.parametrize("gate", [{}, {"since_s": 0.6, "over_s": 0.5}, {"since_s": 2.6, "over_s": 0.5, "begun_s": 2.0}])
+def test_a_gauges_error_is_undone_where_its_readings_drive_the_body(gate: dict[str, float]) -> None:
     body = simulator("tripod")
-    wrong = Plant(body, chain_of(body.robot, [Lag(0.2, 0.3), PressureSensor(gain=1.2, offset=0.05)]))
+    wrong = Plant(body, chain_of(body.robot, [Lag(0.2, 0.3), PressureSensor(gain=1.2, offset=0.05, **gate)]))
     recorded = replay(wrong, commands(body.robot).recordings[0], 0.01)
     again = replay(wrong, recorded, 0.01, drive="measured")
     np.testing.assert_allclose(again.position, recorded.position, atol=1e-9)
     np.testing.assert_allclose(again.pressure_meas, recorded.pressure_meas, atol=1e-3)
     trusting = replay(Plant(body, chain_of(body.robot, [])), recorded, 0.01, drive="measured")
     assert np.abs(trusting.position - recorded.position).max() > 1e-3
+
+
+def test_a_gauge_that_misreads_above_a_pressure_only_drives_no_body() -> None:
+    body = simulator("tripod")
+    recorded = replay(Plant(body, chain_of(body.robot, [])), commands(body.robot).recordings[0], 0.01)
+    gauge = PressureSensor(gain=1.2, offset=0.0, above_share=0.5)
+    with pytest.raises(ConfigError, match="above a pressure only"):
+        replay(Plant(body, chain_of(body.robot, [gauge])), recorded, 0.01, drive="measured")
 
 
 def test_settling_starts_at_the_first_row() -> None:
@@ -111,8 +120,11 @@ def test_stage_writes_a_dataset_like_its_input(tmp_path: Path) -> None:
     body = simulator("tripod")
     chain = chain_of(body.robot, [Lag(0.2, 0.3)])
     given = commands(body.robot)
-    made = run(config(out=str(tmp_path / "out")), body.robot, body, chain, given, tracker=NullTracker())
+    given = replace(given, notes={"out_of_distribution": [given.recordings[-1].name]})
+    made = run(config(), body.robot, body, chain, given, tracker=NullTracker())
+    write_out(config(out=str(tmp_path / "out")), body.robot, made)
     read_back = read(tmp_path / "out", body.robot)
+    assert read_back.notes["out_of_distribution"] == given.notes["out_of_distribution"]
     for ours, theirs, source in zip(made.recordings, read_back.recordings, given.recordings, strict=True):
         assert (theirs.name, theirs.session) == (source.name, source.session)
         np.testing.assert_allclose(theirs.pressure_cmd, source.pressure_cmd, rtol=1e-8)
@@ -166,7 +178,7 @@ def test_dropped_samples_leave_the_others_as_they_were(tmp_path: Path) -> None:
     body = simulator("tripod")
     chain, given = chain_of(body.robot, [Lag(0.2, 0.3)]), commands(body.robot)
     settings = {"dropped_share": 0.2, "measured_pressure": False, "orientation": False, "out": str(tmp_path / "made")}
-    run(config(**settings), body.robot, body, chain, given, tracker=NullTracker())
+    write_out(config(**settings), body.robot, run(config(**settings), body.robot, body, chain, given, tracker=NullTracker()))
     whole = run(config(), body.robot, body, chain, given, tracker=NullTracker())
     for made, full in zip(read(tmp_path / "made", body.robot).recordings, whole.recordings, strict=True):
         assert 0.7 < len(made.time) / len(full.time) < 0.9
@@ -203,8 +215,9 @@ def test_recordings_of_a_robot_are_not_overwritten(tmp_path: Path) -> None:
     body = simulator("tripod")
     chain, given = EffectChain(body.robot), commands(body.robot)
     write(tmp_path / "real", given)
+    made = run(config(), body.robot, body, chain, given, tracker=NullTracker())
     with pytest.raises(RecordingError, match="not simulated"):
-        run(config(out=str(tmp_path / "real")), body.robot, body, chain, given, tracker=NullTracker())
+        write_out(config(out=str(tmp_path / "real")), body.robot, made)
     for _ in range(2):
-        run(config(out=str(tmp_path / "made")), body.robot, body, chain, given, tracker=NullTracker())
+        write_out(config(out=str(tmp_path / "made")), body.robot, made)
     assert len(list((tmp_path / "made").glob("*.csv"))) == 2

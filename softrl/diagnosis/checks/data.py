@@ -14,7 +14,7 @@ from softrl.diagnosis.checks.spikes import without_spikes
 from softrl.diagnosis.fitting.problem import MIN_FOLDS
 from softrl.recordings.acting import is_known
 from softrl.recordings.check import DataCheck, check, driven
-from softrl.recordings.gone import in_order
+from softrl.recordings.gone import Now, in_order, now_after
 from softrl.recordings.marked import DISTURBED, OUTSIDE, named, without
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.split import split
@@ -47,6 +47,7 @@ class Data:
     pressure_noise : the same of the measured pressure, Pa
     travel, pressure_travel : rms about the mean of what the training runs measured, m and Pa
     mended : what was done about wrong samples and pauses, a sentence each
+    now : where recording had come to when the last run ended, whatever fits see of it
     punctual : whether the dataset says when a row's command acts, so that its log is late by nothing
     """
 
@@ -61,6 +62,7 @@ class Data:
     pressure_noise: float
     travel: float
     pressure_travel: float
+    now: Now
     mended: tuple[str, ...] = ()
     punctual: bool = False
 
@@ -150,6 +152,7 @@ def prepare(
         pressure_noise,
         travel,
         _travel([r for r in training if r.pressure_meas is not None], lambda run: np.asarray(run.pressure_meas)),
+        now_after(recordings.recordings),
         (*_too_short(recordings), *copies, *spiked, *mended),
         is_known(recordings),
     )

@@ -75,16 +75,17 @@ def add_calibrated(
 
 def with_map(diagnosis: Diagnosis, calibration: Calibration) -> Diagnosis:
     """Return the diagnosis with what the calibrated map has absorbed, and whether physics replaces it."""
-    rows, held = read_map(calibration), diagnosis.errors_mm["heldout"]
+    rows, unit = read_map(calibration), "deg" if diagnosis.errors_deg else "mm"
+    held = (diagnosis.errors_deg or diagnosis.errors_mm)["heldout"]
     lines = in_words(rows)
     if "calibrated" in held:
         replaces = bool(diagnosis.effects) and held["corrected"] <= held["calibrated"]
         lines.append(
-            f"Behind the calibrated map the retuned simulator errs by {held['calibrated']:.3g} mm on held-out runs; "
+            f"Behind the calibrated map the retuned simulator errs by {held['calibrated']:.3g} {unit} on held-out runs; "
             + (
-                f"the physics named here, without the map, by {held['corrected']:.3g} mm, and replaces it."
+                f"the physics named here, without the map, by {held['corrected']:.3g} {unit}, and replaces it."
                 if replaces
-                else f"without it the corrected one by {held['corrected']:.3g} mm: the map stays."
+                else f"without it the corrected one by {held['corrected']:.3g} {unit}: the map stays."
             )
         )
     data = diagnosis.data | {"calibrated_map": rows}

@@ -39,6 +39,7 @@ from softrl.diagnosis.search.moves import implausible
 from softrl.diagnosis.search.path import Path
 from softrl.diagnosis.search.slim import slim, without_silent
 from softrl.effects.library import effect_class
+from softrl.recordings.gone import Now
 from softrl.recordings.recording import Recording
 
 log = logging.getLogger(__name__)
@@ -56,6 +57,7 @@ class Part:
     heldout : runs
     floor, travel : m (Pa): noise in a bin, rms of what is measured
     choices : effects to consider
+    now : where recording had come to at its end
     """
 
     title: str
@@ -64,6 +66,7 @@ class Part:
     floor: float
     travel: float
     choices: tuple[Choice, ...]
+    now: Now
 
     def judge(self, runs: Sequence[Recording], thresholds: Thresholds, seed: int) -> Judge:
         """Return the judge on ``runs``."""

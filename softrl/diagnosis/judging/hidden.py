@@ -14,6 +14,7 @@ BEND_SHARE = 0.03  # of the range: a correction that leaves its line by more ben
 OFFSET_SHARE = 0.01
 GAIN_CHANGE = 0.03
 CROSS_SHARE = 0.02
+UNDRIVEN = 1e-3  # of the widest range of any chamber
 
 
 def behind(problem: Problem, calibration: Calibration) -> Problem:
@@ -29,12 +30,16 @@ def read_map(calibration: Calibration) -> list[dict[str, Any]]:
     Notes
     -----
     A line ``P_S = gain P_R + offset`` is fitted over the trained range; the bend is the largest departure from it, at
-    the pressure where it lies; a ceiling is told by a slope at the upper end of less than half the gain.
+    the pressure where it lies; a ceiling is told by a slope at the upper end of less than half the gain. A chamber that was
+    not driven when the map was fitted is left out: the map says nothing of it.
     """
     mapping, found = PressureMap(calibration), []
+    widest = float(np.max(calibration.pressure_high - calibration.pressure_low))
     rest = np.clip(0.0, calibration.pressure_low, calibration.pressure_high)
     for chamber in range(calibration.chambers):
         low, high = calibration.pressure_low[chamber], calibration.pressure_high[chamber]
+        if not high - low > UNDRIVEN * widest:
+            continue
         sweep = np.tile(rest, (STEPS, 1))
         sweep[:, chamber] = np.linspace(low, high, STEPS)
         made = mapping.real_to_sim(sweep)
@@ -50,7 +55,7 @@ def read_map(calibration: Calibration) -> list[dict[str, Any]]:
                 "offset_kpa": 1e-3 * float(offset),
                 "bend_kpa": 1e-3 * float(away[place]),
                 "bend_at_kpa": 1e-3 * float(sweep[place, chamber]),
-                "slope_at_top_share": float(slopes[-3:].mean() / gain),
+                "slope_at_top_share": float(slopes[-3:].mean() / gain) if gain != 0.0 else 1.0,
                 "crosstalk_share": float(others.max(initial=0.0)),
                 "range_kpa": 1e-3 * float(high - low),
             }

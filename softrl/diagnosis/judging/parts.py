@@ -42,7 +42,7 @@ def valve_part(whole: Problem, data: Data, effects: list[str]) -> Part:
     choices = candidates(effects, ("valve",), whole.robot, data.check.excited, gauges_only=True)
     choices += that_last(choices, [run.session for run in runs], [])
     floor = floor_in_bin(data.pressure_noise, data, problem)
-    return Part("command to measured pressure", problem, data.heldout, floor, data.pressure_travel, tuple(choices))
+    return Part("command to measured pressure", problem, data.heldout, floor, data.pressure_travel, tuple(choices), data.now)
 
 
 def punctual(valve: Finding) -> Finding:
@@ -118,7 +118,7 @@ def _motion_part(problem: Problem, data: Data, title: str, effects: list[str], s
     choices = in_some_sessions(wanted, *sessions, order, data.check.excited) + everywhere + that_last(everywhere, *sessions)
     turned = ORIENTATION_LEVER * problem.robot.length_m * data.turn_noise if problem.orientation else 0.0
     floor = floor_in_bin(float(np.hypot(data.noise, turned)), data, problem)
-    return Part(title, problem.on(data.training), data.heldout, floor, data.travel, tuple(choices))
+    return Part(title, problem.on(data.training), data.heldout, floor, data.travel, tuple(choices), data.now)
 
 
 def floor_in_bin(noise: float, data: Data, problem: Problem) -> float:

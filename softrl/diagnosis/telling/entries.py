@@ -4,8 +4,6 @@ from collections.abc import Sequence
 from math import degrees
 from typing import Any
 
-import numpy as np
-
 from softrl.diagnosis.fitting.hypothesis import (
     GATES,
     LASTING,
@@ -21,7 +19,6 @@ from softrl.diagnosis.judging.correct import Model
 from softrl.diagnosis.judging.examine import Finding, Named, Part
 from softrl.diagnosis.judging.rivals import Rival
 from softrl.effects.library import effect_class
-from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
 COUNTED = {"session": "counts from the session's first run", "ever": "counts from the first run of all"}
@@ -48,17 +45,6 @@ def _entry(finding: Finding, named: Named) -> dict[str, Any]:
         f"{factor * named.gap.high:.3g} {unit})"
     )
     return told | _form(finding.part, choice) | {"parameters": parameters, "evidence": evidence}
-
-
-def _ended(part: Part) -> float:
-    """Return how long all sessions had gone on when the last run ended, s: there the clock of what lasts stands now."""
-    last = _last(part)
-    return last.gone_s[-1] + float(np.ptp(last.time))
-
-
-def _last(part: Part) -> Recording:
-    """Return the run that was recorded last."""
-    return max((*part.problem.runs, *part.heldout), key=lambda run: run.gone_s[-1])
 
 
 def where(choice: Choice) -> str:
@@ -104,6 +90,7 @@ def rival_entries(findings: Sequence[Finding], robot: Robot) -> list[dict[str, A
                 "high": factor * rival.gap.high,
                 "unit": unit,
                 "equivalent": rival.equivalent,
+                "contests": rival.contests,
                 "effect": _form(finding.part, rival.choice) | {"parameters": _fitted(finding.part.problem, rival)},
                 "replaces": _form(finding.part, rival.instead_of),
             }
@@ -119,9 +106,9 @@ def _form(part: Part, choice: Choice) -> dict[str, Any]:
         "name": choice.name,
         "chamber": choice.chamber,
         "sessions": list(choice.sessions),
-        "past": bool(choice.sessions) and _last(part).session not in choice.sessions,
+        "past": bool(choice.sessions) and part.now.session not in choice.sessions,
         "lasting": choice.lasting,
-        "pinned": pinned_values(choice) | flags | ({"begun_s": _ended(part)} if choice.lasting == "ever" else {}),
+        "pinned": pinned_values(choice) | flags | ({"begun_s": part.now.gone_s[-1]} if choice.lasting == "ever" else {}),
     }
 
 

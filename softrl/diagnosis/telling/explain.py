@@ -40,8 +40,8 @@ def next_experiment(findings: Sequence[Finding], verdict: str, robot: Robot, noi
     """Return the recording that would help most, or None if nothing is open."""
     if verdict not in ("indistinguishable", "unknown"):
         return None
-    open_sites = [r.choice.site for f in findings for r in f.rivals if r.equivalent]
-    open_sites += [r.instead_of.site for f in findings for r in f.rivals if r.equivalent]
+    open_sites = [r.choice.site for f in findings for r in f.rivals if r.contests]
+    open_sites += [r.instead_of.site for f in findings for r in f.rivals if r.contests]
     between = sorted({name for f in findings for name in alternatives(f)})
     named = [n.choice.label() for f in findings for n in f.named if alternatives(f)]
     if verdict == "unknown":
@@ -63,8 +63,9 @@ def _planned(findings: Sequence[Finding], noise_m: float) -> dict[str, Any] | No
     for finding in findings:
         for rival in sorted(finding.rivals, key=lambda r: r.gap.value):
             if rival.contests:
-                motion = finding.part.problem.target == "motion"
-                return separating_program(finding.part.problem, finding.final, rival.trial, noise_m) if motion else None
+                problem, now = finding.part.problem, finding.part.now
+                motion = problem.target == "motion"
+                return separating_program(problem, finding.final, rival.trial, noise_m, now) if motion else None
     return None
 
 
@@ -81,13 +82,7 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
     lines += _ungauged(findings)
     lines += [line for finding in findings for line in finding.switched]
     for rival in diagnosis.rivals[:4]:
-        verb = "cannot be told from" if rival["equivalent"] else "is worse than"
-        if rival["score_gap"] < 0.0 and not rival["equivalent"]:
-            verb = "needs more parameters and fits all runs together no better than"
-        lines.append(
-            f"{rival['name']} {verb} {rival['instead_of']}: its held-out error is larger by {rival['score_gap']:.2g} "
-            f"{rival['unit']} ({rival['low']:.2g} to {rival['high']:.2g})."
-        )
+        lines.append(_rival_sentence(rival))
     odd = [name for name, entry in diagnosis.retuned.items() if not entry["plausible"]]
     if odd and diagnosis.verdict != "nothing missing":
         lines.append(
@@ -104,6 +99,24 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
     left = [finding for finding in findings if finding.left > finding.judge.material]
     lines += [_left_sentence(finding) + _from_command(diagnosis, finding) for finding in left]
     return lines
+
+
+def _rival_sentence(rival: dict[str, Any]) -> str:
+    """Return how an alternative does beside what is named."""
+    gap, low, high = (rival[name] for name in ("score_gap", "low", "high"))
+    if rival["contests"]:
+        verb = "cannot be told from"
+    elif rival["equivalent"]:
+        verb = "is a law that contains, or another form of, what is named, and does no better than"
+    elif gap < 0.0:
+        verb = "needs more parameters and fits all runs together no better than"
+    else:
+        verb = "is worse than"
+    size, ends = ("smaller", (-high, -low)) if gap < 0.0 else ("larger", (low, high))
+    return (
+        f"{rival['name']} {verb} {rival['instead_of']}: its held-out error is {size} by {abs(gap):.2g} "
+        f"{rival['unit']} ({ends[0]:.2g} to {ends[1]:.2g})."
+    )
 
 
 def _but(findings: Sequence[Finding], verdict: str) -> str:
@@ -178,7 +191,7 @@ def _verdict_sentence(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "named":
         return f"The simulator leaves out: {names_}."
     if diagnosis.verdict == "indistinguishable":
-        alike = ", ".join(sorted({row["name"] for row in diagnosis.rivals if row["equivalent"]}))
+        alike = ", ".join(sorted({row["name"] for row in diagnosis.rivals if row["contests"]}))
         return f"The simulator leaves out {names_}; the recordings cannot tell from it: {alike}."
     also = f" What is named describes part of it and is no identification: {names_}." if names_ else ""
     return f"Something is missing that no effect of the library explains.{also}"

@@ -10,6 +10,7 @@ from softrl.diagnosis.fitting.trial import Trial
 from softrl.excite.block import blocks
 from softrl.excite.rival import Rival
 from softrl.excite.separation import Sensing, normal, responses, tangent
+from softrl.recordings.gone import Now
 
 PIECES = 3
 STEP_S = 0.02
@@ -35,14 +36,17 @@ def gap(first: Rival, second: Rival, pressure: np.ndarray, sensing: Sensing) -> 
     return float(np.linalg.norm(one - other))
 
 
-def separating_program(problem: Problem, first: Trial, second: Trial, noise_m: float) -> dict[str, Any] | None:
-    """Return the pieces that tell two fitted hypotheses apart best per second, or None if their bodies do not run.
+def separating_program(
+    problem: Problem, first: Trial, second: Trial, noise_m: float, now: Now
+) -> dict[str, Any] | None:
+    """Return the pieces that tell two fitted hypotheses apart best per second, or None if nothing that is recorded now does.
 
     Parameters
     ----------
     problem : whose robot and simulator the hypotheses are about
     first, second : fitted
     noise_m : rms of the noise of one sample of the motion, over its components
+    now : where recording has come to: what acted in other sessions only does nothing, and what lasts goes on
 
     Returns
     -------
@@ -55,7 +59,7 @@ def separating_program(problem: Problem, first: Trial, second: Trial, noise_m: f
     Every piece is judged from rest; ``stage=excite`` plans a whole program and refits the hypotheses to it.
     """
     sensing = Sensing(STEP_S, problem.numerics.bin_s, max(noise_m, 1e-6), None)
-    one, other = (_rival(problem, trial) for trial in (first, second))
+    one, other = (_rival(problem, trial, now) for trial in (first, second))
     pieces = blocks(problem.robot, STEP_S, REST_S, 0)
     length = STEP_S * np.array([len(piece.pressure) for piece in pieces])
     worth = np.zeros(len(pieces))  # squared separation per second, of the pieces that may be among the best
@@ -67,6 +71,8 @@ def separating_program(problem: Problem, first: Trial, second: Trial, noise_m: f
     except SolverError:
         return None
     best = np.argsort(-worth)[:PIECES]
+    if not worth[best[0]] > 0.0:
+        return None
     return {
         "program": "; then ".join(pieces[k].label for k in best),
         "duration_s": float(length[best].sum()),
@@ -74,10 +80,11 @@ def separating_program(problem: Problem, first: Trial, second: Trial, noise_m: f
     }
 
 
-def _rival(problem: Problem, trial: Trial) -> Rival:
-    """Return the hypothesis as the planner takes it, at its fitted parameters."""
+def _rival(problem: Problem, trial: Trial, now: Now) -> Rival:
+    """Return the hypothesis as the planner takes it, at its fitted parameters, from now on."""
     space = problem.space(trial.hypothesis)
     tuned = space.tuned(trial.fit.point)
     body = problem.simulator.with_parameters(**tuned) if tuned else problem.simulator
     label = trial.hypothesis.label()
-    return Rival(label, problem.robot, body, space.effects(trial.fit.point), problem.numerics.tuned_factor)
+    effects = space.effects(trial.fit.point, *now)
+    return Rival(label, problem.robot, body, effects, problem.numerics.tuned_factor)
