@@ -265,7 +265,7 @@ class Effect:
         return time
 
     def undo(self, robot: Robot, reported: np.ndarray, share: np.ndarray) -> np.ndarray:
-        """Return the pressures (steps, chambers) Pa behind what a gauge ``reported``, if a ``share`` (steps, 1) of its error acts."""
+        """Return the pressures (steps, chambers) Pa behind what a gauge ``reported``; of its error ``share`` (steps, 1) acts."""
         raise NotImplementedError(f"effect {self.name()} does not act on a pressure sensor")
 
     def layers(self, count: int) -> np.ndarray:
