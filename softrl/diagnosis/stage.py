@@ -40,6 +40,7 @@ from softrl.recordings.recording import RecordingSet
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
+PLAINER = 1.2  # times the error that a body of another length may leave, where fewer effects are named with it
 
 
 @dataclass(frozen=True)
@@ -222,8 +223,20 @@ def _as_long(
     log.info("the body is examined again as long as its tip at rest tells: a length said wrongly may be what was found")
     other = replace(whole, simulator=body)
     again = _examine(config, other, data, full)
-    worse = last.judge.tells(again[-1].final.squares, last.final.squares) or (again[-1].unknown and not last.unknown)
-    return (whole, findings) if worse or len(again[-1].named) > len(last.named) else (other, again)
+    return (other, again) if _as_well(again[-1], last) else (whole, findings)
+
+
+def _as_well(again: Finding, last: Finding) -> bool:
+    """Return whether a body of another length does as well as what was ``last`` found.
+
+    With fewer effects it may err a little more: a shift along the body is another number that a fit may bend.
+    """
+    if (again.unknown and not last.unknown) or len(again.named) > len(last.named):
+        return False
+    if len(again.named) == len(last.named):
+        return not last.judge.tells(again.final.squares, last.final.squares)
+    errs, erred = (float(last.judge.excess(found.final.mean_square)) for found in (again, last))
+    return errs <= max(PLAINER * erred, erred + last.judge.material)
 
 
 def _look(config: Config, part: Part) -> Finding:

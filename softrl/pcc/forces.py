@@ -135,8 +135,9 @@ def fill_residual(
     for i in range(m):
         out[i] = model.stiffness[i] * y[i] + model.damping[i] * rate[i] + model.inertia[i] * gained[i] - loads[i]
     for i in range(m - first):
-        out[i] += model.crossed * gained[first + i]
-        out[first + i] += model.crossed * gained[i]
+        k = first + i
+        out[i] += model.crossed * gained[k] + model.skewed * y[k] + model.skewed_damping * rate[k]
+        out[k] += model.crossed * gained[i] + model.skewed * y[i] + model.skewed_damping * rate[i]
     for i in range(first):
         for k in range(len(pressure)):
             out[i] -= push[i, k] * pressure[k]

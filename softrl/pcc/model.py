@@ -15,6 +15,7 @@ class Model(NamedTuple):
     plane : (2,), that of a robot with one chamber
     stiffness, damping, inertia : (m,) J, J s, J s^2, of each coordinate
     crossed : J s^2, inertia that bend and loss of curvature share
+    skewed, skewed_damping : J and J s, stiffness and damping that they share where the stiffness changes along the body
     push : (stretching, chambers) J/Pa, work of the pressures on the coordinates that stretch chambers
     to_strain : (chambers, stretching), strains of those coordinates
     to_elastic : (chambers, stretching) Pa, pressures that hold them
@@ -31,6 +32,8 @@ class Model(NamedTuple):
     damping: np.ndarray
     inertia: np.ndarray
     crossed: float
+    skewed: float
+    skewed_damping: float
     push: np.ndarray
     to_strain: np.ndarray
     to_elastic: np.ndarray

@@ -44,22 +44,24 @@ class PccSimulator:
     bending_stiffness_scale, axial_stiffness_scale : of the stiffnesses that follow from the two numbers above
     damping_s : damping over stiffness: the time constant with which a massless body settles
     mass_scale : of ``robot.mass_kg``
+    stiffness_base_to_tip : bending stiffness at the base over that at the tip, between which it changes evenly
     length_scale : of ``robot.length_m``; not retuned, but a diagnosis sets it where the tip at rest tells another length
     end_mass_kg : how much of ``robot.mass_kg`` sits at the tip (an end plate, markers); the rest lies evenly along the body
 
     Notes
     -----
-    Without weight and force the robot is an arc of constant curvature, as in the reviews of continuum robots (no equation
+    Without weight and force an even robot is an arc of constant curvature, as in the reviews of continuum robots (no equation
     number checked). A chamber at direction ``d`` and radius ``r`` elongates by ``e = epsilon - (r / L) b.d``, and its pressure
     does the work ``p A L de``, so that it bends the tip away from itself. Loads bend it more at the base than at the tip:
-    curvature ``b + c (1 - 2 s)`` at the share ``s`` of the length, with elastic energy ``K (b^2 + c^2 / 3) / 2``. Small bends
-    under any loads across then move the tip as those of Euler and Bernoulli's rod do, exactly (``F L^3 / (3 E I)`` for a force
-    at the tip), and its swing has the first frequency of that rod to 0.5 %, with a mass at its end or without. Of ``c``,
-    first-order terms count, and its square along the axis. Inertia is that of an evenly loaded rod that is slightly bent so,
-    along the axis that of its first mode, and is held constant: centrifugal terms are left out. The length at rest already
-    includes the axial weight. A robot with one chamber bends in its plane and does not elongate. Effects of the wall are
-    evaluated at a chamber's mean strain, so that one which creeps or slips resists ``c`` as it does without; one that is
-    stiffer does so by as much (``UNEVEN``).
+    curvature ``b + c (1 - 2 s)`` at the share ``s`` of the length, with elastic energy ``K (b^2 + c^2 / 3 + 2 u b.c / 3) / 2``
+    where the bending stiffness is ``K (1 + u (1 - 2 s))``, larger at the base than at the tip: a body that tapers, or whose
+    clamp gives, bends unevenly under pressure, too. Small bends of an even body under any loads across then move the tip as
+    those of Euler and Bernoulli's rod do, exactly (``F L^3 / (3 E I)`` for a force at the tip), and its swing has the first
+    frequency of that rod to 0.5 %, with a mass at its end or without. Of ``c``, first-order terms count, and its square along
+    the axis. Inertia is that of an evenly loaded rod that is slightly bent so, along the axis that of its first mode, and is
+    held constant: centrifugal terms are left out. The length at rest already includes the axial weight. A robot with one
+    chamber bends in its plane and does not elongate. Effects of the wall are evaluated at a chamber's mean strain, so that one
+    which creeps or slips resists ``c`` as it does without; one that is stiffer does so by as much (``UNEVEN``).
     """
 
     robot: Robot
@@ -69,6 +71,7 @@ class PccSimulator:
     axial_stiffness_scale: float
     damping_s: float
     mass_scale: float
+    stiffness_base_to_tip: float = 1.0
     length_scale: float = 1.0
     end_mass_kg: float = 0.0
 
@@ -92,7 +95,7 @@ class PccSimulator:
     @property
     def _tunable(self) -> tuple[str, ...]:
         axial = () if self.robot.chambers == 1 else ("axial_stiffness_scale",)
-        return ("bending_stiffness_scale", *axial, "damping_s", "mass_scale")
+        return ("bending_stiffness_scale", *axial, "damping_s", "mass_scale", "stiffness_base_to_tip")
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -127,6 +130,11 @@ class PccSimulator:
         ]
 
     @property
+    def _uneven(self) -> float:
+        """By what share of the mean the bending stiffness is larger at the base, and smaller at the tip."""
+        return (self.stiffness_base_to_tip - 1.0) / (self.stiffness_base_to_tip + 1.0)
+
+    @property
     def strain_map(self) -> np.ndarray:
         """(chambers, 3): chamber elongation per coordinate (b_x, b_y, epsilon)."""
         return _strains_of(tuple(self.robot.chamber_angle_deg), self.robot.chamber_radius_m / self.length_m)
@@ -144,7 +152,7 @@ class PccSimulator:
         r, length = self.robot, self.length_m
         plane, to_strain, to_moving = self._maps
         end = self.mass_scale * self.end_mass_kg
-        mass = self.mass_scale * r.mass_kg - end
+        mass, uneven = self.mass_scale * r.mass_kg - end, self._uneven
         bending, _, axial = self.stiffness
         stiffness = np.array([bending, bending, axial, bending / 3.0, bending / 3.0])
         inertia = mass * np.array([1 / 20, 1 / 20, 4.0 / np.pi**2, 13 / 1260, 13 / 1260])
@@ -160,6 +168,8 @@ class PccSimulator:
             damping=self.damping_s * stiffness,
             inertia=inertia,
             crossed=length**2 * (mass / 45.0 + end / 12.0),
+            skewed=float(bending / 3.0 * uneven),
+            skewed_damping=float(self.damping_s * bending / 3.0 * uneven),
             push=np.ascontiguousarray(work * to_strain.T),
             to_strain=to_strain,
             to_elastic=to_elastic,

@@ -321,6 +321,24 @@ def test_a_force_at_the_tip_bends_it_as_it_bends_a_rod(load: tuple[float, float]
     assert np.linalg.norm(found - moved) < apart * np.linalg.norm(moved), (found, moved)
 
 
+@pytest.mark.parametrize("ratio", [0.6, 1.5])
+def test_a_rod_whose_stiffness_changes_bends_as_its_moments_say(ratio: float) -> None:
+    """Small bends of a rod of E I (1 + u (1 - 2 s)): under a pressure its moment is even, under a force it falls to the tip."""
+    robot = replace(robot_named("tripod"), gravity_m_s2=(0.0, 0.0, 0.0))
+    body = simulator(robot, stiffness_base_to_tip=ratio, axial_stiffness_scale=1e6)
+    s = (np.arange(20000) + 0.5) / 20000
+    softness = 1.0 / (1.0 + (ratio - 1.0) / (ratio + 1.0) * (1.0 - 2.0 * s))
+    pressed = body.observe(body.equilibrium(np.array([2e3, 0.0, 0.0])))[0]
+    even = simulator(robot, axial_stiffness_scale=1e6).equilibrium(np.array([2e3, 0.0, 0.0])).coordinates[:2]
+    across = robot.length_m * np.linalg.norm(even) * np.mean(softness * (1.0 - s))
+    np.testing.assert_allclose(np.linalg.norm(pressed[:2]), across, rtol=0.01)
+    assert abs(across / (robot.length_m * np.linalg.norm(even) / 2.0) - 1.0) > 0.05
+    force = 0.02 * body.stiffness[0] / robot.length_m
+    state = body.step(body.reset(), np.zeros((200, 3)), 0.05, np.tile([force, 0.0, 0.0], (200, 1)))
+    across = force * robot.length_m**2 / body.stiffness[0] * np.mean(softness * (1.0 - s) ** 2)
+    np.testing.assert_allclose(body.observe(state)[0][0], across, rtol=0.01)
+
+
 def test_a_rod_lying_down_sags_under_its_weight() -> None:
     """By w L^4 / (8 E I) of its tip, and ends with the slope w L^3 / (6 E I): small bends, an even load."""
     robot = replace(robot_named("tripod"), gravity_m_s2=(0.2, 0.0, 0.0))

@@ -17,7 +17,7 @@ AT_FIRST_S = 0.2
 LEAST, MOST = 0.005, 0.15  # of the length, by which a straight tip tells another one
 STRAIGHT, STEADY = 0.25, 0.25  # of that: a tip that rests aside, or now here and now there, tells of something else
 RUNS = 2  # that tell
-SHIFTS = ("marker_offset", "frame", "offset")
+SHIFTS = ("marker_offset", "frame", "offset", "pressure_sensor")
 
 
 def stands_for_length(choice: Choice) -> bool:
