@@ -16,6 +16,7 @@ from softrl.pcc.pose import tip_orientation, tip_position
 from softrl.robots.robot import Robot
 
 LENGTH = "length_scale"
+INEXTENSIBLE = 1e-5  # elongation that stands for none
 QUASI_STATIC_S = 1e12  # one implicit step of this length is an equilibrium
 _NONE = pack(())
 
@@ -40,7 +41,7 @@ class PccSimulator:
     robot : chambers, geometry, mass, gravity; its axis must be +z
     bend_at_full_pressure_rad : bend under ``robot.pressure_max_pa`` in one chamber at stiffness scale 1
     elongation_at_full_pressure : elongation under ``robot.pressure_max_pa`` in all chambers at stiffness
-        scale 1
+        scale 1; 0 for a body that does not stretch, which has no axial stiffness to retune
     bending_stiffness_scale, axial_stiffness_scale : of the stiffnesses that follow from the two numbers above
     damping_s : damping over stiffness: the time constant with which a massless body settles
     mass_scale : of ``robot.mass_kg``
@@ -84,7 +85,11 @@ class PccSimulator:
             raise ConfigError(
                 f"robot.pressure_max_pa={self.robot.pressure_max_pa:g} must be positive for simulator pcc"
             )
-        for name in ("bend_at_full_pressure_rad", "elongation_at_full_pressure", LENGTH, *self._tunable):
+        if not self.elongation_at_full_pressure >= 0.0:
+            raise ConfigError(
+                f"simulator.elongation_at_full_pressure={self.elongation_at_full_pressure:g} must not be negative"
+            )
+        for name in ("bend_at_full_pressure_rad", LENGTH, *self._tunable):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise ConfigError(f"simulator.{name}={getattr(self, name):g} must be positive")
         if not 0.0 <= self.end_mass_kg < self.robot.mass_kg:
@@ -94,12 +99,13 @@ class PccSimulator:
 
     @property
     def _tunable(self) -> tuple[str, ...]:
-        axial = () if self.robot.chambers == 1 else ("axial_stiffness_scale",)
+        stretches = self.robot.chambers > 1 and self.elongation_at_full_pressure > 0.0
+        axial = ("axial_stiffness_scale",) if stretches else ()
         return ("bending_stiffness_scale", *axial, "damping_s", "mass_scale", "stiffness_base_to_tip")
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Tunable physical parameters; a single chamber has no axial stiffness."""
+        """Tunable physical parameters; a single chamber, and a body that does not stretch, have no axial stiffness."""
         return {name: getattr(self, name) for name in self._tunable}
 
     def with_parameters(self, **values: float) -> "PccSimulator":
@@ -122,7 +128,8 @@ class PccSimulator:
         """(3,) J: of b_x, b_y (per rad^2) and elongation."""
         r = self.robot
         bending = r.pressure_max_pa * r.chamber_area_m2 * r.chamber_radius_m / self.bend_at_full_pressure_rad
-        axial = r.chambers * r.pressure_max_pa * r.chamber_area_m2 * self.length_m / self.elongation_at_full_pressure
+        elongation = max(self.elongation_at_full_pressure, INEXTENSIBLE)
+        axial = r.chambers * r.pressure_max_pa * r.chamber_area_m2 * self.length_m / elongation
         return np.array([bending, bending, axial]) * [
             self.bending_stiffness_scale,
             self.bending_stiffness_scale,

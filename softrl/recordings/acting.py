@@ -12,7 +12,7 @@ from softrl.recordings.recording import Recording, RecordingSet
 ACTS = "command_acts"  # the note of a dataset whose author knows; without it a diagnosis finds out, within a row
 UNTIL, FROM = "until_row", "from_row"
 STEP, STILL = 0.05, 0.1  # of a command's range in one row: a step; of a step: more in a row before, and it is none
-AT_ONCE = 0.3  # of steps, which gauges do not show at their own row where commands act from there on
+AT_ONCE = 0.1  # of steps, which gauges do not show at their own row where commands act from there on
 STEPS = 5  # of a chamber, that tell
 
 log = logging.getLogger(__name__)

@@ -251,6 +251,17 @@ def test_full_pressure_bends_and_elongates_as_configured() -> None:
     assert finger.observe(state)[0][0] > 0.0  # its chamber lies towards -x
 
 
+def test_a_body_that_does_not_stretch_keeps_its_length() -> None:
+    body = simulator(elongation_at_full_pressure=0.0)
+    assert "axial_stiffness_scale" not in body.parameters
+    position, _ = body.observe(body.equilibrium(np.full(3, 3.5e4)))
+    np.testing.assert_allclose(position, [0.0, 0.0, body.robot.length_m], atol=2e-5 * body.robot.length_m)
+    bent = shape_of(body, body.equilibrium(np.array([3.5e4, 0.0, 0.0])))
+    assert np.hypot(bent[0], bent[1]) > 0.4 and abs(bent[2]) < 2e-5
+    with pytest.raises(ConfigError, match="must not be negative"):
+        simulator(elongation_at_full_pressure=-0.1)
+
+
 def test_units_scale_as_they_must() -> None:
     """Lengths times 2 at equal density, modulus and pressure: angles stay, times double."""
     robot = replace(robot_named("tripod"), gravity_m_s2=(0.0, 0.0, 0.0))
