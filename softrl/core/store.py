@@ -178,7 +178,6 @@ class OpenRun:
         self.id: str = run.info.run_id
         self.metrics: dict[str, float] = {}
         self._buffer: list[Metric] = []
-        self._failed = False
 
     def __enter__(self) -> Self:
         return self

@@ -46,7 +46,7 @@ class Ridge:
     level: np.ndarray
 
     def predict(self, features: np.ndarray) -> np.ndarray:
-        """Return (rows, channels), the features held within what training saw, a spread beyond at most."""
+        """Return (rows, channels), the features held within four spreads of their mean in training."""
         return np.asarray(_terms((features - self.mean) / self.spread, self.degree) @ self.weights + self.level)
 
 
