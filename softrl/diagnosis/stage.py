@@ -133,8 +133,8 @@ def diagnose(
     if not odd:
         return diagnosis, evidence
     log.info("%s", told_of(odd))
-    within = prepare(recordings, robot, config.heldout_share, config.seed, few_sessions=len(found.used))
-    again = (diagnosis, evidence) if isinstance(within, Refusal) else _diagnosed(config, robot, within, simulator, calibration)
+    inside = prepare(recordings, robot, config.heldout_share, config.seed, few_sessions=len(found.used))
+    again = (diagnosis, evidence) if isinstance(inside, Refusal) else _diagnosed(config, robot, inside, simulator, calibration)
     if not again[0].effects or again[0].verdict == "unknown":
         return diagnosis, evidence
     return replace(again[0], sentences=[*again[0].sentences, told_of(odd)]), again[1]

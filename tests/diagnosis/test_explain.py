@@ -49,9 +49,10 @@ def test_a_valve_without_a_gauge_behind_it_may_lie_elsewhere() -> None:
 
 def test_nothing_missing_says_what_stays_beyond_a_detail_of_the_body() -> None:
     def finding(left: float) -> Any:
-        return SimpleNamespace(left=left, judge=SimpleNamespace(material=1.0))
+        return SimpleNamespace(left=left, judge=SimpleNamespace(material=1.0, form=3.0, travel=100.0))
 
-    assert "no test tells" in _but([finding(2.5)], "nothing missing")
+    assert "no test tells" in _but([finding(3.5)], "nothing missing")
+    assert "2.5% of the motion, as much as a lumped body may err" in _but([finding(2.5)], "nothing missing")
     assert not _but([finding(1.5)], "nothing missing") and not _but([finding(2.5)], "unknown")
 
 

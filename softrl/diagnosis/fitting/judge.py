@@ -13,6 +13,7 @@ from softrl.diagnosis.fitting.trial import axes_of
 from softrl.diagnosis.series.blocks import MIN_BLOCKS, blocks_of, bootstrap_means, correlation_time
 from softrl.effects.gate import WIDTHS
 from softrl.effects.library import effect_class
+from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.recording import Recording
 
 SHOWN = 1.25  # times what counts: the first effect removes this much, in squares; less may be a detail of the body
@@ -29,6 +30,7 @@ class Thresholds:
     Attributes
     ----------
     material_share : of the travel (rms about its mean) of what is measured: less would not be noticed
+    body_share : of the travel: as much a lumped body may leave of a robot that is no even rod, and no effect is missing for it
     material_gain : an addition must lower the error above the noise floor by this share
     noise_share : an addition must remove at least this share of the rms that stays, which noise of any colour is part of
     explained_share : share of the squared error that can be explained which named effects must explain together
@@ -38,6 +40,7 @@ class Thresholds:
     """
 
     material_share: float
+    body_share: float
     material_gain: float
     noise_share: float
     explained_share: float
@@ -46,7 +49,7 @@ class Thresholds:
     block_s: float
 
     def __post_init__(self) -> None:
-        for name in ("material_share", "material_gain", "noise_share", "explained_share"):
+        for name in ("material_share", "body_share", "material_gain", "noise_share", "explained_share"):
             if not 0.0 <= getattr(self, name) < 1.0:
                 raise ConfigError(f"stage.thresholds.{name}={getattr(self, name):g}; expected a share in 0..1")
         if not 0.5 < self.confidence < 1.0:
@@ -92,6 +95,12 @@ class Judge:
     def material(self) -> float:
         """The smallest difference of errors that counts, m (Pa)."""
         return max(self.thresholds.material_share * self.travel, 0.25 * self.floor)
+
+    @property
+    def form(self) -> float:
+        """The error that may be the body's form, m (Pa): of a lumped body more than of one that was made from a mesh."""
+        lumped = self.problem.target == "motion" and isinstance(self.problem.simulator, PccSimulator)
+        return max(self.material, self.thresholds.body_share * self.travel) if lumped else self.material
 
     def rms(self, squares: np.ndarray | float) -> float:
         """Return the rms error."""

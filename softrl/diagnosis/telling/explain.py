@@ -21,6 +21,7 @@ from softrl.robots.robot import Robot
 
 PIECE_SHARE = 0.2  # of the wrong bending: a piece of the body with less goes without saying
 UNTOLD = "more than white noise; it was not found to be physics"
+OWN_FORM = "as much as a lumped body may err for a robot that is no even rod: simulator=rom on its mesh would tell"
 TOLD = 0.02  # logarithm of a retuned parameter over its nominal value: less goes without saying
 BESIDE = {
     "one_lag": "one lag alone",
@@ -119,10 +120,20 @@ def _rival_sentence(rival: dict[str, Any]) -> str:
     )
 
 
+def _little(finding: Finding) -> str:
+    """Return in words what is left for no reason."""
+    judge = finding.judge
+    if finding.left <= UNEVEN_FACTOR * judge.material:
+        return "a detail of the body may leave as much"
+    return f"{finding.left / judge.travel:.1%} of the motion, {OWN_FORM}" if finding.left <= judge.form else UNTOLD
+
+
 def _but(findings: Sequence[Finding], verdict: str) -> str:
     """Return what a verdict of nothing missing leaves open, where more stays than a detail of the body would."""
     if verdict != "nothing missing" or all(f.left <= UNEVEN_FACTOR * f.judge.material for f in findings):
         return ""
+    if all(f.left <= f.judge.form for f in findings):
+        return f" What stays is {findings[-1].left / findings[-1].judge.travel:.1%} of the motion, {OWN_FORM}."
     return " But more stays than white noise, and no test tells whether it is slow noise of the sensor or something else."
 
 
@@ -207,6 +218,5 @@ def _left_sentence(finding: Finding) -> str:
         if offer.pays
         else ""
     )
-    little = "a detail of the body may leave as much" if finding.left <= UNEVEN_FACTOR * finding.judge.material else UNTOLD
-    why = f" ({'; '.join(finding.reasons) or little})"
+    why = f" ({'; '.join(finding.reasons) or _little(finding)})"
     return f"{finding.part.title}: {factor * finding.left:.3g} {unit} above the noise stay unexplained{why}{closest}.{more}"
