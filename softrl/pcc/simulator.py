@@ -45,7 +45,7 @@ class PccSimulator:
     bending_stiffness_scale, axial_stiffness_scale : of the stiffnesses that follow from the two numbers above
     damping_s : damping over stiffness: the time constant with which a massless body settles
     mass_scale : of ``robot.mass_kg``
-    stiffness_base_to_tip : bending stiffness at the base over that at the tip, between which it changes evenly
+    stiffness_base_to_tip : bending stiffness at the base over that at the tip, between which it changes evenly; not retuned
     length_scale : of ``robot.length_m``; not retuned, but a diagnosis sets it where the tip at rest tells another length
     end_mass_kg : how much of ``robot.mass_kg`` sits at the tip (an end plate, markers); the rest lies evenly along the body
 
@@ -89,7 +89,7 @@ class PccSimulator:
             raise ConfigError(
                 f"simulator.elongation_at_full_pressure={self.elongation_at_full_pressure:g} must not be negative"
             )
-        for name in ("bend_at_full_pressure_rad", LENGTH, *self._tunable):
+        for name in ("bend_at_full_pressure_rad", "stiffness_base_to_tip", LENGTH, *self._tunable):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise ConfigError(f"simulator.{name}={getattr(self, name):g} must be positive")
         if not 0.0 <= self.end_mass_kg < self.robot.mass_kg:
@@ -101,7 +101,7 @@ class PccSimulator:
     def _tunable(self) -> tuple[str, ...]:
         stretches = self.robot.chambers > 1 and self.elongation_at_full_pressure > 0.0
         axial = ("axial_stiffness_scale",) if stretches else ()
-        return ("bending_stiffness_scale", *axial, "damping_s", "mass_scale", "stiffness_base_to_tip")
+        return ("bending_stiffness_scale", *axial, "damping_s", "mass_scale")
 
     @property
     def parameters(self) -> dict[str, float]:

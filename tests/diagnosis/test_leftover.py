@@ -11,7 +11,9 @@ from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis
 from softrl.diagnosis.fitting.judge import Judge
 from softrl.diagnosis.fitting.problem import Residual
 from softrl.diagnosis.judging import leftover
+from softrl.diagnosis.judging.examine import Finding
 from softrl.diagnosis.judging.leftover import Explained, pieces_of_course, reasons_of
+from softrl.diagnosis.judging.verdict import forgiven
 from softrl.pcc.simulator import PccSimulator
 from tests.diagnosis.conftest import configured
 
@@ -143,5 +145,9 @@ def test_a_lumped_body_may_leave_more_than_one_that_was_made_from_a_mesh(
     problem: Any = SimpleNamespace(target=target, simulator=body if lumped else None)
     judge = Judge(problem, floor=1e-5, travel=1.0, thresholds=configured().thresholds, seed=0)
     assert judge.form == pytest.approx(counts) and judge.material == pytest.approx(0.005)
-    final: Any = SimpleNamespace(hypothesis=Hypothesis((), ()), squares=None)
-    assert reasons_of(judge, final, SimpleNamespace(), Explained(0.0, 0.0, 0.99 * counts)) == []  # type: ignore[arg-type]
+    final: Any = SimpleNamespace(hypothesis=Hypothesis((), ()))
+    part: Any = SimpleNamespace(problem=problem)
+    rest: Any = dict.fromkeys(("path", "base", "rivals", "explained", "closest", "offer", "residual_before", "residual_after"))
+    for left, unknown in ((0.99 * counts, False), (1.01 * counts, True)):
+        found = Finding(part=part, final=final, named=[], left=left, unknown=True, reasons=["so"], judge=judge, **rest)
+        assert forgiven(found).unknown == unknown and bool(forgiven(found).reasons) == unknown

@@ -499,7 +499,8 @@ def test_gauge_changes_what_is_reported_and_can_be_undone() -> None:
     for effect in (PressureSensor(gain=1.1, offset=0.03), PressureSensor(gain=0.9, offset=0.0, chamber=2)):
         motion, bare = move([effect, Lag(0.1, 0.1)], pressure), move([Lag(0.1, 0.1)], pressure)
         np.testing.assert_array_equal(motion.position, bare.position)
-        np.testing.assert_allclose(effect.undo(ROBOT, motion.pressure, np.ones((len(motion.pressure), 1))), bare.pressure, atol=1e-9)
+        always = np.ones((len(motion.pressure), 1))
+        np.testing.assert_allclose(effect.undo(ROBOT, motion.pressure, always), bare.pressure, atol=1e-9)
         shown = effect.gain * bare.pressure[:, 2] + effect.offset * FULL
         np.testing.assert_allclose(motion.pressure[:, 2], shown, atol=1e-9)
 

@@ -94,7 +94,7 @@ def test_sums_of_programs_add_up_and_more_rows_never_bring_rivals_closer() -> No
 def test_a_hypothesis_finds_itself() -> None:
     lag = rival("lag")
     target = responses([lag.at(lag.point)], wave(), SENSING)[0]
-    start = lag.point + np.array([0.3, -0.3, 0.2, 0.0, 0.0, 0.1, 0.0])
+    start = lag.point + np.array([0.3, -0.3, 0.2, 0.0, 0.0, 0.1])
     point, left = refitted(lag, start, target, wave(), SENSING, 20)
     np.testing.assert_allclose(point[:2], lag.point[:2], atol=0.02)
     assert left < 0.02 * np.linalg.norm(responses([lag.at(start)], wave(), SENSING)[0] - target)

@@ -122,7 +122,7 @@ def reasons_of(judge: Judge, final: Trial, offer: Offer, explained: Explained) -
     without physics excuses nothing. What holds for the runs of the fit alone is not understood.
     """
     left = explained.left
-    if left <= judge.form:
+    if left <= judge.material:
         return []
     mostly = explained.of_all >= judge.thresholds.explained_share
     if left > (LOUD_BESIDE if mostly else LOUD) * judge.travel:
