@@ -125,15 +125,15 @@ class Assembly:
         ArtifactError : it was found with a simulator that has others
         """
         found = self._artifact(Diagnosis)
-        if found.simulator_name == type(simulator).__name__:
-            return simulator.with_parameters(**found.simulator_parameters)
-        lacking = sorted(set(found.simulator_parameters) - set(simulator.parameters))
-        if lacking:
-            raise ArtifactError(
-                f"the diagnosis was made with {found.simulator_name} and gives its {', '.join(lacking)}, which "
-                f"{type(simulator).__name__} does not have; choose that simulator (simulator=...), or diagnose with this one"
-            )
-        log.warning("the diagnosis was made with %s, and corrects %s here", found.simulator_name, type(simulator).__name__)
+        made_with, here = found.simulator_name, type(simulator).__name__
+        if made_with != here:
+            lacking = sorted(set(found.simulator_parameters) - set(simulator.parameters))
+            if lacking:
+                raise ArtifactError(
+                    f"the diagnosis was made with {made_with} and gives its {', '.join(lacking)}, which {here} does not have; "
+                    "choose that simulator (simulator=...), or diagnose with this one"
+                )
+            log.warning("the diagnosis was made with %s, and corrects %s here", made_with, here)
         return simulator.with_parameters(**found.simulator_parameters)
 
     def _recordings(self, optional: bool) -> RecordingSet | None:

@@ -124,6 +124,5 @@ class Diagnosis(Artifact):
 
 def late(delay_s: float) -> list[dict[str, Any]]:
     """Return the entries of ``Diagnosis.corrections`` for a log by which commands act ``delay_s`` late; none for one on time."""
-    pieces = max(math.ceil(delay_s / LONGEST_S), 1)
-    each = {"name": "dead_time", "chamber": -1, "parameters": {"delay_s": delay_s / pieces}}
-    return [each] * pieces if delay_s > 0.0 else []
+    pieces = math.ceil(delay_s / LONGEST_S)
+    return [{"name": "dead_time", "chamber": -1, "parameters": {"delay_s": delay_s / pieces}} for _ in range(pieces)]

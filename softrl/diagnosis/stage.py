@@ -31,7 +31,6 @@ from softrl.diagnosis.judging.join import joined, put_together
 from softrl.diagnosis.judging.locate import corrected, locate
 from softrl.diagnosis.judging.own import differing, told_of
 from softrl.diagnosis.judging.parts import both_at_once, floor_in_bin, part_behind, punctual, valve_part
-from softrl.diagnosis.judging.verdict import forgiven
 from softrl.diagnosis.telling.conclusion import cannot_tell, conclude
 from softrl.diagnosis.telling.figures import draw_all
 from softrl.diagnosis.telling.report import page
@@ -130,8 +129,7 @@ def diagnose(
     if isinstance(found, Refusal):
         return cannot_tell(found, robot.name, type(simulator).__name__), None
     diagnosis, evidence = _diagnosed(config, robot, found, simulator, calibration)
-    open_ = evidence is not None and (diagnosis.verdict == "unknown" or any(part.unknown for part in evidence.findings))
-    odd = differing(evidence.findings[-1], found.used) if evidence and open_ else []
+    odd = differing(evidence.findings[-1], found.used) if evidence and diagnosis.verdict == "unknown" else []
     if not odd:
         return diagnosis, evidence
     log.info("%s", told_of(odd))
@@ -160,7 +158,7 @@ def _diagnosed(
     if calibration is not None:
         add_calibrated(whole, data, calibration, models["retuned"], judged, config.search)
     located = [f for part in findings for f in _locate(part)]
-    diagnosis = conclude(data, whole, [forgiven(finding) for finding in findings], models, judged, corrected(located))
+    diagnosis = conclude(data, whole, findings, models, judged, corrected(located))
     if calibration is not None:
         diagnosis = with_map(diagnosis, calibration)
     return diagnosis, Evidence(whole.on(data.heldout), findings, judged["heldout"])

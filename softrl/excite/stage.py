@@ -164,14 +164,15 @@ def write_commands(folder: Path, robot: Robot, excitation: Excitation, runs: int
     ConfigError
         If the folder holds another dataset, or commands beside which something was recorded.
     """
-    if (folder / DATASET).is_file() and "planned_by" not in (folder / DATASET).read_text():
+    ours = (folder / DATASET).is_file()
+    if ours and "planned_by" not in (folder / DATASET).read_text():
         raise ConfigError(f"out={folder} holds a dataset that was not planned by stage=excite; choose another folder")
     earlier = sorted(folder.glob("*.csv"))
     for path in earlier:
         measured = [name for name in path.read_text().partition("\n")[0].split(",") if name != "time_s" and "_cmd_" not in name]
         if measured:
             raise ConfigError(f"out={folder}: {path.name} holds more than commands ({measured[0]}); choose another folder")
-    for path in earlier:
+    for path in earlier if ours else ():
         path.unlink()
     named = [
         Recording(f"excite_{k + 1}", f"session_{k + 1}", excitation.time, excitation.pressure) for k in range(runs)

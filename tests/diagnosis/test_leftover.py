@@ -11,9 +11,7 @@ from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis
 from softrl.diagnosis.fitting.judge import Judge
 from softrl.diagnosis.fitting.problem import Residual
 from softrl.diagnosis.judging import leftover
-from softrl.diagnosis.judging.examine import Finding
 from softrl.diagnosis.judging.leftover import Explained, pieces_of_course, reasons_of
-from softrl.diagnosis.judging.verdict import forgiven
 from softrl.pcc.simulator import PccSimulator
 from tests.diagnosis.conftest import configured
 
@@ -34,7 +32,7 @@ def test_structure_that_is_plainly_left_is_told_unless_nearly_all_is_explained(
     name: str, of_all: float, left: float, uneven: bool, unknown: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     judge: Any = SimpleNamespace(
-        material=1.0, form=1.0, travel=200.0, thresholds=SimpleNamespace(explained_share=0.75), excess=np.sqrt
+        material=1.0, travel=200.0, thresholds=SimpleNamespace(explained_share=0.75), excess=np.sqrt
     )
     offer: Any = SimpleNamespace(pays=False, fitted=left**2)
     final: Any = SimpleNamespace(hypothesis=Hypothesis((Choice(name),), ()), squares=None)
@@ -48,7 +46,7 @@ def test_what_holds_for_the_runs_of_the_fit_alone_is_not_understood(
     fitted: float, left: float, unknown: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     judge: Any = SimpleNamespace(
-        material=1.0, form=1.0, travel=200.0, thresholds=SimpleNamespace(explained_share=0.75), excess=np.sqrt
+        material=1.0, travel=200.0, thresholds=SimpleNamespace(explained_share=0.75), excess=np.sqrt
     )
     monkeypatch.setattr(leftover, "_drives", lambda *_: [])
     monkeypatch.setattr(leftover, "heldout_residual", lambda *_: None)
@@ -90,7 +88,7 @@ def test_a_valve_that_sticks_for_moments_is_unknown_and_noise_of_as_much_error_i
     rms = float(np.sqrt(residual.squares.mean()))
     left = 2.6  # times what counts, of which little is below the noise
     judge: Any = SimpleNamespace(
-        problem=None, material=rms / left, form=rms / left, travel=200.0 * rms / left, seed=seed, floor=np.inf,
+        problem=None, material=rms / left, travel=200.0 * rms / left, seed=seed, floor=np.inf,
         thresholds=SimpleNamespace(explained_share=0.75),
         rms=lambda squares: float(np.sqrt(np.mean(squares))), excess=np.sqrt,
     )  # fmt: skip
@@ -114,7 +112,7 @@ def test_what_is_left_is_no_noise_where_it_is_loud_beside_the_motion(
     monkeypatch.setattr(leftover, "_drives", lambda _: [])
     monkeypatch.setattr(leftover, "heldout_residual", lambda *_: None)
     thresholds = SimpleNamespace(explained_share=0.75)
-    judge: Any = SimpleNamespace(material=1.0, form=1.0, travel=200.0, excess=np.sqrt, thresholds=thresholds)
+    judge: Any = SimpleNamespace(material=1.0, travel=200.0, excess=np.sqrt, thresholds=thresholds)
     final: Any = SimpleNamespace(hypothesis=Hypothesis((Choice("tube_line"),), ()), squares=None)
     offer: Any = SimpleNamespace(pays=False, fitted=left**2)
     reasons = reasons_of(judge, final, offer, Explained(0.98, of_all, left))
@@ -145,9 +143,3 @@ def test_a_lumped_body_may_leave_more_than_one_that_was_made_from_a_mesh(
     problem: Any = SimpleNamespace(target=target, simulator=body if lumped else None)
     judge = Judge(problem, floor=1e-5, travel=1.0, thresholds=configured().thresholds, seed=0)
     assert judge.form == pytest.approx(counts) and judge.material == pytest.approx(0.005)
-    final: Any = SimpleNamespace(hypothesis=Hypothesis((), ()))
-    part: Any = SimpleNamespace(problem=problem)
-    rest: Any = dict.fromkeys(("path", "base", "rivals", "explained", "closest", "offer", "residual_before", "residual_after"))
-    for left, unknown in ((0.99 * counts, False), (1.01 * counts, True)):
-        found = Finding(part=part, final=final, named=[], left=left, unknown=True, reasons=["so"], judge=judge, **rest)
-        assert forgiven(found).unknown == unknown and bool(forgiven(found).reasons) == unknown

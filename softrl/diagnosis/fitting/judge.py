@@ -30,7 +30,7 @@ class Thresholds:
     Attributes
     ----------
     material_share : of the travel (rms about its mean) of what is measured: less would not be noticed
-    body_share : of the travel: as much a lumped body may leave of a robot that is no even rod, and no effect is missing for it
+    body_share : of the travel: as much a lumped body may leave of a robot that is no even rod; it is told, no verdict changes
     material_gain : an addition must lower the error above the noise floor by this share
     noise_share : an addition must remove at least this share of the rms that stays, which noise of any colour is part of
     explained_share : share of the squared error that can be explained which named effects must explain together

@@ -1,12 +1,10 @@
 """The verdict of a diagnosis: nothing missing, named, indistinguishable, or unknown."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from softrl.diagnosis.judging.examine import Finding
-from softrl.diagnosis.judging.leftover import pieces_of_course, varies
 
 AS_GOOD = 1.05  # times the retuned error: nothing was gained
 
@@ -38,17 +36,6 @@ def explains(valve: Finding, heldout: dict[str, float]) -> bool:
     """Return whether the correction explains from the command what effects should, though its ``valve`` is not understood."""
     retuned, corrected = (max(heldout[name] ** 2 - heldout["noise_floor"] ** 2, 0.0) for name in ("retuned", "corrected"))
     return retuned - corrected >= valve.judge.thresholds.explained_share * retuned
-
-
-def forgiven(finding: Finding) -> Finding:
-    """Return the finding, no longer unknown where what is left may be the body's own form; all that could be asked was.
-
-    Unless numbers of the effects named follow the pressures, or these are pieces of a course of time.
-    """
-    final, judge = finding.final, finding.judge
-    if not finding.unknown or finding.left > judge.form or pieces_of_course(final.hypothesis.effects):
-        return finding
-    return finding if varies(finding.part.problem, judge, final) else replace(finding, unknown=False, reasons=[])
 
 
 def alternatives(finding: Finding) -> list[str]:

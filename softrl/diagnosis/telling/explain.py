@@ -120,19 +120,19 @@ def _rival_sentence(rival: dict[str, Any]) -> str:
     )
 
 
-def _little(finding: Finding) -> str:
-    """Return in words what is left for no reason."""
+def _little(finding: Finding) -> list[str]:
+    """Return in words that the body itself may leave as much, if it may."""
     judge = finding.judge
-    if finding.left <= UNEVEN_FACTOR * judge.material:
-        return "a detail of the body may leave as much"
-    return f"{finding.left / judge.travel:.1%} of the motion, {OWN_FORM}" if finding.left <= judge.form else UNTOLD
+    if finding.left <= UNEVEN_FACTOR * judge.material and not finding.reasons:
+        return ["a detail of the body may leave as much"]
+    return [f"{finding.left / judge.travel:.1%} of the motion, {OWN_FORM}"] if finding.left <= judge.form else []
 
 
 def _but(findings: Sequence[Finding], verdict: str) -> str:
     """Return what a verdict of nothing missing leaves open, where more stays than a detail of the body would."""
     if verdict != "nothing missing" or all(f.left <= UNEVEN_FACTOR * f.judge.material for f in findings):
         return ""
-    if all(f.left <= f.judge.form for f in findings):
+    if all(f.left <= max(f.judge.form, UNEVEN_FACTOR * f.judge.material) for f in findings):
         return f" What stays is {findings[-1].left / findings[-1].judge.travel:.1%} of the motion, {OWN_FORM}."
     return " But more stays than white noise, and no test tells whether it is slow noise of the sensor or something else."
 
@@ -218,5 +218,5 @@ def _left_sentence(finding: Finding) -> str:
         if offer.pays
         else ""
     )
-    why = f" ({'; '.join(finding.reasons) or _little(finding)})"
+    why = f" ({'; '.join([*finding.reasons, *_little(finding)]) or UNTOLD})"
     return f"{finding.part.title}: {factor * finding.left:.3g} {unit} above the noise stay unexplained{why}{closest}.{more}"
