@@ -16,13 +16,13 @@ from softrl.diagnosis.checks.frames import in_other_frames
 from softrl.diagnosis.checks.mistaken import mistaken
 from softrl.diagnosis.checks.prelude import preludes
 from softrl.diagnosis.checks.quality import mixed
-from softrl.diagnosis.checks.reach import as_it_stands, stands_for_length
 from softrl.diagnosis.fitting.hypothesis import Hypothesis
 from softrl.diagnosis.fitting.judge import Judge, Thresholds
 from softrl.diagnosis.fitting.problem import Numerics, Problem
 from softrl.diagnosis.fitting.step import suited
 from softrl.diagnosis.fitting.trial import Search
 from softrl.diagnosis.judging.along import along_the_body
+from softrl.diagnosis.judging.another_body import with_another_body
 from softrl.diagnosis.judging.clock import sent_later
 from softrl.diagnosis.judging.compete import add_calibrated, competitors, judged_on, with_map
 from softrl.diagnosis.judging.correct import Traces, share_closed
@@ -40,7 +40,6 @@ from softrl.recordings.recording import RecordingSet
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
-PLAINER = 1.2  # times the error that a body of another length may leave, where fewer effects are named with it
 
 
 @dataclass(frozen=True)
@@ -150,7 +149,11 @@ def _diagnosed(
     apart = _contradiction(whole, found)
     if apart:
         return cannot_tell(Refusal(data.check, apart), robot.name, type(simulator).__name__), None
-    whole, findings = _as_long(config, whole, data, found, _examine(config, whole, data, found))
+
+    def examined(problem: Problem, known: list[Finding]) -> list[Finding]:
+        return _examine(config, problem, data, found, known)
+
+    whole, findings = with_another_body(whole, data, examined(whole, []), examined, config.search)
     whole = put_together(whole, findings)
     findings = joined(whole.on(data.training), findings, config.search, config.thresholds)
     models = competitors(config.search, whole.on(data.training), findings)
@@ -198,45 +201,15 @@ def _contradiction(whole: Problem, data: Data) -> str | None:
     return mistaken(runs, made, whole.robot) or mixed(data.training, made[: len(data.training)], whole.robot)
 
 
-def _examine(config: Config, whole: Problem, data: Data, full: Data) -> list[Finding]:
+def _examine(config: Config, whole: Problem, data: Data, full: Data, known: list[Finding]) -> list[Finding]:
     """Return the findings of valve and body apart where pressure is measured, else of the whole pipeline.
 
-    The valve alone is simulated in no time, so that its fits see the ``full`` length of the runs.
+    The valve alone is simulated in no time, so that its fits see the ``full`` length of the runs. Its finding may be ``known``.
     """
     if not (data.pressure and config.measured_pressure):
         return [_look(config, both_at_once(whole, data, config.effects))]
-    valve = punctual(_look(config, valve_part(whole, full, config.effects)))
+    valve = known[0] if known else punctual(_look(config, valve_part(whole, full, config.effects)))
     return [valve, _look(config, part_behind(valve, whole, data, config.effects))]
-
-
-def _as_long(
-    config: Config, whole: Problem, data: Data, full: Data, findings: list[Finding]
-) -> tuple[Problem, list[Finding]]:
-    """Return the problem and the findings, with the length that the tip at rest tells where that does as well as what was found.
-
-    Only where a shift along the body was found, which a length said wrongly looks like; so may a load that presses the body.
-    """
-    body, last = as_it_stands(whole.simulator, data.training, whole.robot), findings[-1]
-    found = [*last.path.best.hypothesis.effects, *(named.choice for named in last.named)]
-    if whole.register or body is whole.simulator or not any(stands_for_length(choice) for choice in found):
-        return whole, findings
-    log.info("the body is examined again as long as its tip at rest tells: a length said wrongly may be what was found")
-    other = replace(whole, simulator=body)
-    again = _examine(config, other, data, full)
-    return (other, again) if _as_well(again[-1], last) else (whole, findings)
-
-
-def _as_well(again: Finding, last: Finding) -> bool:
-    """Return whether a body of another length does as well as what was ``last`` found.
-
-    With fewer effects it may err a little more: a shift along the body is another number that a fit may bend.
-    """
-    if (again.unknown and not last.unknown) or len(again.named) > len(last.named):
-        return False
-    if len(again.named) == len(last.named):
-        return not last.judge.tells(again.final.squares, last.final.squares)
-    errs, erred = (float(last.judge.excess(found.final.mean_square)) for found in (again, last))
-    return errs <= max(PLAINER * erred, erred + last.judge.material)
 
 
 def _look(config: Config, part: Part) -> Finding:

@@ -16,6 +16,7 @@ from softrl.pcc.pose import tip_orientation, tip_position
 from softrl.robots.robot import Robot
 
 LENGTH = "length_scale"
+TAPER = "stiffness_base_to_tip"
 INEXTENSIBLE = 1e-5  # elongation that stands for none
 QUASI_STATIC_S = 1e12  # one implicit step of this length is an equilibrium
 _NONE = pack(())
@@ -45,9 +46,10 @@ class PccSimulator:
     bending_stiffness_scale, axial_stiffness_scale : of the stiffnesses that follow from the two numbers above
     damping_s : damping over stiffness: the time constant with which a massless body settles
     mass_scale : of ``robot.mass_kg``
-    stiffness_base_to_tip : bending stiffness at the base over that at the tip, between which it changes evenly; not retuned
+    stiffness_base_to_tip : bending stiffness at the base over that at the tip, between which it changes evenly
     length_scale : of ``robot.length_m``; not retuned, but a diagnosis sets it where the tip at rest tells another length
     end_mass_kg : how much of ``robot.mass_kg`` sits at the tip (an end plate, markers); the rest lies evenly along the body
+    retune_taper : whether ``stiffness_base_to_tip`` is retuned with the others; a diagnosis tries that where nothing else fits
 
     Notes
     -----
@@ -75,6 +77,7 @@ class PccSimulator:
     stiffness_base_to_tip: float = 1.0
     length_scale: float = 1.0
     end_mass_kg: float = 0.0
+    retune_taper: bool = False
 
     def __post_init__(self) -> None:
         if self.robot.axis != "+z":
@@ -89,7 +92,7 @@ class PccSimulator:
             raise ConfigError(
                 f"simulator.elongation_at_full_pressure={self.elongation_at_full_pressure:g} must not be negative"
             )
-        for name in ("bend_at_full_pressure_rad", "stiffness_base_to_tip", LENGTH, *self._tunable):
+        for name in ("bend_at_full_pressure_rad", TAPER, LENGTH, *self._tunable):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise ConfigError(f"simulator.{name}={getattr(self, name):g} must be positive")
         if not 0.0 <= self.end_mass_kg < self.robot.mass_kg:
@@ -101,7 +104,8 @@ class PccSimulator:
     def _tunable(self) -> tuple[str, ...]:
         stretches = self.robot.chambers > 1 and self.elongation_at_full_pressure > 0.0
         axial = ("axial_stiffness_scale",) if stretches else ()
-        return ("bending_stiffness_scale", *axial, "damping_s", "mass_scale")
+        taper = (TAPER,) if self.retune_taper else ()
+        return ("bending_stiffness_scale", *axial, "damping_s", "mass_scale", *taper)
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -109,8 +113,8 @@ class PccSimulator:
         return {name: getattr(self, name) for name in self._tunable}
 
     def with_parameters(self, **values: float) -> "PccSimulator":
-        """Return a copy with some tunable parameters, or its length, replaced."""
-        unknown = set(values) - {LENGTH, *self._tunable}
+        """Return a copy with some tunable parameters, its length, or its taper replaced."""
+        unknown = set(values) - {LENGTH, TAPER, *self._tunable}
         if unknown:
             raise ConfigError(
                 f"simulator pcc has no parameter {', '.join(sorted(unknown))}; it has {', '.join(self._tunable)}"

@@ -10,6 +10,7 @@ from softrl.diagnosis.checks.data import Data, Refusal
 from softrl.diagnosis.checks.reach import of_other_length, taken_length, told_of_length
 from softrl.diagnosis.checks.response import step_responses
 from softrl.diagnosis.fitting.problem import Problem
+from softrl.diagnosis.judging.another_body import told_of_taper
 from softrl.diagnosis.judging.correct import Model, Traces, errors, in_mm
 from softrl.diagnosis.judging.examine import Finding
 from softrl.diagnosis.judging.verdict import verdict_of
@@ -69,8 +70,8 @@ def conclude(
     read = responses.sentence()
     wander = wandering_zeros(findings[0]) if len(findings) > 1 else []
     verdict_first, *others = sentences(made, findings)
-    length = told_of_length(whole.simulator, robot)
-    return replace(made, sentences=[verdict_first, *length, *others, *wander, *([read] if read else [])])
+    form = told_of_length(whole.simulator, robot) + told_of_taper(whole.simulator, made.simulator_parameters)
+    return replace(made, sentences=[verdict_first, *form, *others, *wander, *([read] if read else [])])
 
 
 def cannot_tell(refusal: Refusal, robot_name: str, simulator_name: str) -> Diagnosis:

@@ -1,0 +1,53 @@
+"""A body whose stiffness changes along it, where the simulator's is even: no physics is named for it, and what is hidden is told."""
+
+from dataclasses import replace
+
+import pytest
+
+from softrl.artifacts.diagnosis import Diagnosis
+from softrl.core.tracking import NullTracker
+from softrl.diagnosis.stage import run
+from softrl.effects.effect import Effect
+from softrl.effects.lag import Lag
+from softrl.pcc.simulator import PccSimulator
+from tests.diagnosis.conftest import configured, made
+
+FEW = {"candidates": ["lag", "frame", "marker_offset", "offset", "payload", "strain_stiffening"], "search": {"keep": 3}}
+
+
+@pytest.fixture
+def soft(body: PccSimulator) -> PccSimulator:
+    """Return an even body that weight bends: its taper is plain to see."""
+    return replace(body, robot=replace(body.robot, gravity_m_s2=(9.81, 0.0, 0.0)), bend_at_full_pressure_rad=1.2)
+
+
+def diagnosed(soft: PccSimulator, ratio: float, *hidden: Effect) -> Diagnosis:
+    recordings = made(replace(soft, stiffness_base_to_tip=ratio), hidden, sessions=4)
+    return run(configured(**FEW), soft.robot, recordings, soft, tracker=NullTracker())
+
+
+def of_noise(found: Diagnosis) -> float:
+    return float(found.errors_mm["heldout"]["corrected"] / found.errors_mm["heldout"]["noise_floor"])
+
+
+@pytest.mark.parametrize("ratio", [1.6, 0.7])
+def test_a_taper_is_no_missing_physics(soft: PccSimulator, ratio: float) -> None:
+    found = diagnosed(soft, ratio)
+    assert found.verdict == "nothing missing" and of_noise(found) < 1.1, found.sentences
+    assert found.simulator_parameters["stiffness_base_to_tip"] == pytest.approx(ratio, rel=0.02)
+    assert "let change along it" in found.sentences[1]
+
+
+def test_behind_a_taper_a_lag_is_told_with_the_mass_that_the_body_has(soft: PccSimulator) -> None:
+    found = diagnosed(soft, 1.6, Lag(fill_s=0.2, vent_s=0.3))
+    assert [effect["name"] for effect in found.effects] == ["lag"] and of_noise(found) < 1.1, found.sentences
+    assert found.simulator_parameters["stiffness_base_to_tip"] == pytest.approx(1.6, rel=0.02)
+    assert found.simulator_parameters["mass_scale"] == pytest.approx(1.0, abs=0.02)
+    told = found.effects[0]["parameters"]
+    assert told["fill_s"]["value"] == pytest.approx(0.2, abs=0.005) and told["vent_s"]["value"] == pytest.approx(0.3, abs=0.005)
+
+
+def test_an_even_body_keeps_its_form(soft: PccSimulator) -> None:
+    found = diagnosed(soft, 1.0, Lag(fill_s=0.2, vent_s=0.3))
+    assert "stiffness_base_to_tip" not in found.simulator_parameters
+    assert [effect["name"] for effect in found.effects] == ["lag"] and of_noise(found) < 1.1, found.sentences
