@@ -22,6 +22,7 @@ from softrl.effects.effect import (
     TIP_VELOCITY,
     UNEVEN,
 )
+from softrl.pcc.inertia import add_inertia
 from softrl.pcc.model import LAST, MOVED, SEEN, VELOCITY, fill_shape, stretching
 from softrl.pcc.pose import squared_bend, stumpff, tip_motion, work_of_loads
 
@@ -133,11 +134,12 @@ def fill_residual(
         gained[i] = (rate[i] - work[VELOCITY, i]) * per_s
     _fill_loads(y, rate, per_s, tip_force, model, hooks[1], ports)
     for i in range(m):
-        out[i] = model.stiffness[i] * y[i] + model.damping[i] * rate[i] + model.inertia[i] * gained[i] - loads[i]
+        out[i] = model.stiffness[i] * y[i] + model.damping[i] * rate[i] - loads[i]
+    add_inertia(y, rate, gained, out, model.inertia, model.order)
     for i in range(m - first):
         k = first + i
-        out[i] += model.crossed * gained[k] + model.skewed * y[k] + model.skewed_damping * rate[k]
-        out[k] += model.crossed * gained[i] + model.skewed * y[i] + model.skewed_damping * rate[i]
+        out[i] += model.skewed * y[k] + model.skewed_damping * rate[k]
+        out[k] += model.skewed * y[i] + model.skewed_damping * rate[i]
     for i in range(first):
         for k in range(len(pressure)):
             out[i] -= push[i, k] * pressure[k]

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softrl.core.compiled import summing
+from softrl.pcc.inertia import Inertia
 
 
 class Model(NamedTuple):
@@ -13,8 +14,8 @@ class Model(NamedTuple):
     Attributes
     ----------
     plane : (2,), that of a robot with one chamber
-    stiffness, damping, inertia : (m,) J, J s, J s^2, of each coordinate
-    crossed : J s^2, inertia that bend and loss of curvature share
+    stiffness, damping : (m,) J, J s, of each coordinate
+    inertia : see ``Inertia``
     skewed, skewed_damping : J and J s, stiffness and damping that they share where the stiffness changes along the body
     push : (stretching, chambers) J/Pa, work of the pressures on the coordinates that stretch chambers
     to_strain : (chambers, stretching), strains of those coordinates
@@ -30,8 +31,7 @@ class Model(NamedTuple):
     plane: np.ndarray
     stiffness: np.ndarray
     damping: np.ndarray
-    inertia: np.ndarray
-    crossed: float
+    inertia: Inertia
     skewed: float
     skewed_damping: float
     push: np.ndarray

@@ -10,6 +10,7 @@ import numpy as np
 from softrl.core.errors import ConfigError, SolverError
 from softrl.core.simulator import Hook, Motion
 from softrl.effects.call import Calls, pack, unpack
+from softrl.pcc.inertia import inertia_of
 from softrl.pcc.kernel import run_kernel
 from softrl.pcc.model import Model, fill_shape
 from softrl.pcc.pose import tip_orientation, tip_position
@@ -166,10 +167,8 @@ class PccSimulator:
         mass, uneven = self.mass_scale * r.mass_kg - end, self._uneven
         bending, _, axial = self.stiffness
         stiffness = np.array([bending, bending, axial, bending / 3.0, bending / 3.0])
-        inertia = mass * np.array([1 / 20, 1 / 20, 4.0 / np.pi**2, 13 / 1260, 13 / 1260])
-        inertia = length**2 * (inertia + end * np.array([1 / 4, 1 / 4, 1.0, 1 / 36, 1 / 36]))
         if r.chambers == 1:
-            stiffness, inertia = stiffness[[0, 3]], inertia[[0, 3]]
+            stiffness = stiffness[[0, 3]]
         work = r.chamber_area_m2 * length  # of a pascal over a strain of 1
         to_elastic = np.ascontiguousarray(to_moving.T * stiffness[: len(to_moving)] / work)
         gravity = np.array(r.gravity_m_s2, dtype=float)
@@ -177,8 +176,7 @@ class PccSimulator:
             plane=plane,
             stiffness=stiffness,
             damping=self.damping_s * stiffness,
-            inertia=inertia,
-            crossed=length**2 * (mass / 45.0 + end / 12.0),
+            inertia=inertia_of(length, mass, end),
             skewed=float(bending / 3.0 * uneven),
             skewed_damping=float(self.damping_s * bending / 3.0 * uneven),
             push=np.ascontiguousarray(work * to_strain.T),

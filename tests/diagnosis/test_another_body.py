@@ -1,4 +1,4 @@
-"""A body whose stiffness changes along it, where the simulator's is even: no physics is named for it, and what is hidden is told."""
+"""A body whose stiffness changes along it, where the simulator's is even: no physics is named for it."""
 
 from dataclasses import replace
 
