@@ -62,8 +62,8 @@ class PccSimulator:
     clamp gives, bends unevenly under pressure, too. Small bends of an even body under any loads across then move the tip as
     those of Euler and Bernoulli's rod do, exactly (``F L^3 / (3 E I)`` for a force at the tip), and its swing has the first
     frequency of that rod to 0.5 %, with a mass at its end or without. Of ``c``, first-order terms count, and its square along
-    the axis. Inertia is that of an evenly loaded rod that is slightly bent so, along the axis that of its first mode, and is
-    held constant: centrifugal terms are left out. The length at rest already includes the axial weight. A robot with one
+    the axis. Inertia is that of an evenly loaded rod that is bent so, along the axis that of its first mode, and changes with the
+    shape, see ``inertia``. The length at rest already includes the axial weight. A robot with one
     chamber bends in its plane and does not elongate. Effects of the wall are evaluated at a chamber's mean strain, so that one
     which creeps or slips resists ``c`` as it does without; one that is stiffer does so by as much (``UNEVEN``).
     """
