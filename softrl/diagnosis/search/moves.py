@@ -10,6 +10,7 @@ from softrl.diagnosis.fitting.hypothesis import Choice, Gate, Hypothesis, effect
 from softrl.diagnosis.fitting.judge import SHOWN, SHOWN_BESIDE, Judge
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.fitting.trial import Search, Trial, as_nominal, columns_of, drop, join, raced
+from softrl.diagnosis.search.moment import at_its_moment
 from softrl.diagnosis.search.path import Path
 from softrl.diagnosis.search.rank import LEAD_GAIN, LEAD_SHARE, Lead, form_of, rank
 from softrl.diagnosis.search.slim import slim
@@ -72,6 +73,7 @@ def addition(
     best = judge.simplest(paying or every)
     slimmer = _as_few(fitting, judge, paying, best, search, path)
     best = next((trial for trial in slimmer if judge.takes_over(trial, best)), best)
+    best = at_its_moment(fitting, best, search)
     whole = [trial.hypothesis.effects[-1]._replace(pinned=()) for trial in slimmer]
     trials = slimmer + [trial for trial in trials if trial.hypothesis.effects[-1] not in whole]
     for old, new in zip(current.hypothesis.effects, best.hypothesis.effects[:-1], strict=True):
