@@ -18,6 +18,7 @@ from softrl.pcc.model import GAINED, LAST, MOVED, TRIAL, VELOCITY, WORK_ROWS, fi
 from softrl.pcc.newton import solve_step
 from softrl.pcc.pose import squared_bend, stumpff, tip_orientation, tip_position
 
+REFRESHED = 16  # steps after which a Jacobian that was corrected on the way is made anew: inertia changes with the shape
 STAGE = 1.0 - math.sqrt(0.5)  # share of a step that each of its two stages takes
 
 
@@ -61,6 +62,8 @@ def _advance(
     stage_s, rest_s = STAGE * dt, (1.0 - STAGE) * dt
     per_s = 1.0 / stage_s
     for k in range(len(pressure)):
+        if k % REFRESHED == 0:
+            inverse[0, 0] = 0.0
         for i in range(m):
             work[LAST, i], work[VELOCITY, i] = y[i], velocity[i]
             work[TRIAL, i] = y[i] + stage_s * (velocity[i] + stage_s * work[GAINED, i])

@@ -9,8 +9,9 @@ from softrl.effects.effect import ADDED_SLOPE
 from softrl.pcc.forces import fill_residual
 from softrl.pcc.model import MOVED, NEXT, OTHER, RESIDUAL, SEEN, STEP, TRIAL, stretching
 
-TOLERANCE = 5e-12  # rad or strain: a picometre at the tip of most robots
+TOLERANCE = 3e-11  # rad or strain: some picometres at the tip of most robots
 ACCEPTED = 1e-7  # at a kink of friction or contact: 20 nm at the tip of a robot of 0.2 m
+CAUTION = 10.0  # times as slowly as the last step shrank, the next may shrink: the inertia changes with the shape
 MAX_ITERATIONS = 60
 QUICK = 8  # steps with a Jacobian that is corrected on the way, before a careful search begins
 NUDGE = 1e-7  # of a coordinate, for the Jacobian by differences
@@ -93,7 +94,7 @@ def _quick(
         after = _newton_step(order, inverse, residual, following)
         if not after < 0.5 * size and after >= TOLERANCE:
             return False
-        if after < TOLERANCE or after * after < TOLERANCE * (size - after):
+        if after < TOLERANCE or CAUTION * after * after < TOLERANCE * (size - after):
             for i in range(m):
                 trial[i] += following[i]
             return True
