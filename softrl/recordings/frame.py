@@ -3,6 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+WRITTEN = 1e-8  # from the norm of one: what the digits of a file leave
+
 
 def axis_vector(axis: str) -> np.ndarray:
     """Return the unit vector (3,) of an axis named ``+x`` .. ``-z``."""
@@ -33,7 +35,8 @@ def turn(rotation: Rotation, quaternion: np.ndarray) -> np.ndarray:
 
 def continuous_quaternion(quaternion: np.ndarray) -> np.ndarray:
     """Return unit quaternions (steps, 4) without jumps of sign, the first one with w >= 0."""
-    unit = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+    norm = np.linalg.norm(quaternion, axis=1, keepdims=True)
+    unit = quaternion / np.where(np.abs(norm - 1.0) < WRITTEN, 1.0, norm)  # a file that is read is written as it was
     agree = np.where(np.sum(unit[1:] * unit[:-1], axis=1) < 0.0, -1.0, 1.0)
     first = -1.0 if unit[0, 0] < 0.0 else 1.0
     return np.asarray(unit * (first * np.concatenate([[1.0], np.cumprod(agree)]))[:, None])
