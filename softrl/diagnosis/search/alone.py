@@ -22,6 +22,7 @@ def alone(fitting: Problem, judge: Judge, search: Search, path: Path) -> Trial |
     if len(trial.hypothesis.effects) < 2:
         return None
     near = {choice: point for effect in trial.hypothesis.effects for choice, point in path.tried.get(effect, [])[: search.rivals]}
+    near |= _mended(trial, fitting)
     body = trial.fit.point[len(trial.fit.point) - len(trial.hypothesis.tuned) :]
     tasks = [
         (Hypothesis((choice,), trial.hypothesis.tuned), np.concatenate([point, body]))
@@ -39,6 +40,21 @@ def alone(fitting: Problem, judge: Judge, search: Search, path: Path) -> Trial |
         return None
     found: Trial = judge.simplest(fewer)
     path.tried[found.hypothesis.effects[0]] = [*others_of(as_good, found), *_former(trial, found.hypothesis.effects[0])]
+    return found
+
+
+def _mended(trial: Trial, fitting: Problem) -> dict[Choice, np.ndarray]:
+    """Return what lasts for ever in ``trial`` as what lasted through a session, where another effect of its chamber tells others.
+
+    A chamber that failed for ever and has another gain on the next day was mended in between.
+    """
+    found = {}
+    for choice in trial.hypothesis.effects:
+        told = {s for other in trial.hypothesis.effects if other.chamber == choice.chamber for s in other.sessions}
+        for session in dict.fromkeys(run.session for run in fitting.runs):
+            if choice.lasting == "ever" and told and session not in told:
+                mine = np.asarray(trial.fit.point[columns_of(trial, choice)])
+                found[choice._replace(lasting="session", sessions=(session,))] = mine
     return found
 
 
