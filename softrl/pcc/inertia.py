@@ -14,25 +14,29 @@ class Inertia(NamedTuple):
 
     Most that moves is moved by ``w = b + with_loss c``. By its square ``W`` the inertia of bending on falls by ``1 + inward W``,
     that of swinging across the plane of the bend by ``1 + across W + across_more W^2``, as those of an arc do: to fourth order
-    in the kinetic energy, and up to a bend of 2 rad to 2 %. Both grow by ``(1 + e)^2``. What swings aside comes down, which adds
-    ``e'`` times ``carried W' / 2``. The kinetic energy is positive up to bends of 4 rad.
+    in the kinetic energy, and up to a bend of 2 rad to 2 %. Both grow by ``(1 + e)^2``. The inertia of ``e``,
+    ``S = beyond + reach / (1 + nearer W + nearer_more W^2)``, falls as a bent arc is nearer to its base, and ``e'`` moves with
+    ``(1 + e) S' / 2``, as where a body is stretched evenly. The kinetic energy is positive in any shape.
 
     Attributes
     ----------
-    bending, loss, axial : J s^2, of ``w``, of ``c`` beside it, and of ``e``
+    bending, loss : J s^2, of ``w``, and of ``c`` beside it
     with_loss : share of ``c`` in ``w``
-    carried : J s^2
     inward, across, across_more : 1/rad^2, 1/rad^2, 1/rad^4
+    reach, beyond : J s^2, of an even stretch, and what that of the first mode along the axis has beyond
+    nearer, nearer_more : 1/rad^2, 1/rad^4
     """
 
     bending: float
     loss: float
-    axial: float
     with_loss: float
-    carried: float
     inward: float
     across: float
     across_more: float
+    reach: float
+    beyond: float
+    nearer: float
+    nearer_more: float
 
 
 def inertia_of(length: float, mass: float, end: float) -> Inertia:
@@ -42,16 +46,19 @@ def inertia_of(length: float, mass: float, end: float) -> Inertia:
     slopes, ``b s + c (s - s^2)``, shorten; the numbers are integrals of that over the body, and what it is at the tip.
     """
     bending, both, loss = mass / 20 + end / 4, mass / 45 + end / 12, mass * 13 / 1260 + end / 36
-    across = (mass / 168 + end / 24) / bending
+    reach = mass / 3 + end
+    across, nearer = (mass / 168 + end / 24) / bending, (mass / 60 + end / 12) / reach
     return Inertia(
         bending=length**2 * bending,
         loss=length**2 * (loss - both**2 / bending),
-        axial=length**2 * (mass * AXIAL + end),
         with_loss=both / bending,
-        carried=-(length**2) * (mass / 60 + end / 12),
         inward=(mass / 504 + end / 72) / bending,
         across=across,
         across_more=across**2 - (mass / 2880 + end / 320) / bending,
+        reach=length**2 * reach,
+        beyond=length**2 * mass * (AXIAL - 1 / 3),
+        nearer=nearer,
+        nearer_more=nearer**2 - (mass / 2520 + end / 360) / reach,
     )
 
 
@@ -70,17 +77,22 @@ def add_inertia(y: np.ndarray, rate: np.ndarray, gained: np.ndarray, out: np.nda
     in_plane, out_of_it = 1.0 + inertia.inward * square, 1.0 + (inertia.across + inertia.across_more * square) * square
     both = 1.0 / (in_plane * out_of_it)
     inward, across = out_of_it * both, in_plane * both
-    # half the energy is (of_across w'^2 + more (w.w')^2) / 2; what of_across falls by, and how more changes, is by the square
+    # the energy is (of_across w'^2 + more (w.w')^2) / 2; how of_across falls and more changes is by the square
     of_across, more = whole * across, whole * both * (inertia.across - inertia.inward + inertia.across_more * square)
     grows = (inertia.across + 2.0 * inertia.across_more * square) * across
     falls, changes = of_across * grows, whole * both * inertia.across_more - more * (inertia.inward * inward + grows)
     outward = more * (speed + pulled) + changes * along * along + falls * speed
     by_rate, scale, down = -2.0 * falls * along, 1.0, 0.0
     if len(order) == 5:
-        scale, faster, down = (1.0 + y[2]) * (1.0 + y[2]), 2.0 * (1.0 + y[2]) * rate[2], inertia.carried * gained[2]
-        out[2] += inertia.axial * gained[2] + inertia.carried * (speed + pulled)
-        out[2] -= (1.0 + y[2]) * (of_across * speed + more * along * along)
-        by_rate, down = scale * by_rate + faster * of_across, down + faster * more * along
+        longer, near = 1.0 + y[2], 1.0 / (1.0 + (inertia.nearer + inertia.nearer_more * square) * square)
+        sinks = (inertia.nearer + 2.0 * inertia.nearer_more * square) * near
+        slope = -inertia.reach * sinks * near  # of S by the square, and how it changes
+        curves = 2.0 * inertia.reach * near * (sinks * sinks - inertia.nearer_more * near)
+        coming = slope * (speed + pulled) + 2.0 * curves * along * along
+        out[2] += (inertia.beyond + inertia.reach * near) * gained[2] + 2.0 * slope * along * rate[2]
+        out[2] += longer * (coming - of_across * speed - more * along * along)
+        scale, faster = longer * longer, 2.0 * longer * rate[2]
+        by_rate, down = scale * by_rate + faster * of_across, longer * slope * gained[2] + faster * more * along
     by_shape = scale * outward + down
     for i in range(bends):
         k = first + i

@@ -58,7 +58,7 @@ def test_an_arcs_inertia_is_right_to_fourth_order_and_near_at_large_bends(end: f
     apart = []
     for amplitude in (1.0, 0.5, 0.25):
         mine, its = (f(*moved(amplitude, 0.0), end)[:3] for f in (force, force_by_numbers))
-        assert np.linalg.norm(mine - its) < 0.025 * np.linalg.norm(its), (amplitude, mine, its)
+        assert np.linalg.norm(mine - its) < 0.004 * np.linalg.norm(its), (amplitude, mine, its)
         apart.append(np.linalg.norm((mine - its)[:2]) / amplitude)
     assert apart[0] > 12.0 * apart[1] > 144.0 * apart[2], apart
 
@@ -77,12 +77,12 @@ def test_inertia_of_large_arcs_in_their_plane_and_across_it(bend: float, within:
 
 
 @pytest.mark.parametrize("end", [0.0, 0.3, 50.0])
-def test_the_energy_of_motion_is_positive_in_any_shape_up_to_bends_of_four_radians(end: float) -> None:
+def test_the_energy_of_motion_is_positive_in_any_shape(end: float) -> None:
     rng, inertia = np.random.default_rng(0), inertia_of(LENGTH, MASS, end)
-    for y in rng.uniform(-1.0, 1.0, (300, 5)) * [2.3, 2.3, 0.25, 1.1, 1.1]:
+    for y in rng.uniform(-1.0, 1.0, (300, 5)) * [9.0, 9.0, 0.25, 3.0, 3.0]:
         matrix = np.stack([force(y, np.zeros(5), turned, end) for turned in np.eye(5)])
         np.testing.assert_allclose(matrix, matrix.T, atol=1e-12 * np.abs(matrix).max())
-        assert np.linalg.eigvalsh(matrix).min() > -1e-12 * inertia.axial, y
+        assert np.linalg.eigvalsh(matrix).min() > -1e-12 * inertia.reach, y
 
 
 def test_forces_do_the_work_that_the_energy_of_motion_gains() -> None:

@@ -82,8 +82,11 @@ def kinetic(inertia: Inertia, y: np.ndarray, rate: np.ndarray) -> float:
     across = inertia.bending / (1.0 + inertia.across * square + inertia.across_more * square**2)
     inward = inertia.bending / (1.0 + inertia.inward * square)
     swung = across * speed + (inward - across) * along**2 / max(square, 1e-300)
-    slight = inertia.loss * rate[3:] @ rate[3:] + inertia.axial * rate[2] ** 2
-    return float(0.5 * ((1.0 + y[2]) ** 2 * swung + slight) + rate[2] * inertia.carried * along)
+    nearer = 1.0 + inertia.nearer * square + inertia.nearer_more * square**2
+    stretch = inertia.beyond + inertia.reach / nearer
+    nears = -2.0 * inertia.reach * (inertia.nearer + 2.0 * inertia.nearer_more * square) / nearer**2 * along
+    slight = inertia.loss * rate[3:] @ rate[3:] + stretch * rate[2] ** 2 + (1.0 + y[2]) * rate[2] * nears
+    return float(0.5 * ((1.0 + y[2]) ** 2 * swung + slight))
 
 
 @pytest.mark.parametrize("x", [0.0, 1e-12, 1e-4, 0.1, 1.0, SERIES_BELOW * 0.999, SERIES_BELOW, 9.0])

@@ -75,7 +75,7 @@ def does_as_well(again: Finding, last: Finding, more: bool) -> bool:
     """Return whether another body does as well as what was ``last`` found.
 
     With fewer effects it may err a little more: a shift along the body is another number that a fit may bend. With as many it has
-    to do better if it has ``more`` parameters.
+    to do better if it has ``more`` parameters. An answer where there was none may name one effect more.
     """
     if again.unknown != last.unknown:
         return last.unknown and len(again.named) <= len(last.named) + 1

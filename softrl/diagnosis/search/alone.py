@@ -1,5 +1,7 @@
 """One effect in the place of all that were found, where it does as well."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis
@@ -12,17 +14,17 @@ from softrl.diagnosis.search.slim import slim
 from softrl.effects.library import effect_class
 
 
-def alone(fitting: Problem, judge: Judge, search: Search, path: Path) -> Trial | None:
+def alone(fitting: Problem, judge: Judge, choices: Sequence[Choice], search: Search, path: Path) -> Trial | None:
     """Return one of the effects that were tried beside others, by itself, where data cannot tell it from all that were found.
 
     Two effects of many parameters may bend together to what one law is, whose fit from afar ended elsewhere. Beside them it was
-    fitted from near by; from there it is fitted without them.
+    fitted from near by; from there it is fitted without them. So is what lasted through one session of the ``choices``.
     """
     trial = path.best
     if len(trial.hypothesis.effects) < 2:
         return None
     near = {choice: point for effect in trial.hypothesis.effects for choice, point in path.tried.get(effect, [])[: search.rivals]}
-    near |= _mended(trial, fitting)
+    near |= _mended(trial, choices)
     body = trial.fit.point[len(trial.fit.point) - len(trial.hypothesis.tuned) :]
     tasks = [
         (Hypothesis((choice,), trial.hypothesis.tuned), np.concatenate([point, body]))
@@ -43,18 +45,20 @@ def alone(fitting: Problem, judge: Judge, search: Search, path: Path) -> Trial |
     return found
 
 
-def _mended(trial: Trial, fitting: Problem) -> dict[Choice, np.ndarray]:
+def _mended(trial: Trial, choices: Sequence[Choice]) -> dict[Choice, np.ndarray]:
     """Return what lasts for ever in ``trial`` as what lasted through a session, where another effect of its chamber tells others.
 
-    A chamber that failed for ever and has another gain on the next day was mended in between.
+    A chamber that failed for ever and has another gain on the next day was mended in between. ``choices`` are the forms that the
+    recordings can show.
     """
     found = {}
-    for choice in trial.hypothesis.effects:
-        told = {s for other in trial.hypothesis.effects if other.chamber == choice.chamber for s in other.sessions}
-        for session in dict.fromkeys(run.session for run in fitting.runs):
-            if choice.lasting == "ever" and told and session not in told:
-                mine = np.asarray(trial.fit.point[columns_of(trial, choice)])
-                found[choice._replace(lasting="session", sessions=(session,))] = mine
+    for old in trial.hypothesis.effects:
+        told = {s for other in trial.hypothesis.effects if other.chamber == old.chamber for s in other.sessions}
+        for form in choices if told and old.lasting == "ever" else ():
+            until = form.lasting == "session" and form.sessions and told.isdisjoint(form.sessions)
+            if until and (form.name, form.chamber) == (old.name, old.chamber):
+                new = old._replace(lasting="session", sessions=form.sessions)
+                found[new] = np.asarray(trial.fit.point[columns_of(trial, old)])
     return found
 
 

@@ -59,7 +59,7 @@ def forward(
         _grow(fitting, judge, choices, search, path, report)
     if _narrow(fitting, judge, choices, search, path, report) or _behind_a_map(fitting, judge, choices, search, path, report):
         _grow(fitting, judge, choices, search, path, report)
-    one = alone(fitting, judge, search, path)
+    one = alone(fitting, judge, choices, search, path)
     if one is not None:
         report(f"{one.hypothesis.label()} does as well alone as {path.best.hypothesis.label()}")
         path.best = one
