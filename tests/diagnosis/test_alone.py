@@ -31,7 +31,7 @@ def test_one_law_takes_the_place_of_two_where_it_does_as_well(
     start = np.r_[starts(growth)[0], starts(frame)[0], np.zeros(len(problem.tuned))]
     two = fit_trials(problem, None, [(Hypothesis((growth, frame), problem.tuned), [start])], config.search)[0]
     path = Path(two, two, tried={growth: [(law, starts(law)[0])]})
-    found = alone(problem, judge, config.search, path)
+    found = alone(problem, judge, [growth, frame, law], config.search, path)
     if not taken:
         assert found is None
         return
