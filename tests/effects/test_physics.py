@@ -67,6 +67,7 @@ from softrl.effects.shared_flow import SharedFlow
 from softrl.effects.stiffness_scale import StiffnessScale
 from softrl.effects.strain_softening import StrainSoftening
 from softrl.effects.strain_stiffening import StrainStiffening
+from softrl.effects.stretch_area import StretchArea
 from softrl.effects.supply_limit import SupplyLimit
 from softrl.effects.tether import Tether
 from softrl.effects.thermal_softening import ThermalSoftening
@@ -348,6 +349,22 @@ def test_crosstalk_may_come_from_one_neighbour(lean: float, weights: tuple[float
 def test_strain_stiffening_doubles_at_ten_percent_and_is_odd() -> None:
     added = pull(StrainStiffening(growth=1.0), np.array([0.1, -0.1, 0.05]))
     np.testing.assert_allclose(added, STIFFNESS * np.array([0.1, -0.1, 0.05 / 4]))
+
+
+@pytest.mark.parametrize("slope", [-4.0, 3.0])
+def test_an_area_that_changes_with_stretch_makes_pressure_a_stiffness(slope: float) -> None:
+    """Along the axis ``K e = p (1 + slope e)``; against small bends pressures are springs of ``-slope p`` beside the backbone."""
+    effect, strain = StretchArea(slope), np.array([0.05, -0.03, 0.1])
+    np.testing.assert_allclose(pull(effect, strain, pressure=2e4), -slope * 2e4 * strain)
+    body = replace(simulator(), robot=replace(ROBOT, gravity_m_s2=(0.0, 0.0, 0.0)))
+    even, aside = np.full((800, 3), 1.5e4), np.tile([1e-3, 0.0, 0.0], (800, 1))
+    bare, changed = (move(effects, even, body, tip_force=aside) for effects in ([], [effect]))
+    longer = [motion.position[-1, 2] / ROBOT.length_m - 1.0 for motion in (bare, changed)]
+    np.testing.assert_allclose(longer[1], longer[0] / (1.0 - slope * longer[0]), rtol=1e-5)
+    turned = [Rotation.from_quat(motion.quaternion[-1], scalar_first=True).magnitude() for motion in (bare, changed)]
+    springs = -slope * 1.5e4 * ROBOT.chamber_area_m2 * 1.5 * ROBOT.chamber_radius_m**2 / ROBOT.length_m
+    softer = body.stiffness[0] / (body.stiffness[0] + springs) * (1.0 + longer[1]) / (1.0 + longer[0])
+    np.testing.assert_allclose(turned[1] / turned[0], softer, rtol=1e-4)
 
 
 def test_strain_softening_levels_off_and_never_falls() -> None:

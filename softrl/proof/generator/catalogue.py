@@ -70,6 +70,7 @@ RIGHT: dict[str, tuple[int, tuple[str, ...], float]] = {
     "soften": (laws.SOFTEN, ("strain_softening", "area_growth", "knee"), 8.0),
     "wall": (laws.WALL, ("stiffness_scale",), 1.5),
     "relax": (laws.RELAX, ("drift",), 0.4),
+    "braid": (laws.BRAID, ("stretch_area",), 6.0),
     "mass": (laws.MASS, ("payload",), 1.5),
     "tilt": (laws.TILT, ("mount_tilt",), 0.5),
     "rebound": (laws.REBOUND, ("contact",), 2000.0),
@@ -123,6 +124,7 @@ PAIRS = (
     ("ceiling", "slip"),
     ("fung", "spool"),
     ("mass", "slip"),
+    ("braid", "spool"),
 )
 INSEPARABLE = (
     ("dead_time", "delay", "without measured pressure a delay before a time-invariant body equals one behind it"),
@@ -176,7 +178,7 @@ def draw(name: str, place: str, session_s: float, chambers: int, rng: np.random.
         drawn = {1: u(1.0, 2.0), 2: u(0.6, 1.5)}
     elif name == "choke":
         drawn = {1: u(0.6, 1.2)}
-    elif name in ("gain", "coupling", "offset", "twist", "jolt", "warmth", "product", "buckle"):
+    elif name in ("gain", "coupling", "offset", "twist", "jolt", "warmth", "product", "buckle", "braid"):
         largest *= sign
     if name == "wall" and sign < 0.0:
         largest = -0.5

@@ -13,14 +13,14 @@ import numpy as np
 LAWS = (
     "spool", "choke", "line", "relay", "ceiling", "stick",
     "orifice", "gain", "offset", "coupling", "balloon", "warmth", "product",
-    "powerlaw", "slip", "bristle", "damage", "fung", "soften", "wall", "relax",
+    "powerlaw", "slip", "bristle", "damage", "fung", "soften", "wall", "relax", "braid",
     "mass", "tilt", "rebound", "string", "buckle",
     "frame", "marker", "latency", "sampling", "twist", "jolt",
 )  # fmt: skip
 (
     SPOOL, CHOKE, LINE, RELAY, CEILING, STICK,
     ORIFICE, GAIN, OFFSET, COUPLING, BALLOON, WARMTH, PRODUCT,
-    POWERLAW, SLIP, BRISTLE, DAMAGE, FUNG, SOFTEN, WALL, RELAX,
+    POWERLAW, SLIP, BRISTLE, DAMAGE, FUNG, SOFTEN, WALL, RELAX, BRAID,
     MASS, TILT, REBOUND, STRING, BUCKLE,
     FRAME, MARKER, LATENCY, SAMPLING, TWIST, JOLT,
 ) = range(len(LAWS))  # fmt: skip
@@ -190,6 +190,8 @@ def resist(
     if P[SOFTEN, 0] > 0.0:
         bent = P[SOFTEN, 0] * abs(e)
         added -= gate(P, SOFTEN, c, t, p) * spring * e * bent / (1.0 + bent)
+    if P[BRAID, 0] != 0.0:  # threads of one length: the section's area has a term in the square of the length
+        added -= gate(P, BRAID, c, t, p) * P[BRAID, 0] * p * 0.5 * ((1.0 + e) * (1.0 + e) - 1.0)
     if P[WALL, 0] != 0.0:
         added += gate(P, WALL, c, t, p) * P[WALL, 0] * spring * e
     if P[POWERLAW, 0] > 0.0 and P[POWERLAW, CHAMBER] >= 0.0:
