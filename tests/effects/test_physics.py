@@ -15,6 +15,7 @@ from softrl.core.simulator import Motion
 from softrl.effects.area_growth import AreaGrowth
 from softrl.effects.asymmetry import Asymmetry
 from softrl.effects.base_tilt import BaseTilt
+from softrl.effects.bimodular import Bimodular
 from softrl.effects.chain import EffectChain, Plant, SignalFilter, chain_of
 from softrl.effects.command_map import CommandMap
 from softrl.effects.contact import Contact
@@ -367,6 +368,14 @@ def test_an_area_that_changes_with_stretch_makes_pressure_a_stiffness(slope: flo
     np.testing.assert_allclose(turned[1] / turned[0], softer, rtol=1e-4)
 
 
+def test_a_bimodular_wall_has_two_moduli() -> None:
+    effect, strain = Bimodular(contrast=0.4, width=0.02), np.array([-0.3, -0.03, 0.01, 0.3])
+    total = STIFFNESS * strain + pull(effect, strain)
+    np.testing.assert_allclose(pull(effect, -strain), pull(effect, strain))
+    further = STIFFNESS * (strain + 1e-6) + pull(effect, strain + 1e-6)
+    np.testing.assert_allclose(((further - total) / 1e-6 / STIFFNESS)[[0, 3]], [0.6, 1.4], rtol=2e-3)
+
+
 def test_strain_softening_levels_off_and_never_falls() -> None:
     strain = np.linspace(0.0, 2.0, 400)
     effect = StrainSoftening(softness=20.0 * FULL / STIFFNESS)
@@ -692,6 +701,8 @@ SLOPED = [
     StiffnessScale(1.5, chamber=0),
     StrainStiffening(2.0),
     StrainSoftening(10.0),
+    StretchArea(-3.0),
+    Bimodular(0.4, 0.03),
     Viscoelasticity(0.4, 2.0, 0.2, 20.0),
     Hysteresis(0.2, 0.02),
     Play(0.2, 0.02),

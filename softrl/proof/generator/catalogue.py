@@ -71,6 +71,7 @@ RIGHT: dict[str, tuple[int, tuple[str, ...], float]] = {
     "wall": (laws.WALL, ("stiffness_scale",), 1.5),
     "relax": (laws.RELAX, ("drift",), 0.4),
     "braid": (laws.BRAID, ("stretch_area",), 6.0),
+    "fold": (laws.FOLD, ("bimodular",), 0.6),
     "mass": (laws.MASS, ("payload",), 1.5),
     "tilt": (laws.TILT, ("mount_tilt",), 0.5),
     "rebound": (laws.REBOUND, ("contact",), 2000.0),
@@ -125,6 +126,7 @@ PAIRS = (
     ("fung", "spool"),
     ("mass", "slip"),
     ("braid", "spool"),
+    ("fold", "powerlaw"),
 )
 INSEPARABLE = (
     ("dead_time", "delay", "without measured pressure a delay before a time-invariant body equals one behind it"),
@@ -178,7 +180,7 @@ def draw(name: str, place: str, session_s: float, chambers: int, rng: np.random.
         drawn = {1: u(1.0, 2.0), 2: u(0.6, 1.5)}
     elif name == "choke":
         drawn = {1: u(0.6, 1.2)}
-    elif name in ("gain", "coupling", "offset", "twist", "jolt", "warmth", "product", "buckle", "braid"):
+    elif name in ("gain", "coupling", "offset", "twist", "jolt", "warmth", "product", "buckle", "braid", "fold"):
         largest *= sign
     if name == "wall" and sign < 0.0:
         largest = -0.5
@@ -190,6 +192,8 @@ def draw(name: str, place: str, session_s: float, chambers: int, rng: np.random.
         drawn = {1: u(0.001, 0.003), 2: u(0.1, 0.5), 3: u(0.0, 1.0)}
     elif name == "damage":
         drawn = {1: u(0.02, 0.06), 2: u(100.0, 400.0), 3: 0.08 if place == "maximum" else 0.0}
+    elif name == "fold":
+        drawn = {1: u(0.03, 0.15)}
     elif name == "relax":
         drawn = {1: u(0.4, 1.5) * session_s}
     elif name == "tilt":

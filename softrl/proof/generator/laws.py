@@ -13,14 +13,14 @@ import numpy as np
 LAWS = (
     "spool", "choke", "line", "relay", "ceiling", "stick",
     "orifice", "gain", "offset", "coupling", "balloon", "warmth", "product",
-    "powerlaw", "slip", "bristle", "damage", "fung", "soften", "wall", "relax", "braid",
+    "powerlaw", "slip", "bristle", "damage", "fung", "soften", "wall", "relax", "braid", "fold",
     "mass", "tilt", "rebound", "string", "buckle",
     "frame", "marker", "latency", "sampling", "twist", "jolt",
 )  # fmt: skip
 (
     SPOOL, CHOKE, LINE, RELAY, CEILING, STICK,
     ORIFICE, GAIN, OFFSET, COUPLING, BALLOON, WARMTH, PRODUCT,
-    POWERLAW, SLIP, BRISTLE, DAMAGE, FUNG, SOFTEN, WALL, RELAX, BRAID,
+    POWERLAW, SLIP, BRISTLE, DAMAGE, FUNG, SOFTEN, WALL, RELAX, BRAID, FOLD,
     MASS, TILT, REBOUND, STRING, BUCKLE,
     FRAME, MARKER, LATENCY, SAMPLING, TWIST, JOLT,
 ) = range(len(LAWS))  # fmt: skip
@@ -192,6 +192,8 @@ def resist(
         added -= gate(P, SOFTEN, c, t, p) * spring * e * bent / (1.0 + bent)
     if P[BRAID, 0] != 0.0:  # threads of one length: the section's area has a term in the square of the length
         added -= gate(P, BRAID, c, t, p) * P[BRAID, 0] * p * 0.5 * ((1.0 + e) * (1.0 + e) - 1.0)
+    if P[FOLD, 0] != 0.0:
+        added += gate(P, FOLD, c, t, p) * P[FOLD, 0] * spring * P[FOLD, 1] * math.log(math.cosh(e / P[FOLD, 1]))
     if P[WALL, 0] != 0.0:
         added += gate(P, WALL, c, t, p) * P[WALL, 0] * spring * e
     if P[POWERLAW, 0] > 0.0 and P[POWERLAW, CHAMBER] >= 0.0:

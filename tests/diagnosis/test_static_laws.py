@@ -1,10 +1,11 @@
-"""Pressure that stiffens a body as its chambers stretch is told from what acts by pressure or by strain alone."""
+"""Pressure that stiffens a body as its chambers stretch, and walls of two moduli, are told from other static laws."""
 
 import pytest
 
 from softrl.core.tracking import NullTracker
 from softrl.diagnosis.stage import run
 from softrl.effects.area_growth import AreaGrowth
+from softrl.effects.bimodular import Bimodular
 from softrl.effects.effect import Effect
 from softrl.effects.lag import Lag
 from softrl.effects.strain_stiffening import StrainStiffening
@@ -12,7 +13,8 @@ from softrl.effects.stretch_area import StretchArea
 from softrl.pcc.simulator import PccSimulator
 from tests.diagnosis.conftest import configured, made
 
-STATIC = ["stretch_area", "area_growth", "knee", "strain_stiffening", "strain_softening", "lag"]
+WALLS = (StretchArea(1.5), StrainStiffening(0.5), Bimodular(0.4, 0.05))
+STATIC = ["stretch_area", "bimodular", "area_growth", "knee", "strain_stiffening", "strain_softening", "lag"]
 
 
 @pytest.mark.parametrize(
@@ -20,7 +22,7 @@ STATIC = ["stretch_area", "area_growth", "knee", "strain_stiffening", "strain_so
     [
         (StretchArea(-3.0), Lag(0.2, 0.3)),
         (AreaGrowth(-0.3),),
-        *(pytest.param((effect,), marks=pytest.mark.slow) for effect in (StretchArea(1.5), StrainStiffening(0.5))),
+        *(pytest.param((effect,), marks=pytest.mark.slow) for effect in WALLS),
     ],
 )
 def test_it_is_named_where_it_is_hidden_and_only_there(body: PccSimulator, hidden: tuple[Effect, ...]) -> None:
