@@ -103,10 +103,15 @@ class Assembly:
         if TARGET not in node:  # several, by name
             return {key: build_target(value, f"{name}.{key}", self._fill) for key, value in node.items()}
         made = build_target(node, name, self._fill)
-        return self._corrected(made) if name == "simulator" and "identified" in (self.cfg["effect"] or {}) else made
+        return self._corrected(made) if name == "simulator" and "identified" in self._effects else made
+
+    @property
+    def _effects(self) -> Any:
+        """What is configured of effects: nothing with ``effect=none``, and no such key with ``effect=[]``."""
+        return self.cfg.get("effect") or {}
 
     def _chain(self) -> EffectChain:
-        node = self.cfg["effect"] or {}
+        node = self._effects
         self.used["effect"] = node
         chosen = [_effect(value, f"effect.{key}") for key, value in node.items() if key != "identified"]
         self.modules += [type(effect).__module__ for effect in chosen]
@@ -185,7 +190,7 @@ class Assembly:
 
     def _effects_mark(self) -> str:
         """Return what tells the chosen effects from others; those of a diagnosis are known by its run."""
-        node = self.cfg["effect"] or {}
+        node = self._effects
         if not node:
             return NOMINAL
         return fingerprint.of_values([node, self._locate(Diagnosis, Diagnosis.key())[1] if "identified" in node else ""])

@@ -9,7 +9,7 @@ import pytest
 
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.artifacts.policy import Policy
-from softrl.assembly import Assembly, _corrected_by
+from softrl.assembly import NOMINAL, Assembly, _corrected_by
 from softrl.core.errors import ArtifactError, ConfigError
 from softrl.loop import _compose
 from softrl.pipeline import _own_folder
@@ -80,6 +80,12 @@ def test_a_correction_by_an_older_library_is_refused() -> None:
     with pytest.raises(ArtifactError, match="'strain_stiffening' a parameter 'cubic', unknown by now: run stage=diagnosis again"):
         _corrected_by("strain_stiffening", {"cubic": 2.0, "chamber": -1})
     assert _corrected_by("strain_stiffening", {"growth": 2.0, "chamber": 1}).chamber == 1
+
+
+@pytest.mark.parametrize("words", [("effect=none",), ("effect=[]",), ()])
+def test_no_effect_may_be_said_in_more_than_one_way(words: tuple[str, ...]) -> None:
+    assembly = Assembly(SimpleNamespace(), composed("stage=simulate", *words), {})
+    assert not assembly._chain().effects and assembly._effects_mark() == NOMINAL
 
 
 def test_how_suddenly_an_effect_begins_needs_when() -> None:
