@@ -21,8 +21,11 @@ SHIFTS = ("marker_offset", "frame", "offset", "pressure_sensor")
 
 
 def stands_for_length(choice: Choice) -> bool:
-    """Return whether an effect may be a shift of the tip along the body, always and in all chambers."""
-    everywhere = choice.chamber < 0 and not (choice.sessions or choice.gate or choice.lasting)
+    """Return whether an effect may be a shift of the tip along the body, in all chambers and sessions.
+
+    One that begins in every run may be, too: what the tip at rest shows was there before.
+    """
+    everywhere = choice.chamber < 0 and not (choice.sessions or choice.lasting)
     return everywhere and choice.name in SHIFTS
 
 
