@@ -12,7 +12,7 @@ from softrl.effects.effect import ADDED, ADDED_SLOPE, PORT_KERNEL, REST, STRAIN,
 
 @standing_as(PORT_KERNEL)
 def bimodular_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
-    """Add a spring along each chamber's elongation whose stiffness changes its sign with it."""
+    """Add to each wall's stiffness in stretch what is taken from it in compression."""
     contrast, width, chamber = parameters[0], parameters[1], int(parameters[2])
     for i in range(port.shape[1]):
         if chamber < 0 or chamber == i:

@@ -23,8 +23,7 @@ def stretch_area_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndar
 class StretchArea(Effect):
     """Effective area ``A (1 + slope e)`` of a chamber that has elongated by ``e``: static, without memory.
 
-    Below zero pressure stiffens the body, as it does folded bellows that flatten and braided muscles near their shortest; above
-    zero it softens it.
+    Below zero pressure stiffens the body, as it does folded bellows that flatten; above zero it softens it.
 
     Notes
     -----

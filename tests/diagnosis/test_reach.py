@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from softrl.core.tracking import NullTracker
-from softrl.diagnosis.checks.reach import as_it_stands, of_other_length, taken_length, told_of_length
+from softrl.diagnosis.checks.reach import as_it_stands, of_other_length, stands_for_length, taken_length, told_of_length
+from softrl.diagnosis.fitting.hypothesis import Choice, Gate
 from softrl.diagnosis.stage import run
 from softrl.effects.library import effect_class
 from softrl.pcc.simulator import PccSimulator
@@ -46,6 +47,13 @@ def test_the_lumped_body_is_as_long_as_its_straight_tip_at_rest_tells(tripod: Ro
     assert of_other_length(runs, tripod, stands) is None and told_of_length(body, tripod) == []
     (told,) = told_of_length(stands, tripod)
     assert f"{1020.05 * tripod.length_m:.4g} mm long" in told and f"length_m is {1e3 * tripod.length_m:.4g} mm" in told
+
+
+def test_a_shift_in_every_run_may_be_a_length_whenever_it_is_said_to_begin() -> None:
+    frame = Choice("frame")
+    assert stands_for_length(frame) and stands_for_length(frame._replace(gate=Gate("since_s", 5.0)))
+    others = ({"gate": Gate("above_share", 0.3)}, {"sessions": ("monday",)}, {"lasting": "ever"}, {"chamber": 1}, {"name": "lag"})
+    assert not any(stands_for_length(frame._replace(**other)) for other in others)
 
 
 def aside(tripod: Robot, share: float, by_m: float) -> Recording:

@@ -13,7 +13,7 @@ from softrl.effects.stretch_area import StretchArea
 from softrl.pcc.simulator import PccSimulator
 from tests.diagnosis.conftest import configured, made
 
-WALLS = (StretchArea(1.5), StrainStiffening(0.5), Bimodular(0.4, 0.05))
+MORE = (StretchArea(1.5), StrainStiffening(0.5), Bimodular(0.4, 0.05))
 STATIC = ["stretch_area", "bimodular", "area_growth", "knee", "strain_stiffening", "strain_softening", "lag"]
 
 
@@ -22,7 +22,7 @@ STATIC = ["stretch_area", "bimodular", "area_growth", "knee", "strain_stiffening
     [
         (StretchArea(-3.0), Lag(0.2, 0.3)),
         (AreaGrowth(-0.3),),
-        *(pytest.param((effect,), marks=pytest.mark.slow) for effect in WALLS),
+        *(pytest.param((effect,), marks=pytest.mark.slow) for effect in MORE),
     ],
 )
 def test_it_is_named_where_it_is_hidden_and_only_there(body: PccSimulator, hidden: tuple[Effect, ...]) -> None:

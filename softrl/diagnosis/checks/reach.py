@@ -25,7 +25,8 @@ def stands_for_length(choice: Choice) -> bool:
 
     One that begins in every run may be, too: what the tip at rest shows was there before.
     """
-    everywhere = choice.chamber < 0 and not (choice.sessions or choice.lasting)
+    above = choice.gate is not None and choice.gate.field != "since_s"
+    everywhere = choice.chamber < 0 and not (choice.sessions or choice.lasting or above)
     return everywhere and choice.name in SHIFTS
 
 
