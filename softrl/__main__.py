@@ -6,6 +6,7 @@ import sys
 import textwrap
 import threading
 from pathlib import Path
+from types import FrameType
 from typing import NoReturn
 
 # errors of the command line are told in one line here, not by hydra
@@ -24,6 +25,7 @@ HERE = Path(__file__).resolve().parent
 NOISE = ("full_key:", "object_type=", "reference_type=", "Config search path", "provider=", "Set the environment")
 OWN = "own"  # name of the option that a robot's file is
 _mistakes: list[SoftrlError] = []
+_stopped: list[int] = []  # signals that asked to stop
 _home = os.getpid()  # points of a sweep may run in other processes, which get this number with ``run``
 CONF = next(folder for folder in (HERE / "conf", HERE.parent / "conf") if folder.is_dir())
 
@@ -58,7 +60,9 @@ def main() -> None:
     """Run the command line; a user's mistake is one line and exit status 2."""
     sweep = bool({"-m", "--multirun"} & set(sys.argv[1:]))
     sys.argv[1:] = [word for given in sys.argv[1:] for word in _spell_out(given, sweep)]
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, _stop)
+    if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # as a job in the background ignores it
+        signal.signal(signal.SIGINT, _stop)
     sys.unraisablehook = _repeat_interrupt
     error: BaseException | None = None
     try:
@@ -66,14 +70,14 @@ def main() -> None:
         if _mistakes:
             error = _mistakes[0]
             _leave("; ".join(dict.fromkeys(_one_line(mistake) for mistake in _mistakes)), 2)
-    except KeyboardInterrupt as interrupt:
-        error = interrupt
-        _leave("stopped; finished stages are kept, run the same command again to go on", 130)
-    except (HydraException, OmegaConfBaseException, SoftrlError) as mistake:
-        error = mistake
-        if "debug=true" in sys.argv:
+    except (KeyboardInterrupt, Exception) as failure:
+        error = failure
+        # a compiler swallows the interrupt and fails later, of what it did not finish
+        if _stopped or isinstance(failure, KeyboardInterrupt):
+            _leave("stopped; finished stages are kept, run the same command again to go on", 130)
+        if "debug=true" in sys.argv or not isinstance(failure, HydraException | OmegaConfBaseException | SoftrlError):
             raise
-        _leave(_one_line(mistake), 2)
+        _leave(_one_line(failure), 2)
     finally:
         from softrl.core.sweep import close_parents
 
@@ -132,6 +136,11 @@ def _one_line(error: Exception) -> str:
 def _leave(message: str, status: int) -> NoReturn:
     print(f"softrl: {message}", file=sys.stderr)
     sys.exit(status)
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    _stopped.append(number)
+    signal.default_int_handler(number, frame)
 
 
 def _repeat_interrupt(lost: "sys.UnraisableHookArgs") -> None:

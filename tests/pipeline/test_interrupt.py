@@ -44,3 +44,30 @@ threading.Timer.start = late
 def test_an_interrupt_that_comes_while_it_is_repeated_comes_again() -> None:
     done = subprocess.run([sys.executable, "-c", LATE + SWALLOWED], capture_output=True, text=True, check=False, timeout=60)
     assert done.stdout.strip() == "stopped" and "Exception ignored" not in done.stderr
+
+
+FAILS_LATER = """
+import os, signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from softrl import __main__ as door
+
+def swallow():
+    try:
+        if sys.argv[1:]:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(20.0)
+    except KeyboardInterrupt:
+        pass
+    raise RuntimeError("no compiled object yet")
+
+door.run = swallow
+door.main()
+"""
+
+
+def test_a_failure_that_an_interrupt_causes_is_told_as_a_stop() -> None:
+    command = [sys.executable, "-c", FAILS_LATER]
+    done = subprocess.run([*command, "interrupt"], capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 130 and done.stderr.startswith("softrl: stopped") and "Traceback" not in done.stderr
+    failed = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert failed.returncode == 1 and "RuntimeError: no compiled object yet" in failed.stderr

@@ -53,11 +53,11 @@ def draw_run(heldout: Problem, judged: dict[str, Traces]) -> Figure:
         label = f"{name}: rms {np.sqrt(np.mean(error**2)):.3g} {unit}"
         below.plot(run.time, error, color=COLOURS[name], lw=0.9, label=label)
     above.set_ylabel(f"{'bend angle' if angle else 'tip ' + 'xyz'[main]}, {unit}")
-    above.set_title(f"held-out run {run.name}")
+    above.set_title(f"held-out run {run.name}", loc="right", fontsize=9)
     below.set_ylabel(f"error, {unit}")
     below.set_xlabel("time, s")
-    above.legend(loc="upper left", fontsize=8, ncols=4)
-    below.legend(loc="upper left", fontsize=8, ncols=3)
+    for ax in (above, below):  # above the frame, where it hides no peak
+        ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=8, ncols=4, frameon=False, borderaxespad=0.2)
     return figure
 
 
