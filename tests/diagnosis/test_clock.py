@@ -56,6 +56,7 @@ def test_a_lag_behind_another_clock_is_named(body: PccSimulator) -> None:
     assert found.effects[0]["parameters"]["fill_s"]["value"] == pytest.approx(0.3, rel=0.05)
 
 
+@pytest.mark.slow
 def test_what_holds_moves_back_for_longer_than_a_row_is_no_clock(body: PccSimulator) -> None:
     found = diagnosed(body, recorded(body, (), 5.0))
     assert found.verdict == "unknown", found.sentences

@@ -82,11 +82,12 @@ def test_a_wall_that_ages_for_ever_and_where_it_is_now(body: PccSimulator) -> No
     assert abs(found.named()[0]["parameters"]["begun_s"] - whole) < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "among", "moment_s"),
     [
         (Leak(0.3, 2.0, chamber=1), ["failure", "drift", "leak", "gain"], 35.0),
-        pytest.param(TURNED, ["frame", "mount_tilt", "lag", "leak"], 82.0, marks=pytest.mark.slow),
+        (TURNED, ["frame", "mount_tilt", "lag", "leak"], 82.0),
     ],
 )
 def test_what_began_at_some_moment_and_stayed_so(body: PccSimulator, effect: Effect, among: list[str], moment_s: float) -> None:
@@ -105,12 +106,13 @@ def test_what_began_at_some_moment_and_stayed_so(body: PccSimulator, effect: Eff
     assert pinned["begun_s"] > moment_s, "what is recorded from now on shows it from the first sample on"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "among", "name"),
     [
         (Leak(0.3, 2.0, chamber=1), ["gain", "leak", "failure", "drift", "mount_tilt"], "since_s"),
-        pytest.param(TURNED, ["frame", "mount_tilt", "lag", "leak", "stiffness_scale"], "since_s", marks=pytest.mark.slow),
-        pytest.param(Failure(0.4, 0.0, chamber=1), ["failure", "drift", "gain", "lag"], "onset_s", marks=pytest.mark.slow),
+        (TURNED, ["frame", "mount_tilt", "lag", "leak", "stiffness_scale"], "since_s"),
+        (Failure(0.4, 0.0, chamber=1), ["failure", "drift", "gain", "lag"], "onset_s"),
     ],
 )
 def test_where_no_fit_sees_when_it_began_the_held_out_run_dates_it(

@@ -64,7 +64,7 @@ def test_a_dead_time_is_no_longer_than_the_pressures_between_rows_tell(body: Pcc
     assert found.errors_mm["heldout"]["corrected"] < 1.05 * found.errors_mm["heldout"]["noise_floor"]
 
 
-@pytest.mark.parametrize(("measured", "lag_s"), [(False, 0.4), (True, 0.15)])
+@pytest.mark.parametrize(("measured", "lag_s"), [pytest.param(False, 0.4, marks=pytest.mark.slow), (True, 0.15)])
 def test_a_lag_behind_such_a_log_is_no_tube(body: PccSimulator, measured: bool, lag_s: float) -> None:
     found = diagnosed(body, (Lag(fill_s=lag_s, vent_s=lag_s),), measured, early=True)
     assert [effect["name"] for effect in found.effects] == ["lag"]

@@ -48,9 +48,9 @@ def test_only_a_session_that_is_fitted_and_judged_can_show_such_an_effect() -> N
 @pytest.mark.parametrize(
     ("name", "hidden"),
     [
-        ("base_tilt", {"about_x_rad": 0.1, "about_y_rad": -0.06}),
+        pytest.param("base_tilt", {"about_x_rad": 0.1, "about_y_rad": -0.06}, marks=pytest.mark.slow),
         pytest.param("frame", {"turn_y_rad": 0.06, "shift_x": 0.03}, marks=pytest.mark.slow),
-        ("marker_offset", {"x": 0.05}),
+        pytest.param("marker_offset", {"x": 0.05}, marks=pytest.mark.slow),
         ("payload", {"mass": 0.6}),
     ],
 )

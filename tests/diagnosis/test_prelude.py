@@ -75,7 +75,7 @@ def test_the_valve_too_stood_under_what_was_before(body: PccSimulator) -> None:
 @pytest.mark.parametrize("first", [SENT_OFF, pytest.param(MIDWAY, marks=pytest.mark.slow)])
 def test_a_lag_is_named_wherever_runs_begin(body: PccSimulator, first: int) -> None:
     recordings = lagging(body.with_parameters(axial_stiffness_scale=1.15), first, 4)
-    config = configured(candidates=["lag", "viscoelasticity", "delay", "payload"])
+    config = configured(candidates=["lag", "viscoelasticity", "delay"])
     found = run(config, body.robot, recordings, body, tracker=NullTracker())
     assert [effect["name"] for effect in found.effects] == ["lag"], found.sentences
     assert found.effects[0]["parameters"]["fill_s"]["value"] == pytest.approx(LAG_S, rel=0.05)

@@ -14,32 +14,50 @@ import pytest
 from softrl.core.store import Location, Store
 from tests.pipeline.command import softrl
 
+MISTAKES = [
+    (["stage=mesh", "stage.unitm=3"], "stage.unitm"),
+    (["stage=mesh", "+stage.unitm=3"], "did you mean unit_m?"),
+    (["stage=mesh", "stage.unit_m=abc"], "expected float"),
+    (["stage=mesh", "robot.mass_kg=-1"], "robot.mass_kg=-1"),
+    (["stage=mesh", "+experiments=nothing"], "experiments/nothing"),
+    (["stage=mesh", "+sed=3"], "sed=3 is an unknown key"),
+    (["stage=nothing"], "stage/nothing"),
+    (["stage=all", "stage.unit_m=1"], "needs that stage alone"),
+    (["stage=pod"], "run stage=fem first"),
+    (["stage=pod", "inputs.snapshots=run:0"], "run:0 is not in this tracking store"),
+    (["stage=simulate", "simulator=pcc", "recordings=nowhere"], "nowhere is no folder"),
+    (["stage=mesh", "inputs.mehs=latest"], "snapshots (of stage=fem)"),
+    (["stage=mesh", "driver=nothing"], "'driver': rig_serial rig_udp"),
+    (["stage=mesh", "robot=nowhere.yaml"], "robot=nowhere.yaml cannot be read"),
+]
+# a process for each command, all of them forked from one that has imported what takes long
+FORKED = """
+import json, os, sys
+import softrl.loop, softrl.mesh.stage, softrl.pod.stage, softrl.simulate.stage
+from softrl.__main__ import main
+ends = []
+for number, words in enumerate(json.loads(sys.argv[1])):
+    with open(f"{number}.txt", "w") as told:
+        child = os.fork()
+        if not child:
+            os.dup2(told.fileno(), 2)
+            sys.argv[1:] = words
+            main()
+            sys.exit()
+    ends.append(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+print(json.dumps(ends))
+"""
 
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["stage=mesh", "stage.unitm=3"], "stage.unitm"),
-        (["stage=mesh", "+stage.unitm=3"], "did you mean unit_m?"),
-        (["stage=mesh", "stage.unit_m=abc"], "expected float"),
-        (["stage=mesh", "robot.mass_kg=-1"], "robot.mass_kg=-1"),
-        (["stage=mesh", "+experiments=nothing"], "experiments/nothing"),
-        (["stage=mesh", "+sed=3"], "sed=3 is an unknown key"),
-        (["stage=nothing"], "stage/nothing"),
-        (["stage=all", "stage.unit_m=1"], "needs that stage alone"),
-        (["stage=pod"], "run stage=fem first"),
-        (["stage=pod", "inputs.snapshots=run:0"], "run:0 is not in this tracking store"),
-        (["stage=simulate", "simulator=pcc", "recordings=nowhere"], "nowhere is no folder"),
-        (["stage=mesh", "inputs.mehs=latest"], "snapshots (of stage=fem)"),
-        (["stage=mesh", "driver=nothing"], "'driver': rig_serial rig_udp"),
-        (["stage=mesh", "robot=nowhere.yaml"], "robot=nowhere.yaml cannot be read"),
-    ],
-)
-def test_a_mistake_is_one_line_and_status_2(tmp_path: Path, words: list[str], says: str) -> None:
-    done = softrl(tmp_path, *words)
-    assert done.returncode == 2
-    lines = [line for line in done.stderr.splitlines() if line.startswith("softrl: ")]
-    assert len(lines) == 1 and says in lines[0], done.stderr
-    assert "Traceback" not in done.stderr
+
+def test_a_mistake_is_one_line_and_status_2(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", FORKED, json.dumps([words for words, _ in MISTAKES])]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=600)
+    assert json.loads(done.stdout.splitlines()[-1]) == [2] * len(MISTAKES), done.stderr
+    for number, (_, says) in enumerate(MISTAKES):
+        told = (tmp_path / f"{number}.txt").read_text()
+        lines = [line for line in told.splitlines() if line.startswith("softrl: ")]
+        assert len(lines) == 1 and says in lines[0], told
+        assert "Traceback" not in told
 
 
 def test_a_robot_may_be_a_file_of_its_own(tmp_path: Path) -> None:

@@ -40,6 +40,7 @@ def test_an_identified_correction_is_accepted_by_another_stage(loop: Path) -> No
     assert run_id in result["inputs"].values()
 
 
+@pytest.mark.slow
 def test_a_stage_that_runs_again_gives_the_same_numbers(loop: Path) -> None:
     """Dynamics as in the loop; the others as when run before: beside dynamics their sums round otherwise, to 1e-5."""
     for stage in ("dynamics", "surrogate", "rl"):
