@@ -27,6 +27,7 @@ from softrl.diagnosis.judging.clock import sent_later
 from softrl.diagnosis.judging.compete import add_calibrated, competitors, judged_on, with_map
 from softrl.diagnosis.judging.correct import Traces, share_closed
 from softrl.diagnosis.judging.examine import Finding, Part, examine
+from softrl.diagnosis.judging.gauges import with_misread_pressures
 from softrl.diagnosis.judging.join import joined, put_together
 from softrl.diagnosis.judging.locate import corrected, locate
 from softrl.diagnosis.judging.own import differing, told_of
@@ -154,6 +155,7 @@ def _diagnosed(
         return _examine(config, problem, data, found, known)
 
     whole, findings = with_another_body(whole, data, examined(whole, []), examined, config.search)
+    findings = with_misread_pressures(findings, lambda valve: examined(whole, [valve])[-1], config.search)
     whole = put_together(whole, findings)
     findings = joined(whole.on(data.training), findings, config.search, config.thresholds)
     models = competitors(config.search, whole.on(data.training), findings)

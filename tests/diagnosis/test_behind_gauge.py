@@ -13,8 +13,9 @@ from softrl.effects.library import effect_class
 from softrl.pcc.simulator import PccSimulator
 from tests.diagnosis.conftest import configured, made
 
-Gain, Lag, Offset = (effect_class(name) for name in ("gain", "lag", "offset"))
+Gain, Lag, Offset, PressureSensor = (effect_class(name) for name in ("gain", "lag", "offset", "pressure_sensor"))
 FEW = {"candidates": ["lag", "delay", "gain", "viscoelasticity"], "search": {"max_effects": 2, "keep": 4}}
+SPANS = {"candidates": ["lag", "gain", "pressure_sensor", "viscoelasticity"], "search": {"max_effects": 2, "keep": 3}}
 
 
 def test_only_a_body_that_was_examined_behind_its_gauges_is_offered_such_lines(body: PccSimulator) -> None:
@@ -48,3 +49,28 @@ def test_a_regulator_s_dead_zone_and_span_are_told_by_a_gauge_that_may_be_off_it
     assert set(told) == {"offset", "gain"}, found.sentences
     low, high = told["offset"]["offset"]["low"], told["offset"]["offset"]["high"]
     assert low <= -0.08 * 1.09 <= high or low <= -0.08 <= high  # whichever comes first
+
+
+def test_a_gauge_that_misreads_is_one_effect_and_not_two_that_undo_each_other(body: PccSimulator) -> None:
+    hidden = Lag(fill_s=0.15, vent_s=0.25), PressureSensor(gain=1.15, offset=0.0, chamber=1)
+    found = run(configured(**SPANS), body.robot, made(body, hidden, seed=3, measured=True), body, tracker=NullTracker())
+    assert [(e["name"], e["chamber"]) for e in found.effects] == [("lag", -1), ("pressure_sensor", 1)], found.sentences
+    assert found.effects[1]["parameters"]["gain"]["value"] == pytest.approx(1.15, abs=0.005)
+    assert found.errors_mm["heldout"]["corrected"] < 1.2 * found.errors_mm["heldout"]["noise_floor"]
+
+
+@pytest.mark.slow
+def test_a_span_of_the_regulator_and_a_weaker_chamber_behind_it_stay_two(body: PccSimulator) -> None:
+    hidden = Gain(gain=1.15, chamber=1, before_gauge=True), Gain(gain=0.75, chamber=1)
+    found = run(configured(**SPANS), body.robot, made(body, hidden, seed=3, measured=True), body, tracker=NullTracker())
+    told = [(e["name"], e["site"], round(e["parameters"]["gain"]["value"], 2)) for e in found.effects]
+    assert told == [("gain", "valve", 1.15), ("gain", "chamber", 0.75)], found.sentences
+
+
+def test_that_all_gauges_may_misread_alike_is_told_with_what_the_body_would_be(body: PccSimulator) -> None:
+    hidden = (PressureSensor(gain=1.1, offset=0.0),)
+    found = run(configured(**SPANS), body.robot, made(body, hidden, seed=3, measured=True), body, tracker=NullTracker())
+    assert [(e["name"], e["site"]) for e in found.effects] == [("gain", "valve")], found.sentences
+    told = next(line for line in found.sentences if line.startswith("Only gauges say that the pressures are 1.1 times"))
+    softer = [float(part.split(" for ")[0].split()[-1]) for part in told.split("softer: ")[1].split(", ")]
+    assert softer == pytest.approx([1.0, 1.0], abs=0.02), told

@@ -1,4 +1,4 @@
-"""A gauge whose zero wanders is told, one that stays or a valve that changes is not."""
+"""A gauge whose zero is off is told, one that wanders with its range."""
 
 from dataclasses import replace
 
@@ -22,6 +22,8 @@ def test_a_zero_that_wanders_is_told_with_its_range(body: PccSimulator, drift_pa
     found = run(configured(**FEW), body.robot, replace(whole, recordings=tuple(runs)), body, tracker=NullTracker())
     lines = [line for line in found.sentences if "zero wanders" in line]
     assert bool(lines) == told, found.sentences
+    off = [line for line in found.sentences if "as the gauge's zero" in line]
+    assert len(off) == 1 and "chamber 1 reads 0.5 kPa more" in off[0], found.sentences
     if told:
         assert len(lines) == 1 and "chamber 2" in lines[0]
         low, high = (float(lines[0].split("reads ")[1].split(" kPa")[0].split(" to ")[k]) for k in (0, 1))

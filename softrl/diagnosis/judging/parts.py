@@ -18,6 +18,7 @@ from softrl.diagnosis.series.blocks import correlation_time
 from softrl.effects.chain import chain_of
 from softrl.effects.driving import Supply
 from softrl.effects.effect import SITES
+from softrl.effects.replay import seen_by
 from softrl.recordings.gone import sessions_in_order
 from softrl.recordings.recording import Recording
 
@@ -148,8 +149,10 @@ def _understood(runs: Sequence[Recording], valve: Finding, noise: float) -> list
         apart -= bias(apart)
         square = float(np.mean(np.sum(apart**2, axis=1)))
         apart *= max(1.0 - noise**2 / square, 0.0) if square > 0.0 else 0.0
-        mended = replace(run, pressure_meas=made.pressure_meas + apart)
-        found.append((mended, Supply(chain, space.late(point), apart)))
+        shown = made.pressure_meas + apart, made.pressure_meas
+        acting, plain = (seen_by(chain.gauges, problem.robot, pressure, run.time - run.time[0]) for pressure in shown)
+        mended = replace(run, pressure_meas=acting)
+        found.append((mended, Supply(chain, space.late(point), acting - plain)))
     return found
 
 

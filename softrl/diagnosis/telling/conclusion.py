@@ -13,8 +13,9 @@ from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.judging.another_body import told_of_taper
 from softrl.diagnosis.judging.correct import Model, Traces, errors, in_mm
 from softrl.diagnosis.judging.examine import Finding
+from softrl.diagnosis.judging.gauges import told_of_gauges
 from softrl.diagnosis.judging.verdict import verdict_of
-from softrl.diagnosis.judging.zeros import wandering_zeros
+from softrl.diagnosis.judging.zeros import told_of_zeros
 from softrl.diagnosis.telling.entries import effect_entries, retuned_entries, rival_entries, unexplained
 from softrl.diagnosis.telling.explain import next_experiment, sentences
 
@@ -68,10 +69,10 @@ def conclude(
         late_s={name: space.late(models[name].point) for name, space in spaces.items()},
     )
     read = responses.sentence()
-    wander = wandering_zeros(findings[0]) if len(findings) > 1 else []
+    gauges = told_of_zeros(findings[0]) + told_of_gauges(findings, made.simulator_parameters) if len(findings) > 1 else []
     verdict_first, *others = sentences(made, findings)
     form = told_of_length(whole.simulator, robot) + told_of_taper(whole.simulator, made.simulator_parameters)
-    return replace(made, sentences=[verdict_first, *form, *others, *wander, *([read] if read else [])])
+    return replace(made, sentences=[verdict_first, *form, *others, *gauges, *([read] if read else [])])
 
 
 def cannot_tell(refusal: Refusal, robot_name: str, simulator_name: str) -> Diagnosis:
