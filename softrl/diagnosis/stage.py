@@ -1,6 +1,7 @@
 """Find where recordings and simulator part, name the physics that is missing, and correct the simulator."""
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -16,7 +17,7 @@ from softrl.diagnosis.checks.frames import in_other_frames
 from softrl.diagnosis.checks.mistaken import mistaken
 from softrl.diagnosis.checks.prelude import preludes
 from softrl.diagnosis.checks.quality import mixed
-from softrl.diagnosis.fitting.hypothesis import Hypothesis
+from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis
 from softrl.diagnosis.fitting.judge import Judge, Thresholds
 from softrl.diagnosis.fitting.problem import Numerics, Problem
 from softrl.diagnosis.fitting.step import suited
@@ -27,7 +28,7 @@ from softrl.diagnosis.judging.clock import sent_later
 from softrl.diagnosis.judging.compete import add_calibrated, competitors, judged_on, with_map
 from softrl.diagnosis.judging.correct import Traces, share_closed
 from softrl.diagnosis.judging.examine import Finding, Part, examine
-from softrl.diagnosis.judging.gauges import with_misread_pressures
+from softrl.diagnosis.judging.gauges import behind_gauges
 from softrl.diagnosis.judging.join import joined, put_together
 from softrl.diagnosis.judging.locate import corrected, locate
 from softrl.diagnosis.judging.own import differing, told_of
@@ -155,7 +156,12 @@ def _diagnosed(
         return _examine(config, problem, data, found, known)
 
     whole, findings = with_another_body(whole, data, examined(whole, []), examined, config.search)
-    findings = with_misread_pressures(findings, lambda valve: examined(whole, [valve])[-1], config.search)
+    findings = behind_gauges(
+        findings,
+        lambda gauges: _valve(config, whole, found, gauges),
+        lambda valve: examined(whole, [valve])[-1],
+        config.search,
+    )
     whole = put_together(whole, findings)
     findings = joined(whole.on(data.training), findings, config.search, config.thresholds)
     models = competitors(config.search, whole.on(data.training), findings)
@@ -210,8 +216,12 @@ def _examine(config: Config, whole: Problem, data: Data, full: Data, known: list
     """
     if not (data.pressure and config.measured_pressure):
         return [_look(config, both_at_once(whole, data, config.effects))]
-    valve = known[0] if known else punctual(_look(config, valve_part(whole, full, config.effects)))
+    valve = known[0] if known else _valve(config, whole, full)
     return [valve, _look(config, part_behind(valve, whole, data, config.effects))]
+
+
+def _valve(config: Config, whole: Problem, full: Data, gauges: Sequence[Choice] = ()) -> Finding:
+    return punctual(_look(config, valve_part(whole, full, config.effects, gauges)))
 
 
 def _look(config: Config, part: Part) -> Finding:

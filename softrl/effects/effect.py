@@ -264,7 +264,7 @@ class Effect:
         """Return when a sensor took what it reports at ``time`` (steps,) s since the first sample."""
         return time
 
-    def undo(self, robot: Robot, reported: np.ndarray, share: np.ndarray) -> np.ndarray:
+    def undo(self, robot: Robot, reported: np.ndarray, share: np.ndarray, dt_s: float) -> np.ndarray:
         """Return the pressures (steps, chambers) Pa behind what a gauge ``reported``; of its error ``share`` (steps, 1) acts."""
         raise NotImplementedError(f"effect {self.name()} does not act on a pressure sensor")
 

@@ -43,7 +43,7 @@ class PressureSensor(Effect):
         """Return (gain, offset Pa, chamber)."""
         return super().pack(robot) * [1.0, robot.pressure_max_pa, 1.0]
 
-    def undo(self, robot: Robot, reported: np.ndarray, share: np.ndarray) -> np.ndarray:
+    def undo(self, robot: Robot, reported: np.ndarray, share: np.ndarray, dt_s: float) -> np.ndarray:
         """Return the pressures (steps, chambers) Pa that the gauge saw where it ``reported`` these.
 
         Raises

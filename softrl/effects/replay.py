@@ -97,7 +97,7 @@ def replay_batch(
         motions = []
         for gauges, group in groupby(range(len(plants)), lambda k: plants[k].chain.gauges):
             since_s = dt_s * np.arange(1, len(pressure) + 1) - settle_s
-            seen = seen_by(gauges, plants[0].chain.robot, pressure, since_s)
+            seen = _seen_by(gauges, plants[0].chain.robot, pressure, since_s)
             motions += simulate_batch([behind[k] for k in group], time, seen, force, workers, past)
     robot = plants[0].chain.robot
     pairs = zip(motions, taken, strict=True)
@@ -231,10 +231,10 @@ def _behind_valve(plant: Plant) -> Plant:
     return replace(plant, chain=replace(plant.chain, effects=plant.chain.at("chamber", "body", "load", "sensor")))
 
 
-def seen_by(gauges: Sequence[Effect], robot: Robot, reported: np.ndarray, since_s: np.ndarray) -> np.ndarray:
+def _seen_by(gauges: Sequence[Effect], robot: Robot, reported: np.ndarray, since_s: np.ndarray) -> np.ndarray:
     """Return the pressures (steps, chambers) Pa that gauges ``reported`` as these, ``since_s`` (steps,) the first sample."""
     for gauge in reversed(gauges):
-        reported = gauge.undo(robot, reported, share_at(gauge, since_s)[:, None])
+        reported = gauge.undo(robot, reported, share_at(gauge, since_s)[:, None], float(since_s[1] - since_s[0]))
     return reported
 
 

@@ -13,7 +13,8 @@ from softrl.effects.library import effect_class
 from softrl.pcc.simulator import PccSimulator
 from tests.diagnosis.conftest import configured, made
 
-Gain, Lag, Offset, PressureSensor = (effect_class(name) for name in ("gain", "lag", "offset", "pressure_sensor"))
+Gain, Lag, Offset = (effect_class(name) for name in ("gain", "lag", "offset"))
+GaugeLag, PressureSensor = (effect_class(name) for name in ("gauge_lag", "pressure_sensor"))
 FEW = {"candidates": ["lag", "delay", "gain", "viscoelasticity"], "search": {"max_effects": 2, "keep": 4}}
 SPANS = {"candidates": ["lag", "gain", "pressure_sensor", "viscoelasticity"], "search": {"max_effects": 2, "keep": 3}}
 
@@ -74,3 +75,16 @@ def test_that_all_gauges_may_misread_alike_is_told_with_what_the_body_would_be(b
     told = next(line for line in found.sentences if line.startswith("Only gauges say that the pressures are 1.1 times"))
     softer = [float(part.split(" for ")[0].split()[-1]) for part in told.split("softer: ")[1].split(", ")]
     assert softer == pytest.approx([1.0, 1.0], abs=0.02), told
+
+
+@pytest.mark.parametrize("chamber", [-1, pytest.param(1, marks=pytest.mark.slow)])
+def test_a_slow_gauge_is_no_second_lag_of_the_valve(body: PccSimulator, chamber: int) -> None:
+    """The valve's part alone cannot tell the two lags apart; the body, which is ahead of what the gauge shows, does."""
+    hidden = Lag(fill_s=0.15, vent_s=0.25), GaugeLag(time_s=0.1, chamber=chamber)
+    few = {"candidates": ["lag", "gauge_lag", "pi_regulator", "leak", "gain"], "search": {"max_effects": 2, "keep": 4}}
+    found = run(configured(**few), body.robot, made(body, hidden, seed=3, measured=True), body, tracker=NullTracker())
+    told = {(e["name"], e["chamber"]): e["parameters"] for e in found.effects}
+    assert set(told) == {("lag", -1), ("gauge_lag", chamber)} and found.verdict == "named", found.sentences
+    assert told["gauge_lag", chamber]["time_s"]["value"] == pytest.approx(0.1, rel=0.1)
+    assert told["lag", -1]["fill_s"]["value"] == pytest.approx(0.15, rel=0.05)
+    assert found.errors_mm["heldout"]["corrected"] < 1.2 * found.errors_mm["heldout"]["noise_floor"]

@@ -47,6 +47,7 @@ from softrl.effects.flow_limit import FlowLimit
 from softrl.effects.frame import Frame
 from softrl.effects.friction import Friction
 from softrl.effects.gain import Gain
+from softrl.effects.gauge_lag import GaugeLag
 from softrl.effects.hold import Hold, reading_period
 from softrl.effects.hysteresis import Hysteresis
 from softrl.effects.knee import Knee
@@ -526,9 +527,22 @@ def test_gauge_changes_what_is_reported_and_can_be_undone() -> None:
         motion, bare = move([effect, Lag(0.1, 0.1)], pressure), move([Lag(0.1, 0.1)], pressure)
         np.testing.assert_array_equal(motion.position, bare.position)
         always = np.ones((len(motion.pressure), 1))
-        np.testing.assert_allclose(effect.undo(ROBOT, motion.pressure, always), bare.pressure, atol=1e-9)
+        np.testing.assert_allclose(effect.undo(ROBOT, motion.pressure, always, DT), bare.pressure, atol=1e-9)
         shown = effect.gain * bare.pressure[:, 2] + effect.offset * FULL
         np.testing.assert_allclose(motion.pressure[:, 2], shown, atol=1e-9)
+
+
+def test_a_slow_gauge_follows_the_pressure_and_can_be_undone() -> None:
+    step = step_to(2e4, 200)
+    for chamber in (-1, 1):
+        effect = GaugeLag(time_s=0.1, chamber=chamber)
+        motion, bare = move([effect], step), move([], step)
+        np.testing.assert_array_equal(motion.position, bare.position)
+        followed = 1.0 - np.exp(-DT * np.arange(1, 201) / 0.1)
+        np.testing.assert_allclose(motion.pressure[:, 1], followed * 2e4, rtol=1e-9)
+        assert np.array_equal(motion.pressure[:, 0], bare.pressure[:, 0]) == (chamber == 1)
+        seen = effect.undo(ROBOT, motion.pressure, np.ones((200, 1)), DT)
+        np.testing.assert_allclose(seen[1:], bare.pressure[1:], atol=1e-6)
 
 
 def test_drift_waits_for_its_onset() -> None:

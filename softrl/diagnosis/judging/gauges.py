@@ -1,4 +1,4 @@
-"""A gauge that misreads by a factor: the valve seems to give it to the pressure, and the body behind to take it back."""
+"""Gauges that misread by a factor, or slowly: the valve is then told with what is theirs, and the body behind takes it back."""
 
 import logging
 from collections.abc import Callable, Sequence
@@ -9,42 +9,68 @@ import numpy as np
 from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, effect_axes
 from softrl.diagnosis.fitting.intervals import by_effect, intervals
 from softrl.diagnosis.fitting.trial import Search, Trial, axes_of, fit_trials
+from softrl.diagnosis.judging.another_body import does_as_well
 from softrl.diagnosis.judging.examine import Finding
 from softrl.diagnosis.judging.leftover import heldout_residual
 
 log = logging.getLogger(__name__)
-SPAN, GAUGE = "gain", "pressure_sensor"
+SPAN, GAUGE, SLOW = "gain", "pressure_sensor", "gauge_lag"
 STIFFNESS = ("bending_stiffness_scale", "axial_stiffness_scale", "youngs_modulus_scale")
 
-Behind = Callable[[Finding], Finding]
+Valve = Callable[[Sequence[Choice]], Finding]
+Body = Callable[[Finding], Finding]
 
 
-def with_misread_pressures(findings: list[Finding], behind: Behind, search: Search) -> list[Finding]:
-    """Return the findings of valve and body, or those with gauges that misread where fewer effects then say as much.
+def behind_gauges(findings: list[Finding], valve: Valve, body: Body, search: Search) -> list[Finding]:
+    """Return the findings of valve and body, or those with gauges that err where that says as much with fewer effects.
 
-    Asked where the valve gives a factor to a chamber's pressure, as its gauge shows, on which the body behind the gauge needs an
-    effect, too, or is not understood. ``behind`` examines the body behind the pressures that a finding of the valve has acting.
+    ``valve`` examines the valve as gauges show it that may err so, and ``body`` the body behind a finding of the valve.
     """
     if len(findings) < 2 or findings[0].unknown:
         return findings
-    valve, body = findings
-    felt = [named.choice.chamber for named in body.named]
+    return _behind_misreading(_behind_slow(findings, valve, body), body, search)
+
+
+def _behind_slow(findings: list[Finding], valve: Valve, body: Body) -> list[Finding]:
+    """Return the findings with slow gauges, which the body alone tells: it is ahead of what they show."""
+    former, last = findings
+    slow = [named.choice for named in last.named if named.choice.name == SLOW and not named.choice.sessions]
+    if not slow:
+        return findings
+    log.info("valve and body are examined again about slow gauges: %s", _labels(slow))
+    found = valve(slow)
+    if found.unknown or not any(named.choice in slow for named in found.named):
+        return findings
+    again = body(found)
+    more = len(found.named) + len(again.named) > len(former.named) + len(last.named)
+    if more or not does_as_well(again, last, more=False):
+        return findings
+    rivals = [rival for rival in found.rivals if rival.instead_of not in slow]  # none of the gauges' says what the body does
+    why = f"{_labels(slow)}: the body behind is ahead of what the gauges show, so that they are slow and not the valve alone."
+    return [_told(replace(found, rivals=rivals), why), again]
+
+
+def _behind_misreading(findings: list[Finding], body: Body, search: Search) -> list[Finding]:
+    """Return the findings with gauges that misread by a factor.
+
+    Asked where the valve gives a factor to a chamber's pressure, as its gauge shows, on which the body behind the gauge needs an
+    effect, too, or is not understood.
+    """
+    valve, last = findings
+    felt = [named.choice.chamber for named in last.named]
     doubted = [named.choice for named in valve.named if _is_span(named.choice)]
-    doubted = [choice for choice in doubted if body.unknown or (choice.chamber >= 0 and choice.chamber in felt)]
+    doubted = [choice for choice in doubted if last.unknown or (choice.chamber >= 0 and choice.chamber in felt)]
     misread = _misreading(valve, doubted, search) if doubted else None
     if misread is None:
         return findings
-    log.info("the body is examined again behind gauges that may misread: %s", ", ".join(c.label() for c in doubted))
-    again = behind(misread)
-    fewer = len(again.named) < len(body.named) and again.unknown == body.unknown
-    if not (fewer or (body.unknown and not again.unknown)) or body.judge.tells(again.final.squares, body.final.squares):
+    log.info("the body is examined again behind gauges that may misread: %s", _labels(doubted))
+    again = body(misread)
+    fewer = len(again.named) < len(last.named) or (last.unknown and not again.unknown)
+    if not fewer or not does_as_well(again, last, more=False):
         return findings
-    told = (
-        f"{_named(misread)} takes the place of {', '.join(choice.label() for choice in doubted)}: "
-        "what the gauge shows the body behind it does not feel."
-    )
-    log.info("%s", told)
-    return [replace(misread, switched=(*misread.switched, told)), again]
+    mine = [named.choice for named in misread.named if named.choice.name == GAUGE]
+    why = f"{_labels(mine)} takes the place of {_labels(doubted)}: what the gauge shows the body behind it does not feel."
+    return [_told(misread, why), again]
 
 
 def told_of_gauges(findings: Sequence[Finding], parameters: dict[str, float]) -> list[str]:
@@ -66,8 +92,13 @@ def _is_span(choice: Choice) -> bool:
     return choice.name == SPAN and choice.before_gauge and not (choice.gate and choice.gate.field == "above_share")
 
 
-def _named(finding: Finding) -> str:
-    return ", ".join(named.choice.label() for named in finding.named if named.choice.name == GAUGE)
+def _labels(choices: Sequence[Choice]) -> str:
+    return ", ".join(choice.label() for choice in choices)
+
+
+def _told(valve: Finding, why: str) -> Finding:
+    log.info("%s", why)
+    return replace(valve, switched=(*valve.switched, why))
 
 
 def _misreading(valve: Finding, doubted: Sequence[Choice], search: Search) -> Finding | None:

@@ -9,7 +9,7 @@ from softrl.core.simulator import Layered
 from softrl.diagnosis.checks.data import Data, within
 from softrl.diagnosis.checks.prelude import preludes
 from softrl.diagnosis.fitting.choices import candidates, in_some_sessions, that_last
-from softrl.diagnosis.fitting.hypothesis import LATE
+from softrl.diagnosis.fitting.hypothesis import LATE, Choice, Hypothesis
 from softrl.diagnosis.fitting.judge import Judge
 from softrl.diagnosis.fitting.problem import ORIENTATION_LEVER, Problem
 from softrl.diagnosis.fitting.trial import Trial, columns_of
@@ -18,7 +18,6 @@ from softrl.diagnosis.series.blocks import correlation_time
 from softrl.effects.chain import chain_of
 from softrl.effects.driving import Supply
 from softrl.effects.effect import SITES
-from softrl.effects.replay import seen_by
 from softrl.recordings.gone import sessions_in_order
 from softrl.recordings.recording import Recording
 
@@ -34,14 +33,14 @@ def both_at_once(whole: Problem, data: Data, effects: list[str]) -> Part:
     return _motion_part(whole, data, "command to motion", effects, SITES)
 
 
-def valve_part(whole: Problem, data: Data, effects: list[str]) -> Part:
-    """Return the pipeline from command to measured pressure, in finer steps."""
+def valve_part(whole: Problem, data: Data, effects: list[str], gauges: Sequence[Choice] = ()) -> Part:
+    """Return the pipeline from command to measured pressure, in finer steps; errors of ``gauges`` are considered, too."""
     steps = whole.numerics
     finer = replace(steps, dt_s=steps.dt_s / VALVE_STEPS, rough_dt_s=steps.rough_dt_s / VALVE_STEPS)
     runs = within(data.training, VALVE_S)
     problem = replace(whole, target="pressure", register=False, orientation=False, runs=runs, numerics=finer)
     choices = candidates(effects, ("valve",), whole.robot, data.check.excited, gauges_only=True)
-    choices += that_last(choices, [run.session for run in runs], [])
+    choices += [*that_last(choices, [run.session for run in runs], []), *gauges]
     floor = floor_in_bin(data.pressure_noise, data, problem)
     return Part("command to measured pressure", problem, data.heldout, floor, data.pressure_travel, tuple(choices), data.now)
 
@@ -129,9 +128,18 @@ def floor_in_bin(noise: float, data: Data, problem: Problem) -> float:
 
 
 def supplied(runs: Sequence[Recording], valve: Finding) -> list[Recording]:
-    """Return what the valve as it is understood makes of the commands of ``runs``."""
+    """Return what gauges show of what the valve as it is understood makes of the commands of ``runs``."""
     problem = valve.part.problem.on(runs)
     return problem.replayed(valve.final.hypothesis, valve.final.fit.point, ("pressure_meas",))
+
+
+def _delivered(runs: Sequence[Recording], valve: Finding) -> list[Recording]:
+    """Return what the valve makes of the commands, whatever its gauges show."""
+    final, problem = valve.final, valve.part.problem.on(runs)
+    gauges = [choice for choice in final.hypothesis.effects if choice.site == "sensor"]
+    point = np.delete(final.fit.point, [column for choice in gauges for column in columns_of(final, choice)])
+    others = tuple(choice for choice in final.hypothesis.effects if choice not in gauges)
+    return problem.replayed(Hypothesis(others, final.hypothesis.tuned), point, ("pressure_meas",))
 
 
 def _understood(runs: Sequence[Recording], valve: Finding, noise: float) -> list[tuple[Recording, Supply]]:
@@ -143,16 +151,14 @@ def _understood(runs: Sequence[Recording], valve: Finding, noise: float) -> list
     """
     final, problem = valve.final, valve.part.problem
     space, point, found = problem.space(final.hypothesis), final.fit.point, []
-    for run, made in zip(runs, supplied(runs, valve), strict=True):
+    for run, made, to in zip(runs, supplied(runs, valve), _delivered(runs, valve), strict=True):
         chain = chain_of(problem.robot, space.effects(point, run.session, run.gone_s))
         apart = run.pressure_meas - made.pressure_meas
         apart -= bias(apart)
         square = float(np.mean(np.sum(apart**2, axis=1)))
         apart *= max(1.0 - noise**2 / square, 0.0) if square > 0.0 else 0.0
-        shown = made.pressure_meas + apart, made.pressure_meas
-        acting, plain = (seen_by(chain.gauges, problem.robot, pressure, run.time - run.time[0]) for pressure in shown)
-        mended = replace(run, pressure_meas=acting)
-        found.append((mended, Supply(chain, space.late(point), acting - plain)))
+        mended = replace(run, pressure_meas=to.pressure_meas + apart)
+        found.append((mended, Supply(chain, space.late(point), apart)))
     return found
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from softrl.diagnosis.judging.examine import Finding
 
 AS_GOOD = 1.05  # times the retuned error: nothing was gained
+FAR_BETTER = 2.0  # times the error with a single lag: what was measured between valve and body is not what acts
 
 
 def verdict_of(findings: Sequence[Finding], heldout: dict[str, float]) -> str:
@@ -25,10 +26,10 @@ def misleads(findings: Sequence[Finding], heldout: dict[str, float]) -> bool:
     """Return whether the corrected simulator errs plainly more than one retuned, or one with a single lag, does.
 
     Whatever its parts do on their own, they do not serve together then. Where valve and body were both understood apart, a
-    lag that is fitted from the command, with whatever else makes up for it, is no witness against them.
+    lag that is fitted from the command, with whatever else makes up for it, is no witness against them unless it is far better.
     """
     apart = len(findings) > 1 and not any(finding.unknown for finding in findings)
-    plain = heldout["retuned"] if apart else min(heldout["retuned"], heldout.get("one_lag", np.inf))
+    plain = min(heldout["retuned"], (FAR_BETTER if apart else 1.0) * heldout.get("one_lag", np.inf))
     return heldout["corrected"] > AS_GOOD * max(plain, heldout["noise_floor"])
 
 
