@@ -53,20 +53,18 @@ def _behind_slow(findings: list[Finding], valve: Valve, body: Body) -> list[Find
 def _behind_misreading(findings: list[Finding], body: Body, search: Search) -> list[Finding]:
     """Return the findings with gauges that misread by a factor.
 
-    Asked where the valve gives a factor to a chamber's pressure, as its gauge shows, on which the body behind the gauge needs an
-    effect, too, or is not understood.
+    Asked where the valve gives a chamber's pressure a factor, as its gauge shows, and the body behind needs an effect there, too.
     """
     valve, last = findings
     felt = [named.choice.chamber for named in last.named]
-    doubted = [named.choice for named in valve.named if _is_span(named.choice)]
-    doubted = [choice for choice in doubted if last.unknown or (choice.chamber >= 0 and choice.chamber in felt)]
+    spans = [named.choice for named in valve.named if _is_span(named.choice)]
+    doubted = [choice for choice in spans if choice.chamber >= 0 and choice.chamber in felt]
     misread = _misreading(valve, doubted, search) if doubted else None
     if misread is None:
         return findings
     log.info("the body is examined again behind gauges that may misread: %s", _labels(doubted))
     again = body(misread)
-    fewer = len(again.named) < len(last.named) or (last.unknown and not again.unknown)
-    if not fewer or not does_as_well(again, last, more=False):
+    if len(again.named) >= len(last.named) or not does_as_well(again, last, more=False):
         return findings
     mine = [named.choice for named in misread.named if named.choice.name == GAUGE]
     why = f"{_labels(mine)} takes the place of {_labels(doubted)}: what the gauge shows the body behind it does not feel."
