@@ -1,4 +1,4 @@
-"""A gauge that follows the pressure slowly: at the end of a thin tube, or behind a filter."""
+"""A gauge that follows the pressure slowly, at the end of a thin tube or behind a filter, or is read late."""
 
 import math
 from dataclasses import dataclass
@@ -9,44 +9,57 @@ import numpy as np
 from softrl.core.compiled import standing_as
 from softrl.core.errors import ConfigError
 from softrl.effects.effect import EVERYWHERE, SIGNAL_KERNEL, Effect, parameter
+from softrl.effects.history import empty_history, look_back, push
 from softrl.robots.robot import Robot
 
 
 @standing_as(SIGNAL_KERNEL)
 def gauge_lag_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
-    """Advance ``dp_reported/dt = (p - p_reported) / time`` exactly over ``dt`` with the pressure held."""
-    chamber = int(parameters[1])
+    """Advance ``dp_reported/dt = (p(t - delay) - p_reported) / time`` exactly over ``dt`` with the pressure held."""
+    n = len(value)
+    push(state, value, False)
+    last, chamber = state[len(state) - n :], int(parameters[2])
     share = 1.0 if parameters[0] <= 0.0 else -math.expm1(-dt / parameters[0])
-    for i in range(len(value)):
+    for i in range(n):
         if chamber < 0 or chamber == i:
-            state[i] += share * (value[i] - state[i])
-            value[i] = state[i]
+            last[i] += share * (look_back(state, n, i, parameters[1] / dt) - last[i])
+            value[i] = last[i]
 
 
 @dataclass(frozen=True)
 class GaugeLag(Effect):
-    """Reported chamber pressure of first order, ``dp_reported/dt = (p - p_reported) / time``.
+    """Reported chamber pressure of first order behind a delay, ``dp_reported/dt = (p(t - delay) - p_reported) / time``.
 
     Notes
     -----
-    Textbook first-order model of a pressure gauge behind a line or a filter (no equation number checked). The motion does not
-    change under the same commands; in a replay that puts the measured pressure behind the valve, what acted was ahead of it.
+    Textbook first-order model of a pressure gauge behind a line or a filter, and transport delay of what is polled (no equation
+    number checked). The motion does not change under the same commands; in a replay that puts the measured pressure behind the
+    valve, what acted was ahead of it. Exact for a delay of whole steps; the step must exceed delay / 4094.
     """
 
     site: ClassVar[str] = "sensor"
     channel: ClassVar[str] = "pressure"
     title: ClassVar[str] = "slow pressure gauge"
     kernel: ClassVar = gauge_lag_kernel
+    essence: ClassVar[tuple[str, ...]] = ("time_s", "delay_s")
 
     time_s: float = parameter("s", 0.0, 2.0, 0.0, typical=0.1)
+    delay_s: float = parameter("s", 0.0, 1.0, 0.0, typical=0.1, default=0.0)
     chamber: int = -1
 
+    @classmethod
+    def shapes(cls) -> list[dict[str, float]]:
+        """Return a gauge that is only slow, and one that is only late."""
+        return [{"time_s": 0.1, "delay_s": 0.0}, {"time_s": 0.0, "delay_s": 0.1}]
+
     def reset(self, robot: Robot) -> np.ndarray:
-        """Return what gauges report at rest, zero."""
-        return np.zeros(robot.chambers)
+        """Return an empty history, and what gauges report at rest, zero."""
+        return np.concatenate([empty_history(robot.chambers), np.zeros(robot.chambers)])
 
     def undo(self, robot: Robot, reported: np.ndarray, share: np.ndarray, dt_s: float) -> np.ndarray:
         """Return the pressures (steps, chambers) Pa that the gauge followed where it ``reported`` these, ``dt_s`` apart.
+
+        What it had not yet reported at the end is taken to stay as it was.
 
         Raises
         ------
@@ -58,10 +71,9 @@ class GaugeLag(Effect):
                 f"effect gauge_lag.above_share={self.above_share:g}: measured pressures cannot drive a body behind a gauge "
                 "that is slow above a pressure only; expected drive=command"
             )
-        if self.time_s <= 0.0:
-            return reported
-        seen = np.array(reported, dtype=float)
-        mine = slice(None) if self.chamber < 0 else slice(self.chamber, self.chamber + 1)
-        followed = -math.expm1(-dt_s / self.time_s)
-        seen[1:, mine] += share[1:] * (1.0 / followed - 1.0) * np.diff(reported[:, mine], axis=0)
+        time, seen = dt_s * np.arange(len(reported)), np.array(reported, dtype=float)
+        followed = 1.0 if self.time_s <= 0.0 else -math.expm1(-dt_s / self.time_s)
+        for c in range(robot.chambers) if self.chamber < 0 else (self.chamber,):
+            quick = reported[:, c] + (1.0 / followed - 1.0) * np.diff(reported[:, c], prepend=reported[0, c])
+            seen[:, c] += share[:, 0] * (np.interp(time + self.delay_s, time, quick) - reported[:, c])
         return seen

@@ -543,6 +543,10 @@ def test_a_slow_gauge_follows_the_pressure_and_can_be_undone() -> None:
         assert np.array_equal(motion.pressure[:, 0], bare.pressure[:, 0]) == (chamber == 1)
         seen = effect.undo(ROBOT, motion.pressure, np.ones((200, 1)), DT)
         np.testing.assert_allclose(seen[1:], bare.pressure[1:], atol=1e-6)
+        late = move([replace(effect, delay_s=0.05)], step).pressure
+        np.testing.assert_array_equal(late[5:, 1], motion.pressure[:-5, 1])
+        seen = replace(effect, delay_s=0.05).undo(ROBOT, late, np.ones((200, 1)), DT)
+        np.testing.assert_allclose(seen[1:-5], bare.pressure[1:-5], atol=1e-6)
 
 
 def test_drift_waits_for_its_onset() -> None:

@@ -108,11 +108,20 @@ def _as_few(
     return [trial for trial in slimmed if len(trial.fit.point) <= len(best.fit.point)]
 
 
-def swap(fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice], search: Search, path: Path) -> Trial:
+def swap(
+    fitting: Problem,
+    judge: Judge,
+    trial: Trial,
+    choices: Sequence[Choice],
+    search: Search,
+    path: Path,
+    again: bool = True,
+) -> Trial:
     """Return ``trial`` after each of its older effects was put to the test against all others in its place.
 
     A map without physics has to pay against them, see ``Judge.simplest``; any other effect stays unless one is better. Where
-    one took another's place the newest, which was chosen beside that other, is put to the test as well.
+    one took another's place the newest, which was chosen beside that other, is put to the test as well, and where that gives way
+    the others are once ``again``, which were put to the test beside it.
     """
     began = trial
     for name in trial.hypothesis.names:
@@ -136,6 +145,8 @@ def swap(fitting: Problem, judge: Judge, trial: Trial, choices: Sequence[Choice]
             end = len(instead.fit.point) - len(instead.hypothesis.tuned)
             mine = instead.fit.point[end - len(effect_axes(new)) : end]
             path.tried[old] = [(new, mine), *others]
+    if again and len(began.hypothesis.names) > 1 and began.hypothesis.names[-1] not in trial.hypothesis.names:
+        return swap(fitting, judge, trial, choices, search, path, again=False)
     return trial
 
 
