@@ -42,7 +42,7 @@ def steps(robot: Robot, period_s: float) -> tuple[Recording, np.ndarray, np.ndar
 def understood(monkeypatch: pytest.MonkeyPatch, robot: Robot, time: np.ndarray, true: np.ndarray) -> Any:
     """Return a valve that is known to lag by 60 ms, which gives ``true`` (steps, chambers) at ``time`` (steps,)."""
 
-    def supplied(runs: list[Recording], _: Any) -> list[Recording]:
+    def supplied(runs: list[Recording], _: Any, shown: bool = True) -> list[Recording]:
         return [Recording(r.name, r.session, r.time, r.pressure_cmd, pressure_meas=evenly(r.time, time, true)) for r in runs]
 
     monkeypatch.setattr(parts, "supplied", supplied)

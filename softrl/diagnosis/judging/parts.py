@@ -127,16 +127,10 @@ def floor_in_bin(noise: float, data: Data, problem: Problem) -> float:
     return noise / float(np.sqrt(max(problem.numerics.bin_s / period, 1.0)))
 
 
-def supplied(runs: Sequence[Recording], valve: Finding) -> list[Recording]:
-    """Return what gauges show of what the valve as it is understood makes of the commands of ``runs``."""
-    problem = valve.part.problem.on(runs)
-    return problem.replayed(valve.final.hypothesis, valve.final.fit.point, ("pressure_meas",))
-
-
-def _delivered(runs: Sequence[Recording], valve: Finding) -> list[Recording]:
-    """Return what the valve makes of the commands, whatever its gauges show."""
+def supplied(runs: Sequence[Recording], valve: Finding, shown: bool = True) -> list[Recording]:
+    """Return what the valve as it is understood makes of the commands of ``runs``: as its gauges have ``shown`` it, or itself."""
     final, problem = valve.final, valve.part.problem.on(runs)
-    gauges = [choice for choice in final.hypothesis.effects if choice.site == "sensor"]
+    gauges = [choice for choice in final.hypothesis.effects if choice.site == "sensor" and not shown]
     point = np.delete(final.fit.point, [column for choice in gauges for column in columns_of(final, choice)])
     others = tuple(choice for choice in final.hypothesis.effects if choice not in gauges)
     return problem.replayed(Hypothesis(others, final.hypothesis.tuned), point, ("pressure_meas",))
@@ -151,7 +145,7 @@ def _understood(runs: Sequence[Recording], valve: Finding, noise: float) -> list
     """
     final, problem = valve.final, valve.part.problem
     space, point, found = problem.space(final.hypothesis), final.fit.point, []
-    for run, made, to in zip(runs, supplied(runs, valve), _delivered(runs, valve), strict=True):
+    for run, made, to in zip(runs, supplied(runs, valve), supplied(runs, valve, shown=False), strict=True):
         chain = chain_of(problem.robot, space.effects(point, run.session, run.gone_s))
         apart = run.pressure_meas - made.pressure_meas
         apart -= bias(apart)
