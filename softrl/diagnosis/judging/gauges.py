@@ -34,18 +34,18 @@ def behind_gauges(findings: list[Finding], valve: Valve, body: Body, search: Sea
 def _behind_slow(findings: list[Finding], valve: Valve, body: Body) -> list[Finding]:
     """Return the findings with slow gauges, which the body alone tells: it is ahead of what they show."""
     former, last = findings
-    slow = [named.choice for named in last.named if named.choice.name == SLOW and not named.choice.sessions]
+    slow = [choice._replace(pinned=()) for choice in _of(SLOW, last) if not choice.sessions]
     if not slow:
         return findings
     log.info("valve and body are examined again about slow gauges: %s", _labels(slow))
     found = valve(slow)
-    if found.unknown or not any(named.choice in slow for named in found.named):
+    if found.unknown or not _of(SLOW, found):
         return findings
     again = body(found)
     more = len(found.named) + len(again.named) > len(former.named) + len(last.named)
     if more or not does_as_well(again, last, more=False):
         return findings
-    rivals = [rival for rival in found.rivals if rival.instead_of not in slow]  # none of the gauges' says what the body does
+    rivals = [rival for rival in found.rivals if rival.instead_of.name != SLOW]  # none of theirs says what the body does
     why = f"{_labels(slow)}: the body behind is ahead of what the gauges show, so that they are slow and not the valve alone."
     return [_told(replace(found, rivals=rivals), why), again]
 
@@ -66,8 +66,8 @@ def _behind_misreading(findings: list[Finding], body: Body, search: Search) -> l
     again = body(misread)
     if len(again.named) >= len(last.named) or not does_as_well(again, last, more=False):
         return findings
-    mine = [named.choice for named in misread.named if named.choice.name == GAUGE]
-    why = f"{_labels(mine)} takes the place of {_labels(doubted)}: what the gauge shows the body behind it does not feel."
+    mine = _labels(_of(GAUGE, misread))
+    why = f"{mine} takes the place of {_labels(doubted)}: what the gauge shows the body behind it does not feel."
     return [_told(misread, why), again]
 
 
@@ -88,6 +88,10 @@ def told_of_gauges(findings: Sequence[Finding], parameters: dict[str, float]) ->
 
 def _is_span(choice: Choice) -> bool:
     return choice.name == SPAN and choice.before_gauge and not (choice.gate and choice.gate.field == "above_share")
+
+
+def _of(name: str, finding: Finding) -> list[Choice]:
+    return [named.choice for named in finding.named if named.choice.name == name]
 
 
 def _labels(choices: Sequence[Choice]) -> str:
