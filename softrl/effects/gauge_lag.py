@@ -7,8 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.core.errors import ConfigError
-from softrl.effects.effect import EVERYWHERE, SIGNAL_KERNEL, Effect, parameter
+from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
 from softrl.effects.history import empty_history, look_back, push
 from softrl.robots.robot import Robot
 
@@ -60,17 +59,7 @@ class GaugeLag(Effect):
         """Return the pressures (steps, chambers) Pa that the gauge followed where it ``reported`` these, ``dt_s`` apart.
 
         What it had not yet reported at the end is taken to stay as it was.
-
-        Raises
-        ------
-        ConfigError
-            If it is slow above a pressure only: what it saw does not follow from what it reported.
         """
-        if self.above_share > EVERYWHERE:
-            raise ConfigError(
-                f"effect gauge_lag.above_share={self.above_share:g}: measured pressures cannot drive a body behind a gauge "
-                "that is slow above a pressure only; expected drive=command"
-            )
         time, seen = dt_s * np.arange(len(reported)), np.array(reported, dtype=float)
         followed = 1.0 if self.time_s <= 0.0 else -math.expm1(-dt_s / self.time_s)
         for c in range(robot.chambers) if self.chamber < 0 else (self.chamber,):

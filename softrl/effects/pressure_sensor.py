@@ -6,8 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.core.errors import ConfigError
-from softrl.effects.effect import EVERYWHERE, SIGNAL_KERNEL, Effect, parameter
+from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
 from softrl.robots.robot import Robot
 
 
@@ -44,18 +43,7 @@ class PressureSensor(Effect):
         return super().pack(robot) * [1.0, robot.pressure_max_pa, 1.0]
 
     def undo(self, robot: Robot, reported: np.ndarray, share: np.ndarray, dt_s: float) -> np.ndarray:
-        """Return the pressures (steps, chambers) Pa that the gauge saw where it ``reported`` these.
-
-        Raises
-        ------
-        ConfigError
-            If it misreads above a pressure only: what it saw does not follow from what it reported.
-        """
-        if self.above_share > EVERYWHERE:
-            raise ConfigError(
-                f"effect pressure_sensor.above_share={self.above_share:g}: measured pressures cannot drive a body behind a gauge "
-                "that misreads above a pressure only; expected drive=command"
-            )
+        """Return the pressures (steps, chambers) Pa that the gauge saw where it ``reported`` these."""
         seen = np.array(reported, dtype=float)
         mine = slice(None) if self.chamber < 0 else slice(self.chamber, self.chamber + 1)
         seen[:, mine] = (seen[:, mine] - share * self.offset * robot.pressure_max_pa) / (1.0 + share * (self.gain - 1.0))

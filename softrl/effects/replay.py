@@ -9,11 +9,12 @@ from typing import TypeGuard
 import numba as nb
 import numpy as np
 
+from softrl.core.errors import ConfigError
 from softrl.core.identity import Same
 from softrl.core.simulator import Motion
 from softrl.effects.chain import EffectChain, Plant, simulate_batch
 from softrl.effects.driving import Supply, drive_on_grid
-from softrl.effects.effect import Effect
+from softrl.effects.effect import EVERYWHERE, Effect
 from softrl.effects.gate import share_at
 from softrl.effects.hold import Hold, reading_phase
 from softrl.recordings.recording import Recording
@@ -232,8 +233,19 @@ def _behind_valve(plant: Plant) -> Plant:
 
 
 def _seen_by(gauges: Sequence[Effect], robot: Robot, reported: np.ndarray, since_s: np.ndarray) -> np.ndarray:
-    """Return the pressures (steps, chambers) Pa that gauges ``reported`` as these, ``since_s`` (steps,) the first sample."""
+    """Return the pressures (steps, chambers) Pa that gauges ``reported`` as these, ``since_s`` (steps,) the first sample.
+
+    Raises
+    ------
+    ConfigError
+        If a gauge errs above a pressure only: what it saw does not follow from what it reported.
+    """
     for gauge in reversed(gauges):
+        if gauge.above_share > EVERYWHERE:
+            raise ConfigError(
+                f"effect {gauge.name()}.above_share={gauge.above_share:g}: measured pressures cannot drive a body behind a gauge "
+                "that errs above a pressure only; expected drive=command"
+            )
         reported = gauge.undo(robot, reported, share_at(gauge, since_s)[:, None], float(since_s[1] - since_s[0]))
     return reported
 

@@ -88,3 +88,13 @@ def test_a_slow_gauge_is_no_second_lag_of_the_valve(body: PccSimulator, chamber:
     assert told["gauge_lag", chamber]["time_s"]["value"] == pytest.approx(0.1, rel=0.1)
     assert told["lag", -1]["fill_s"]["value"] == pytest.approx(0.15, rel=0.05)
     assert found.errors_mm["heldout"]["corrected"] < 1.2 * found.errors_mm["heldout"]["noise_floor"]
+
+
+@pytest.mark.slow
+def test_where_only_the_gauge_is_slow_the_valve_is_quick(body: PccSimulator) -> None:
+    few = {"candidates": ["lag", "gauge_lag", "tube_line", "rate_limit"], "search": {"max_effects": 2, "keep": 4}}
+    hidden = (GaugeLag(time_s=0.15),)
+    found = run(configured(**few), body.robot, made(body, hidden, seed=3, measured=True), body, tracker=NullTracker())
+    assert [(e["name"], e["site"]) for e in found.effects] == [("gauge_lag", "sensor")], found.sentences
+    assert found.effects[0]["parameters"]["time_s"]["value"] == pytest.approx(0.15, rel=0.05)
+    assert found.errors_mm["heldout"]["corrected"] < 1.2 * found.errors_mm["heldout"]["noise_floor"]

@@ -144,21 +144,21 @@ def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Fi
         if ahead is None:
             break
         why = "it predicts the held-out runs better, whose error is then the best of several"
-        finding = _switched(finding, judge, ahead, why, search)
+        finding = switched(finding, judge, ahead, why, search)
     fewer = simpler(finding.rivals, finding.final, redated(before, final))
     if fewer is not None:
-        finding = _switched(finding, judge, fewer, "it does as well, and needs fewer numbers to say when it began", search)
+        finding = switched(finding, judge, fewer, "it does as well, and needs fewer numbers to say when it began", search)
     plain = plainer(judge, finding.rivals, finding.final)
     if plain is not None:
-        finding = _switched(finding, judge, plain, "what that adds to its law is less than anybody would notice", search)
+        finding = switched(finding, judge, plain, "what that adds to its law is less than anybody would notice", search)
     sudden = suddenly(finding.rivals, finding.final)
     if sudden is not None:
-        finding = _switched(finding, judge, sudden, "it does as well, and came about sooner than that may", search)
+        finding = switched(finding, judge, sudden, "it does as well, and came about sooner than that may", search)
     return finding
 
 
-def _switched(finding: Finding, judge: Judge, better: Rival, why: str, search: Search) -> Finding:
-    """Return the finding with a rival in the place of what the training runs preferred, which is told with the reason."""
+def switched(finding: Finding, judge: Judge, better: Rival, why: str, search: Search) -> Finding:
+    """Return the finding with a rival in the place of what the training runs preferred, which is told with the reason ``why``."""
     told = (
         f"{better.choice.label()} takes the place of {better.instead_of.label()}, which the training runs preferred: {why}."
     )

@@ -10,8 +10,9 @@ from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, effect_axes
 from softrl.diagnosis.fitting.intervals import by_effect, intervals
 from softrl.diagnosis.fitting.trial import Search, Trial, axes_of, fit_trials
 from softrl.diagnosis.judging.another_body import does_as_well
-from softrl.diagnosis.judging.examine import Finding
+from softrl.diagnosis.judging.examine import Finding, switched
 from softrl.diagnosis.judging.leftover import heldout_residual
+from softrl.diagnosis.judging.parts import punctual
 
 log = logging.getLogger(__name__)
 SPAN, GAUGE, SLOW = "gain", "pressure_sensor", "gauge_lag"
@@ -28,18 +29,18 @@ def behind_gauges(findings: list[Finding], valve: Valve, body: Body, search: Sea
     """
     if len(findings) < 2 or findings[0].unknown:
         return findings
-    return _behind_misreading(_behind_slow(findings, valve, body), body, search)
+    return _behind_misreading(_behind_slow(findings, valve, body, search), body, search)
 
 
-def _behind_slow(findings: list[Finding], valve: Valve, body: Body) -> list[Finding]:
+def _behind_slow(findings: list[Finding], valve: Valve, body: Body, search: Search) -> list[Finding]:
     """Return the findings with slow gauges, which the body alone tells: it is ahead of what they show."""
     former, last = findings
     slow = [choice._replace(pinned=()) for choice in _of(SLOW, last) if not choice.sessions]
     if not slow:
         return findings
     log.info("valve and body are examined again about slow gauges: %s", _labels(slow))
-    found = valve(slow)
-    if found.unknown or not _of(SLOW, found):
+    found = _with_slow(valve(slow), search)
+    if found is None:
         return findings
     again = body(found)
     more = len(found.named) + len(again.named) > len(former.named) + len(last.named)
@@ -48,6 +49,16 @@ def _behind_slow(findings: list[Finding], valve: Valve, body: Body) -> list[Find
     rivals = [rival for rival in found.rivals if rival.instead_of.name != SLOW]  # none of theirs says what the body does
     why = f"{_labels(slow)}: the body behind is ahead of what the gauges show, so that they are slow and not the valve alone."
     return [_told(replace(found, rivals=rivals), why), again]
+
+
+def _with_slow(valve: Finding, search: Search) -> Finding | None:
+    """Return the finding if slow gauges are among its effects, or do as well as one of them, whose place they take; else None."""
+    if valve.unknown:
+        return None
+    if _of(SLOW, valve):
+        return valve
+    slow = [rival for rival in valve.rivals if rival.choice.name == SLOW and rival.equivalent]
+    return punctual(switched(valve, valve.judge, slow[0], "it does as well, and the body tells", search)) if slow else None
 
 
 def _behind_misreading(findings: list[Finding], body: Body, search: Search) -> list[Finding]:
