@@ -1,10 +1,11 @@
 """How late a log is, in words: no physics, but whoever reads on should know."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from softrl.diagnosis.judging.examine import Finding
+from softrl.diagnosis.judging.examine import Finding, Named
 from softrl.recordings.acting import ACTS
 
 LATE_SHARE = 0.2  # of the interval between samples: a log that is less late goes without saying
@@ -14,7 +15,8 @@ def lateness(findings: Sequence[Finding]) -> list[str]:
     """Return how late commands act by the log, and how late the motion is seen, where it counts beside the interval."""
     shifts = [line for finding in findings for line in _of_shifts(finding)]
     motions = [line for finding in findings[1:] for line in _of_motion(finding)]
-    return [*_of_clock(findings[0]), *_of_commands(findings[0]), *motions, *shifts]
+    spread = [line for finding in findings for named in finding.named for line in _of_spread(finding, named)]
+    return [*_of_clock(findings[0]), *_of_commands(findings[0]), *motions, *shifts, *spread]
 
 
 def _of_clock(finding: Finding) -> list[str]:
@@ -35,10 +37,9 @@ def _of_shifts(finding: Finding) -> list[str]:
     interval_s = finding.part.problem.late_max_s
     shifts = [named.choice.label() for named in finding.named if named.choice.shifts_time]
     if interval_s == 0.0:
-        row_s = float(np.median([np.median(np.diff(run.time)) for run in finding.part.problem.runs]))
         return [
-            f"{label} rests on the dataset's {ACTS}: were that wrong, up to {1e3 * row_s:.2g} ms of it would be how rows are "
-            "written."
+            f"{label} rests on the dataset's {ACTS}: were that wrong, up to {1e3 * _row_s(finding):.2g} ms of it would be how "
+            "rows are written."
             for label in shifts
         ]
     return [
@@ -46,6 +47,23 @@ def _of_shifts(finding: Finding) -> list[str]:
         "how rows are written."
         for label in shifts
     ]
+
+
+def _of_spread(finding: Finding, named: Named) -> list[str]:
+    """Return what a dead time is whose arrivals are spread over less than a row: rows cannot show their shape."""
+    told = {interval.name: interval.value for interval in named.intervals}
+    spread_s = math.sqrt(told.get("dispersion", 0.0)) * told.get("delay_s", 0.0)
+    row_s = _row_s(finding)
+    if not 0.0 < spread_s < row_s:
+        return []
+    return [
+        f"{named.choice.label()} spreads what arrives over {1e3 * spread_s:.2g} ms, less than a row ({1e3 * row_s:.2g} ms): it "
+        "may as well be a lag with that time constant behind a dead time that is shorter by as much."
+    ]
+
+
+def _row_s(finding: Finding) -> float:
+    return float(np.median([np.median(np.diff(run.time)) for run in finding.part.problem.runs]))
 
 
 def _of_commands(finding: Finding) -> list[str]:
