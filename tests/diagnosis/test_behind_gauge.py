@@ -98,3 +98,18 @@ def test_where_only_the_gauge_is_slow_the_valve_is_quick(body: PccSimulator) -> 
     assert [(e["name"], e["site"]) for e in found.effects] == [("gauge_lag", "sensor")], found.sentences
     assert found.effects[0]["parameters"]["time_s"]["value"] == pytest.approx(0.15, rel=0.05)
     assert found.errors_mm["heldout"]["corrected"] < 1.2 * found.errors_mm["heldout"]["noise_floor"]
+
+
+@pytest.mark.slow
+def test_a_gauge_that_is_read_late_takes_nothing_of_the_valve_s_lag(body: PccSimulator) -> None:
+    """Free to give the gauge a time as well, a search gave it the valve's, and found nothing that fits beside it.
+
+    The delay is known to within a row (20 ms), for it is not said when rows act.
+    """
+    few = {"candidates": ["lag", "gauge_lag", "dead_time", "tube_line", "flow_limit", "orifice", "knee"]}
+    hidden = Lag(fill_s=0.3, vent_s=0.5), GaugeLag(time_s=0.0, delay_s=0.1)
+    found = run(configured(**few), body.robot, made(body, hidden, seed=3, measured=True), body, tracker=NullTracker())
+    told = {e["name"]: e["parameters"] for e in found.effects}
+    assert set(told) == {"lag", "gauge_lag"} and found.verdict == "named", found.sentences
+    assert 0.078 < told["gauge_lag"]["delay_s"]["value"] < 0.102
+    assert [told["lag"][key]["value"] for key in ("fill_s", "vent_s")] == pytest.approx([0.3, 0.5], rel=0.05)

@@ -35,20 +35,30 @@ def behind_gauges(findings: list[Finding], valve: Valve, body: Body, search: Sea
 def _behind_slow(findings: list[Finding], valve: Valve, body: Body, search: Search) -> list[Finding]:
     """Return the findings with slow gauges, which the body alone tells: it is ahead of what they show."""
     former, last = findings
-    slow = [choice._replace(pinned=()) for choice in _of(SLOW, last) if not choice.sessions]
-    if not slow:
+    told = [choice for choice in _of(SLOW, last) if not choice.sessions]
+    if not told:
         return findings
-    log.info("valve and body are examined again about slow gauges: %s", _labels(slow))
-    found = _with_slow(valve(slow), search)
-    if found is None:
-        return findings
-    again = body(found)
-    more = len(found.named) + len(again.named) > len(former.named) + len(last.named)
-    if more or not does_as_well(again, last, more=False):
-        return findings
-    rivals = [rival for rival in found.rivals if rival.instead_of.name != SLOW]  # none of theirs says what the body does
-    why = f"{_labels(slow)}: the body behind is ahead of what the gauges show, so that they are slow and not the valve alone."
-    return [_told(replace(found, rivals=rivals), why), again]
+    log.info("valve and body are examined again about slow gauges: %s", _labels(told))
+    for found in _valves_with_slow(told, valve, search):
+        again = body(found)
+        more = len(found.named) + len(again.named) > len(former.named) + len(last.named)
+        if not more and does_as_well(again, last, more=False):
+            rivals = [rival for rival in found.rivals if rival.instead_of.name != SLOW]  # none of theirs says what the body does
+            why = "the body behind is ahead of what the gauges show, so that they are slow and not the valve alone."
+            return [_told(replace(found, rivals=rivals), f"{_labels(told)}: {why}"), again]
+    return findings
+
+
+def _valves_with_slow(told: Sequence[Choice], valve: Valve, search: Search) -> list[Finding]:
+    """Return what the valve is with slow gauges, fewest effects first.
+
+    Asked in all their parameters, for the body may tell one in the place of another; and in those it told, for a search that is
+    free to give gauges a time may give them the valve's.
+    """
+    whole = [choice._replace(pinned=()) for choice in told]
+    asked = [whole] if whole == told else [whole, told]
+    found = (_with_slow(valve(slow), search) for slow in asked)
+    return sorted((finding for finding in found if finding is not None), key=lambda finding: len(finding.named))
 
 
 def _with_slow(valve: Finding, search: Search) -> Finding | None:
