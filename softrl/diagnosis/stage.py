@@ -33,6 +33,7 @@ from softrl.diagnosis.judging.join import joined, put_together
 from softrl.diagnosis.judging.locate import corrected, locate
 from softrl.diagnosis.judging.own import differing, told_of
 from softrl.diagnosis.judging.parts import both_at_once, floor_in_bin, part_behind, punctual, valve_part
+from softrl.diagnosis.judging.unbelieved import doubtful, tells_more, told_of_unbelieved
 from softrl.diagnosis.telling.conclusion import cannot_tell, conclude
 from softrl.diagnosis.telling.figures import draw_all
 from softrl.diagnosis.telling.report import page
@@ -129,7 +130,7 @@ def diagnose(
     found = prepare(recordings, robot, config.heldout_share, config.seed)
     if isinstance(found, Refusal):
         return cannot_tell(found, robot.name, type(simulator).__name__), None
-    diagnosis, evidence = _diagnosed(config, robot, found, simulator, calibration)
+    config, (diagnosis, evidence) = _believing(config, robot, found, simulator, calibration)
     odd = differing(evidence.findings[-1], found.used) if evidence and diagnosis.verdict == "unknown" else []
     if not odd:
         return diagnosis, evidence
@@ -139,6 +140,23 @@ def diagnose(
     if not again[0].effects or again[0].verdict == "unknown":
         return diagnosis, evidence
     return replace(again[0], sentences=[*again[0].sentences, told_of(odd)]), again[1]
+
+
+def _believing(
+    config: Config, robot: Robot, found: Data, simulator: Simulator, calibration: Calibration | None
+) -> tuple[Config, tuple[Diagnosis, Evidence | None]]:
+    """Return the diagnosis with gauges, or without where the motion contradicts them, and how it was configured."""
+    with_gauges = _diagnosed(config, robot, found, simulator, calibration)
+    if not doubtful(with_gauges[0], found.used):
+        return config, with_gauges
+    log.info("gauges may not show what acts on the body: all is examined again without them")
+    without = replace(config, measured_pressure=False)
+    diagnosis, evidence = _diagnosed(without, robot, found, simulator, calibration)
+    if not tells_more(diagnosis, with_gauges[0]):
+        return config, with_gauges
+    verdict_first, *others = diagnosis.sentences
+    told = told_of_unbelieved(diagnosis, with_gauges[0], found.used)
+    return without, (replace(diagnosis, sentences=[verdict_first, told, *others]), evidence)
 
 
 def _diagnosed(

@@ -1,0 +1,50 @@
+"""Gauges that the motion contradicts are left out, and the report says so; a ceiling of the supply is no gauge that clips."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softrl.core.tracking import NullTracker
+from softrl.diagnosis.judging.unbelieved import clipping
+from softrl.diagnosis.stage import run
+from softrl.effects.library import effect_class
+from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.recording import RecordingSet
+from tests.diagnosis.conftest import configured, made
+
+Lag, SupplyLimit = effect_class("lag"), effect_class("supply_limit")
+FEW = {"candidates": ["lag", "supply_limit", "stiffness_scale"], "search": {"max_effects": 2, "keep": 4}}
+SHARE = 0.4  # of the robot's range
+
+
+def _clipped(recordings: RecordingSet, level: float) -> RecordingSet:
+    runs = (replace(run, pressure_meas=np.minimum(run.pressure_meas, level)) for run in recordings.recordings)
+    return replace(recordings, recordings=tuple(runs))
+
+
+def test_a_gauge_that_clips_is_seen_where_commands_go_higher(body: PccSimulator) -> None:
+    recordings, level = made(body, sessions=1, measured=True), SHARE * body.robot.pressure_max_pa
+    cut = _clipped(recordings, level).recordings
+    assert clipping(cut) == {0: level, 1: level, 2: level} and not clipping(recordings.recordings)
+    gentle = [replace(run, pressure_cmd=np.minimum(run.pressure_cmd, level)) for run in cut]
+    assert not clipping(gentle) and not clipping([replace(run, pressure_meas=None) for run in cut])
+
+
+@pytest.mark.slow
+def test_gauges_that_clip_are_left_out(body: PccSimulator) -> None:
+    """In the valve's part alone a ceiling of the supply looks the same; behind that the body would not bend as far."""
+    cut = _clipped(made(body, (Lag(fill_s=0.15, vent_s=0.25),), seed=3, measured=True), SHARE * body.robot.pressure_max_pa)
+    found = run(configured(**FEW), body.robot, cut, body, tracker=NullTracker())
+    assert [e["name"] for e in found.effects] == ["lag"] and found.verdict == "named", found.sentences
+    assert found.sentences[1].startswith("Measured pressures were left out") and not found.data["measured_pressure_used"]
+    assert found.errors_mm["heldout"]["corrected"] < 1.2 * found.errors_mm["heldout"]["noise_floor"]
+
+
+@pytest.mark.slow
+def test_a_ceiling_of_the_supply_is_believed(body: PccSimulator) -> None:
+    recordings = made(body, (SupplyLimit(ceiling=SHARE, floor=1.0),), seed=3, measured=True)
+    coarse = _clipped(recordings, SHARE * body.robot.pressure_max_pa)  # a gauge of few values shows a ceiling so
+    found = run(configured(**FEW), body.robot, coarse, body, tracker=NullTracker())
+    assert found.data["measured_pressure_used"] and found.verdict in ("named", "indistinguishable"), found.sentences
+    assert found.effects[0]["name"] in ("supply_limit", "knee")
