@@ -11,15 +11,16 @@ from softrl.recordings.recording import Recording
 
 
 def doubtful(diagnosis: Diagnosis, runs: Sequence[Recording]) -> bool:
-    """Return whether nothing is understood with gauges that clip, or where one lag from the command is far better."""
+    """Return whether nothing is understood with gauges, and they clip, or a lag or a black box from the command is far better."""
     if diagnosis.verdict != "unknown" or not diagnosis.data.get("measured_pressure_used"):
         return False
     held = diagnosis.errors_mm["heldout"]
-    return bool(clipping(runs)) or _far_better(held["one_lag"], held["corrected"], held["noise_floor"])
+    plain = min(held.get(name, np.inf) for name in ("one_lag", "blackbox"))
+    return bool(clipping(runs)) or _far_better(plain, held["corrected"], held["noise_floor"])
 
 
 def tells_more(without: Diagnosis, diagnosis: Diagnosis) -> bool:
-    """Return whether a diagnosis ``without`` gauges has an answer that is far better than what ``diagnosis`` has with them."""
+    """Return whether a diagnosis ``without`` gauges has an answer, far better than what ``diagnosis`` has with them."""
     if without.verdict == "unknown":
         return False
     held, alone = diagnosis.errors_mm["heldout"], without.errors_mm["heldout"]
