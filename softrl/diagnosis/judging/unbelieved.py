@@ -11,12 +11,14 @@ from softrl.recordings.recording import Recording
 
 
 def doubtful(diagnosis: Diagnosis, runs: Sequence[Recording]) -> bool:
-    """Return whether nothing is understood with gauges, and they clip, or a lag or a black box from the command is far better."""
-    if diagnosis.verdict != "unknown" or not diagnosis.data.get("measured_pressure_used"):
+    """Return whether gauges clip and much is left, or nothing is understood where a lag or a black box of commands is far better."""
+    if not diagnosis.data.get("measured_pressure_used"):
         return False
     held = diagnosis.errors_mm["heldout"]
+    if clipping(runs):
+        return held["corrected"] > FAR_BETTER * held["noise_floor"]
     plain = min(held.get(name, np.inf) for name in ("one_lag", "blackbox"))
-    return bool(clipping(runs)) or _far_better(plain, held["corrected"], held["noise_floor"])
+    return diagnosis.verdict == "unknown" and _far_better(plain, held["corrected"], held["noise_floor"])
 
 
 def tells_more(without: Diagnosis, diagnosis: Diagnosis) -> bool:
