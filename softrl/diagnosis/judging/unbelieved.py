@@ -11,7 +11,7 @@ from softrl.recordings.recording import Recording
 
 
 def doubtful(diagnosis: Diagnosis, runs: Sequence[Recording]) -> bool:
-    """Return whether gauges clip and much is left, or nothing is understood where a lag or a black box of commands is far better."""
+    """Return whether gauges clip and much is left, or a lag or a black box is far better where nothing is understood."""
     if not diagnosis.data.get("measured_pressure_used"):
         return False
     held = diagnosis.errors_mm["heldout"]
