@@ -130,7 +130,7 @@ def diagnose(
     found = prepare(recordings, robot, config.heldout_share, config.seed)
     if isinstance(found, Refusal):
         return cannot_tell(found, robot.name, type(simulator).__name__), None
-    config, (diagnosis, evidence) = _believing(config, robot, found, simulator, calibration)
+    diagnosis, evidence = _believing(config, robot, found, simulator, calibration)
     odd = differing(evidence.findings[-1], found.used) if evidence and diagnosis.verdict == "unknown" else []
     if not odd:
         return diagnosis, evidence
@@ -144,19 +144,18 @@ def diagnose(
 
 def _believing(
     config: Config, robot: Robot, found: Data, simulator: Simulator, calibration: Calibration | None
-) -> tuple[Config, tuple[Diagnosis, Evidence | None]]:
-    """Return the diagnosis with gauges, or without where the motion contradicts them, and how it was configured."""
+) -> tuple[Diagnosis, Evidence | None]:
+    """Return the diagnosis with gauges, or the answer without them where the motion contradicts them."""
     with_gauges = _diagnosed(config, robot, found, simulator, calibration)
     if not doubtful(with_gauges[0], found.used):
-        return config, with_gauges
+        return with_gauges
     log.info("gauges may not show what acts on the body: all is examined again without them")
-    without = replace(config, measured_pressure=False)
-    diagnosis, evidence = _diagnosed(without, robot, found, simulator, calibration)
+    diagnosis, evidence = _diagnosed(replace(config, measured_pressure=False), robot, found, simulator, calibration)
     if not tells_more(diagnosis, with_gauges[0]):
-        return config, with_gauges
+        return with_gauges
     verdict_first, *others = diagnosis.sentences
     told = told_of_unbelieved(diagnosis, with_gauges[0], found.used)
-    return without, (replace(diagnosis, sentences=[verdict_first, told, *others]), evidence)
+    return replace(diagnosis, sentences=[verdict_first, told, *others]), evidence
 
 
 def _diagnosed(
