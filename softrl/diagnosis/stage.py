@@ -33,7 +33,7 @@ from softrl.diagnosis.judging.join import joined, put_together
 from softrl.diagnosis.judging.locate import corrected, locate
 from softrl.diagnosis.judging.own import differing, told_of
 from softrl.diagnosis.judging.parts import both_at_once, floor_in_bin, part_behind, punctual, valve_part
-from softrl.diagnosis.judging.unbelieved import doubtful, tells_more, told_of_unbelieved
+from softrl.diagnosis.judging.unbelieved import clipping, doubtful, tells_more, told_of_unbelieved
 from softrl.diagnosis.telling.conclusion import cannot_tell, conclude
 from softrl.diagnosis.telling.figures import draw_all
 from softrl.diagnosis.telling.report import page
@@ -147,14 +147,15 @@ def _believing(
 ) -> tuple[Diagnosis, Evidence | None]:
     """Return the diagnosis with gauges, or the answer without them where the motion contradicts them."""
     with_gauges = _diagnosed(config, robot, found, simulator, calibration)
-    if not doubtful(with_gauges[0], found.used):
+    clips = clipping(found.used, robot)
+    if not doubtful(with_gauges[0], clips):
         return with_gauges
     log.info("gauges may not show what acts on the body: all is examined again without them")
     diagnosis, evidence = _diagnosed(replace(config, measured_pressure=False), robot, found, simulator, calibration)
     if not tells_more(diagnosis, with_gauges[0]):
         return with_gauges
     verdict_first, *others = diagnosis.sentences
-    told = told_of_unbelieved(diagnosis, with_gauges[0], found.used)
+    told = told_of_unbelieved(diagnosis, with_gauges[0], clips)
     return replace(diagnosis, sentences=[verdict_first, told, *others]), evidence
 
 

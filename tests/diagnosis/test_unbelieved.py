@@ -26,9 +26,11 @@ def _clipped(recordings: RecordingSet, level: float) -> RecordingSet:
 def test_a_gauge_that_clips_is_seen_where_commands_go_higher(body: PccSimulator) -> None:
     recordings, level = made(body, sessions=1, measured=True), SHARE * body.robot.pressure_max_pa
     cut = _clipped(recordings, level).recordings
-    assert clipping(cut) == {0: level, 1: level, 2: level} and not clipping(recordings.recordings)
+    assert clipping(cut, body.robot) == {0: level, 1: level, 2: level} and not clipping(recordings.recordings, body.robot)
+    assert not clipping(cut, replace(body.robot, command="pump_pwm"))
     gentle = [replace(run, pressure_cmd=np.minimum(run.pressure_cmd, level)) for run in cut]
-    assert not clipping(gentle) and not clipping([replace(run, pressure_meas=None) for run in cut])
+    assert not clipping(gentle, body.robot)
+    assert not clipping([replace(run, pressure_meas=None) for run in cut], body.robot)
 
 
 @pytest.mark.slow

@@ -1,6 +1,6 @@
 """Gauges that do not show what acts on the body: clipped, elsewhere, dead. What is found without them is told in their place."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -8,14 +8,16 @@ from softrl.artifacts.diagnosis import Diagnosis
 from softrl.diagnosis.judging.verdict import FAR_BETTER
 from softrl.recordings.check import CLIPPED_SHARE
 from softrl.recordings.recording import Recording
+from softrl.robots.robot import Robot
 
+Clips = Mapping[int, float]
 
-def doubtful(diagnosis: Diagnosis, runs: Sequence[Recording]) -> bool:
-    """Return whether gauges clip and much is left, or a lag or a black box is far better where nothing is understood."""
+def doubtful(diagnosis: Diagnosis, clips: Clips) -> bool:
+    """Return whether a gauge ``clips`` and much is left, or a lag or a black box is far better where nothing is understood."""
     if not diagnosis.data.get("measured_pressure_used"):
         return False
     held = diagnosis.errors_mm["heldout"]
-    if clipping(runs):
+    if clips:
         return held["corrected"] > FAR_BETTER * held["noise_floor"]
     plain = min(held.get(name, np.inf) for name in ("one_lag", "blackbox"))
     return diagnosis.verdict == "unknown" and _far_better(plain, held["corrected"], held["noise_floor"])
@@ -29,14 +31,14 @@ def tells_more(without: Diagnosis, diagnosis: Diagnosis) -> bool:
     return _far_better(alone["corrected"], held["corrected"], held["noise_floor"])
 
 
-def told_of_unbelieved(without: Diagnosis, diagnosis: Diagnosis, runs: Sequence[Recording]) -> str:
+def told_of_unbelieved(without: Diagnosis, diagnosis: Diagnosis, clips: Clips) -> str:
     """Return in a sentence why measured pressures were left out."""
     unit = "deg" if diagnosis.errors_deg else "mm"
     least, most = ((d.errors_deg or d.errors_mm)["heldout"]["corrected"] for d in (without, diagnosis))
-    clips: dict[str, list[str]] = {}
-    for chamber, level in clipping(runs).items():
-        clips.setdefault(f"{1e-3 * level:.3g} kPa", []).append(str(chamber + 1))
-    told = ", ".join(f"{level} in chamber {', '.join(chambers)}" for level, chambers in clips.items())
+    levels: dict[str, list[str]] = {}
+    for chamber, level in clips.items():
+        levels.setdefault(f"{1e-3 * level:.3g} kPa", []).append(str(chamber + 1))
+    told = ", ".join(f"{level} in chamber {', '.join(chambers)}" for level, chambers in levels.items())
     why = f"they go no higher than {told}" if told else "they clip, sit elsewhere, or are dead"
     return (
         f"Measured pressures were left out, for the motion contradicts them ({why}): with them the correction errs by "
@@ -44,15 +46,17 @@ def told_of_unbelieved(without: Diagnosis, diagnosis: Diagnosis, runs: Sequence[
     )
 
 
-def clipping(runs: Sequence[Recording]) -> dict[int, float]:
-    """Return by chamber the pressure, Pa, at which its gauge stays while commands go above it, where one does."""
+def clipping(runs: Sequence[Recording], robot: Robot) -> dict[int, float]:
+    """Return by chamber the pressure, Pa, at which its gauge stays while commands go above it, where one does.
+
+    None where commands are no pressures: how high they ask for is not known then.
+    """
     found = {}
-    for chamber in range(runs[0].pressure_cmd.shape[1]):
+    for chamber in range(robot.chambers if robot.command == "pressure" else 0):
         seen = [run.pressure_meas[:, chamber] for run in runs if run.pressure_meas is not None]
         level = max((float(values.max()) for values in seen), default=np.inf)
-        above = [run.pressure_cmd[:, chamber] > level for run in runs]
-        share = np.mean(np.concatenate([values == level for values in seen])) if seen else 0.0
-        if share > CLIPPED_SHARE and np.any(np.concatenate(above)):
+        above = any(bool((run.pressure_cmd[:, chamber] > level).any()) for run in runs)
+        if above and np.mean(np.concatenate(seen) == level) > CLIPPED_SHARE:
             found[chamber] = level
     return found
 
