@@ -12,6 +12,7 @@ from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.errors import ConfigError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
+from softrl.diagnosis.checks.cost import warn_of_cost
 from softrl.diagnosis.checks.data import Data, Refusal, prepare, require_robot, within
 from softrl.diagnosis.checks.frames import in_other_frames
 from softrl.diagnosis.checks.mistaken import mistaken
@@ -198,6 +199,7 @@ def _steps(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Nu
     drive = "measured" if data.pressure and config.measured_pressure else "command"
     part = within(data.training, config.search.fit_s)
     body = Problem(robot, simulator, part, config.numerics, "motion", drive, False, False)
+    warn_of_cost(body, config.search.workers)
     floor = floor_in_bin(data.noise, data, body)
     numerics = suited(body, Judge(body, floor, data.travel, config.thresholds, config.seed).material)
     if numerics != config.numerics:

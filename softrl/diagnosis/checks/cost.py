@@ -1,0 +1,43 @@
+"""How long a search may take, told before it begins where that is long."""
+
+import logging
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from softrl.diagnosis.checks.gaps import rows
+from softrl.diagnosis.fitting.hypothesis import Hypothesis
+from softrl.diagnosis.fitting.problem import Problem
+
+log = logging.getLogger(__name__)
+REPLAYS = 4000  # of all runs that fits see; searches of the whole library took up to twenty thousand
+PROBE_S = 1.0  # of motion that is timed
+LONG_S = 3600.0
+
+
+def expected_s(body: Problem, workers: int) -> float:
+    """Return how long a search of the whole library takes at least, s, by a short piece of the first run."""
+    first = body.runs[0]
+    piece = rows(first, slice(max(int(np.searchsorted(first.time, first.time[0] + PROBE_S, side="right")), 2)))
+    at_once = replace(body.on((piece,)), numerics=replace(body.numerics, settle_s=0.0))
+    took = min(_replay_s(replace(at_once)) for _ in range(2))  # the first one may compile
+    whole = sum(float(np.ptp(run.time)) for run in body.runs)
+    return REPLAYS * took * whole / float(np.ptp(piece.time)) / workers
+
+
+def warn_of_cost(body: Problem, workers: int) -> None:
+    """Warn where a search would take longer than anybody waits, as with a simulator that is not made to be replayed."""
+    if (seconds := expected_s(body, workers)) > LONG_S:
+        log.warning(
+            "with %s a search of all effects takes %.0f hours or more; simulator=rom (stage=pod) and simulator=pcc are made for "
+            "it, fewer stage.candidates and a smaller stage.search.fit_s shorten it",
+            type(body.simulator).__name__,
+            seconds / 3600.0,
+        )
+
+
+def _replay_s(body: Problem) -> float:
+    began = time.perf_counter()
+    body.replayed(Hypothesis((), ()), np.zeros(0))
+    return time.perf_counter() - began
