@@ -68,6 +68,15 @@ def test_shares_are_told_in_units_of_the_robot(name: str, parameter: str, unit: 
     assert f"{parameter} 0.03 (0.02 to 0.04)" in effect_sentence(effect, robot) and told in effect_sentence(effect, robot)
 
 
+def test_an_interval_has_the_digits_that_tell_its_ends_apart() -> None:
+    robot: Any = SimpleNamespace(pressure_max_pa=35e3, length_m=0.2, mass_kg=0.1)
+    for value, low, high, told in [(0.12003, 0.11991, 0.12014, "0.1200 (0.1199 to 0.1201) s"),
+                                   (0.3, 0.21, 0.41, "0.3 (0.21 to 0.41) s"), (0.5, 0.5, 0.5, "0.5 (0.5 to 0.5) s")]:  # fmt: skip
+        entry = {"value": value, "low": low, "high": high, "unit": "s", "at_bound": False}
+        effect = {"name": "lag", "site": "valve", "where": "all", "parameters": {"fill_s": entry}, "evidence": "so"}
+        assert f"fill_s {told}" in effect_sentence(effect, robot)
+
+
 @pytest.mark.parametrize(
     ("gap", "equivalent", "contests", "told"),
     [(0.02, True, True, "cannot be told from lag: its held-out error is larger by 0.02 mm (-0.1 to 0.2)"),

@@ -13,6 +13,7 @@ WORDS = {
     "load": "in the load on the tip",
     "sensor": "in the sensor",
 }
+MOST_DIGITS = 6
 SUDDEN_S = 0.1  # what begins within this time is told to begin at once
 SHARES = {"pressure": ("pressure_max_pa", 1e-3, "kPa"), "length": ("length_m", 1e3, "mm"), "mass": ("mass_kg", 1e3, "g")}
 
@@ -20,11 +21,19 @@ SHARES = {"pressure": ("pressure_max_pa", 1e-3, "kPa"), "length": ("length_m", 1
 def effect_sentence(effect: dict[str, Any], robot: Robot) -> str:
     """Return what a named ``effect`` is: name, place, the parameters worth a word with their intervals, and its evidence."""
     values = ", ".join(
-        f"{name} {p['value']:.3g} ({p['low']:.3g} to {p['high']:.3g}){'' if p['unit'] == '1' else ' ' + p['unit']}"
+        f"{name} {_with_interval(p)}{'' if p['unit'] == '1' else ' ' + p['unit']}"
         f"{_of_the_robot(effect['name'], name, p['value'], robot)}{_at_an_end(name, p)}"
         for name, p in _telling(effect).items()
     )
     return f"{effect['name']} {WORDS[effect['site']]}, {effect['where']}: {values}. {effect['evidence']}."
+
+
+def _with_interval(p: dict[str, Any]) -> str:
+    """Return a value with its interval, in as many digits, three or more, as tell the interval's ends apart."""
+    low, high = p["low"], p["high"]
+    digits = next((n for n in range(3, MOST_DIGITS + 1) if f"{low:.{n}g}" != f"{high:.{n}g}"), 3)
+    form = f"{'#' * (digits > 3)}.{digits}g"
+    return f"{p['value']:{form}} ({low:{form}} to {high:{form}})"
 
 
 def _at_an_end(name: str, p: dict[str, Any]) -> str:
