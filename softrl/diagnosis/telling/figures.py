@@ -211,6 +211,8 @@ def draw_intervals(diagnosis: Diagnosis) -> Figure:
         ax.plot(p["value"], 0, "o", color="tab:red")
         ax.set_yticks([0], [f"{effect}.{name}, {p['unit']}"], fontsize=8)
         ax.tick_params(axis="x", labelsize=7)
+        ax.ticklabel_format(axis="x", useOffset=False)  # an interval may be narrow beside its value
+        ax.locator_params(axis="x", nbins=6)
     return figure
 
 
