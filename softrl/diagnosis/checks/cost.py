@@ -12,14 +12,17 @@ from softrl.diagnosis.fitting.problem import Problem
 
 log = logging.getLogger(__name__)
 REPLAYS = 4000  # of all runs that fits see; searches of the whole library took up to twenty thousand
-PROBE_S = 1.0  # of motion that is timed
+PROBE_S = 0.2  # of motion that is timed
 LONG_S = 3600.0
 
 
 def expected_s(body: Problem, workers: int) -> float:
-    """Return how long a search of the whole library takes at least, s, by a short piece of the first run."""
+    """Return how long a search of the whole library takes at least, s, by a short piece of the first run as it begins to move."""
     first = body.runs[0]
-    piece = rows(first, slice(max(int(np.searchsorted(first.time, first.time[0] + PROBE_S, side="right")), 2)))
+    moving = int(np.argmax(np.any(first.pressure_cmd != first.pressure_cmd[0], axis=1)))  # a body at rest costs nothing
+    moves = min(moving, len(first.time) - 2)
+    last = int(np.searchsorted(first.time, first.time[moves] + PROBE_S, side="right"))
+    piece = rows(first, slice(moves, max(last, moves + 2)))
     at_once = replace(body.on((piece,)), numerics=replace(body.numerics, settle_s=0.0))
     took = min(_replay_s(replace(at_once)) for _ in range(2))  # the first one may compile
     whole = sum(float(np.ptp(run.time)) for run in body.runs)
