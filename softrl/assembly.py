@@ -114,12 +114,13 @@ class Assembly:
         node = self._effects
         self.used["effect"] = node
         chosen = [_effect(value, f"effect.{key}") for key, value in node.items() if key != "identified"]
-        self.modules += [type(effect).__module__ for effect in chosen]
         if "identified" in node:
+            self.modules.append(Diagnosis.__module__)  # what makes corrections of what was found
             for found in self._artifact(Diagnosis).corrections():
                 cls = effect_class(found["name"])
                 fixed = {"chamber": found["chamber"]} if "chamber" in constructor_hints(cls) else {}
                 chosen.append(_corrected_by(found["name"], found["parameters"] | fixed))
+        self.modules += [type(effect).__module__ for effect in chosen]
         return EffectChain(self.robot, tuple(chosen))
 
     def _corrected(self, simulator: Any) -> Any:

@@ -69,8 +69,6 @@ def run_stage(stage: str, cfg: Mapping[str, Any], folder: Path, made: Mapping[st
         run.link(assembly.inputs)
         try:
             output = task.run(task.config, **task.arguments, tracker=run)
-            if task.write_out is not None:
-                task.write_out(*_parts(output))
         except BaseException as error:
             _write_result(run, stage, "failed", start, assembly.inputs, [], error=str(error))
             raise
@@ -80,6 +78,8 @@ def run_stage(stage: str, cfg: Mapping[str, Any], folder: Path, made: Mapping[st
             _write_document(run, stage, artifact)
         result = _write_result(run, stage, "finished", start, assembly.inputs, list(artifacts))
     log.info("%s: finished in %.1f s, run %s", stage, result["seconds"], run.id[:8])
+    if task.write_out is not None:
+        task.write_out(*_parts(output))
     _copy(store, run.id, task.out)
     return Outcome(stage, run.id, False, result["seconds"], run.metrics, folder)
 
@@ -129,6 +129,8 @@ def _prepare(stage: str, cfg: Mapping[str, Any], made: Mapping[str, str] | None)
     writes_itself = hasattr(module, "write_out")  # a dataset, and nothing else
     out = None if writes_itself or not cfg["out"] else _own_folder(cfg["out"])
     write_out = functools.partial(module.write_out, config, assembly.robot) if writes_itself else None
+    if writes_itself and config.out is not None:
+        module.require_own(Path(config.out).expanduser())  # found out before the work
     arguments = assembly.arguments(module.run)
     mark = _fingerprint(stage, assembly)
     before = None if cfg["force"] else store.find({"stage": stage, "fingerprint": mark})
@@ -180,7 +182,7 @@ def _reused(store: Store, stage: str, run: Any, folder: Path) -> Outcome:
     text = (store.folder(run, RESULT)).read_text()
     write_text(folder / RESULT, json.dumps(json.loads(text) | {"reused": True}, indent=1))
     for name in (f"{stage}.json", "report.html"):
-        if (document := store.folder(run, name)).is_file():
+        if (document := store.file(run, name)) is not None:
             write_text(folder / name, document.read_text())
     result = json.loads(text)
     return Outcome(stage, run.info.run_id, True, result["seconds"], result["metrics"], folder)

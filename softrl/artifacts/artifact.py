@@ -79,11 +79,12 @@ class Artifact:
             raise ArtifactError(f"{folder} holds no {cls.kind()}: {META} is missing; run stage={cls.stage}")
         with _told_as_damage(folder, cls):
             meta = json.loads((folder / META).read_text())
-        if meta["kind"] != cls.kind():
-            raise ArtifactError(f"{folder} holds a {meta['kind']}, but a {cls.kind()} is needed")
-        if meta["schema"] != cls.schema:
+            kind, schema = meta["kind"], meta["schema"]
+        if kind != cls.kind():
+            raise ArtifactError(f"{folder} holds a {kind}, but a {cls.kind()} is needed")
+        if schema != cls.schema:
             raise ArtifactError(
-                f"{folder} holds {cls.kind()} of schema {meta['schema']}, this version reads schema {cls.schema}; "
+                f"{folder} holds {cls.kind()} of schema {schema}, this version reads schema {cls.schema}; "
                 f"rerun stage={cls.stage}"
             )
         with _told_as_damage(folder, cls):

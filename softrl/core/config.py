@@ -4,6 +4,7 @@ import dataclasses
 import difflib
 import importlib
 import inspect
+import math
 import typing
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
@@ -90,11 +91,22 @@ def _value(value: Any, hint: Any, path: str, fill: Fill) -> Any:
             return build(value, hint, path, fill)
         raise ConfigError(f"{path}={value!r} has the wrong type; expected the keys of {_readable(hint)}")
     try:
-        return TypeAdapter(hint, config={"arbitrary_types_allowed": True}).validate_python(value)
+        found = TypeAdapter(hint, config={"arbitrary_types_allowed": True}).validate_python(value)
     except ValidationError as error:
         raise ConfigError(
             f"{path}={value!r} has the wrong type; expected {_readable(hint)}: {error.errors()[0]['msg']}"
         ) from error
+    if not _is_finite(found):  # nan passes whatever range is checked
+        raise ConfigError(f"{path}={value!r}; expected finite numbers")
+    return found
+
+
+def _is_finite(value: Any) -> bool:
+    if isinstance(value, Mapping):
+        return all(map(_is_finite, value.values()))
+    if isinstance(value, list | tuple):
+        return all(map(_is_finite, value))
+    return not isinstance(value, float) or math.isfinite(value)
 
 
 def _readable(hint: Any) -> str:

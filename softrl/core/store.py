@@ -117,6 +117,11 @@ class Store:
             self._download(run.info.run_id, name, cached)
         return cached
 
+    def file(self, run: Run, name: str) -> Path | None:
+        """Return a local copy of a run's file ``name``, or None if it has none."""
+        named = any(file.path == name for file in self.client.list_artifacts(run.info.run_id))
+        return self.folder(run, name) if named else None
+
     def _download(self, run_id: str, name: str, place: Path) -> None:
         """Download the artifact ``name`` to ``place`` through a sibling, so that what is broken off is never taken for whole."""
         place.parent.mkdir(parents=True, exist_ok=True)

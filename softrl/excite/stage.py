@@ -142,7 +142,7 @@ def run(
 def write_out(config: Config, robot: Robot, excitation: Excitation) -> None:
     """Write the commands to the folder ``config.out``, if one is named; the pipeline calls this for a reused run, too."""
     if config.out is not None:
-        write_commands(Path(config.out), robot, excitation, config.runs)
+        write_commands(Path(config.out).expanduser(), robot, excitation, config.runs)
 
 
 def usual_program(robot: Robot, usual: Identification, dt_s: float, count: int, seed: int) -> np.ndarray:
@@ -156,24 +156,21 @@ def usual_program(robot: Robot, usual: Identification, dt_s: float, count: int, 
     return np.vstack(rows)[:count]
 
 
-def write_commands(folder: Path, robot: Robot, excitation: Excitation, runs: int) -> None:
-    """Write a dataset that holds commands only, one file a recording that is asked for.
-
-    Raises
-    ------
-    ConfigError
-        If the folder holds another dataset, or commands beside which something was recorded.
-    """
-    ours = (folder / DATASET).is_file()
-    if ours and "planned_by" not in (folder / DATASET).read_text():
+def require_own(folder: Path) -> None:
+    """Raise ``ConfigError`` if ``folder`` holds another dataset, or commands beside which something was recorded."""
+    if folder.is_file() or ((folder / DATASET).is_file() and "planned_by" not in (folder / DATASET).read_text()):
         raise ConfigError(f"out={folder} holds a dataset that was not planned by stage=excite; choose another folder")
-    earlier = sorted(folder.glob("*.csv"))
-    for path in earlier:
+    for path in sorted(folder.glob("*.csv")):
         measured = [name for name in path.read_text().partition("\n")[0].split(",") if name != "time_s" and "_cmd_" not in name]
         if measured:
             raise ConfigError(f"out={folder}: {path.name} holds more than commands ({measured[0]}); choose another folder")
-    for path in earlier if ours else ():
-        path.unlink()
+
+
+def write_commands(folder: Path, robot: Robot, excitation: Excitation, runs: int) -> None:
+    """Write a dataset that holds commands only, one file a recording that is asked for, see ``require_own``."""
+    require_own(folder)
+    for earlier in folder.glob("*.csv") if (folder / DATASET).is_file() else ():
+        earlier.unlink()
     named = [
         Recording(f"excite_{k + 1}", f"session_{k + 1}", excitation.time, excitation.pressure) for k in range(runs)
     ]

@@ -16,11 +16,10 @@ from softrl.recordings.frame import continuous_quaternion, rotate, rotation_betw
 from softrl.recordings.run import Recording
 from softrl.recordings.store import DATASET
 from softrl.recordings.validate import require_values
-from softrl.robots.robot import Robot
+from softrl.robots.robot import AXES, Robot
 
 log = logging.getLogger(__name__)
 
-AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 EPOCH_S = 1e8  # a later time counts from an epoch, as Unix time does: no session goes on for three years
 
 

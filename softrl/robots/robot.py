@@ -6,6 +6,7 @@ import numpy as np
 
 from softrl.core.errors import ConfigError
 
+AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 OUTPUTS = ("tip_position", "tip_pose", "bend_angle")
 
 
@@ -52,9 +53,17 @@ class Robot:
             raise ConfigError(
                 f"robot.pressure_min_pa={self.pressure_min_pa:g} is not below pressure_max_pa={self.pressure_max_pa:g}"
             )
-        for name in ("chamber_radius_m", "chamber_area_m2", "length_m", "mass_kg", "slew_pa_per_s"):
+        for name in ("chamber_radius_m", "chamber_area_m2", "length_m", "mass_kg", "slew_pa_per_s", "tip_force_max_n"):
             if getattr(self, name) <= 0:
                 raise ConfigError(f"robot.{name}={getattr(self, name):g} must be positive")
+        if self.command_to_pa == 0.0:
+            raise ConfigError("robot.command_to_pa=0 turns every command into no pressure; expected Pa per unit of the command")
+        if not self.chamber_angle_deg:
+            raise ConfigError("robot.chamber_angle_deg=[] names no chamber; expected one angle a chamber")
+        if len(self.gravity_m_s2) != 3:
+            raise ConfigError(f"robot.gravity_m_s2={list(self.gravity_m_s2)}; expected three numbers, m/s^2 along x, y, z")
+        if self.axis not in AXES:
+            raise ConfigError(f"robot.axis={self.axis} is unknown; expected one of {', '.join(AXES)}")
         if self.output not in OUTPUTS:
             raise ConfigError(f"robot.output={self.output} is unknown; expected one of {', '.join(OUTPUTS)}")
 

@@ -114,16 +114,23 @@ def run(
 def write_out(config: Config, robot: Robot, simulated: RecordingSet) -> None:
     """Write the dataset to the folder ``config.out``, if one is named; the pipeline calls this for a reused run, too."""
     if config.out is not None:
-        write_dataset(Path(config.out), simulated)
+        write_dataset(Path(config.out).expanduser(), simulated)
 
 
-def write_dataset(folder: Path, simulated: RecordingSet) -> None:
-    """Write ``simulated`` to ``folder``, which must be new or hold an earlier simulated dataset."""
+def require_own(folder: Path) -> None:
+    """Raise ``RecordingError`` unless ``folder`` is new, empty, or holds an earlier simulated dataset."""
     if (folder / DATASET).is_file():
         if SIMULATED not in (yaml.safe_load((folder / DATASET).read_text()) or {}):
             raise RecordingError(f"out={folder} holds recordings that were not simulated; choose another folder")
-        for old in folder.glob("*.csv"):
-            old.unlink()
+    elif folder.exists() and (folder.is_file() or any(folder.iterdir())):
+        raise RecordingError(f"out={folder} holds something else than a simulated dataset; choose another folder")
+
+
+def write_dataset(folder: Path, simulated: RecordingSet) -> None:
+    """Write ``simulated`` to ``folder``, see ``require_own``."""
+    require_own(folder)
+    for old in folder.glob("*.csv"):
+        old.unlink()
     write(folder, simulated)
     log.info("wrote %d runs to %s", len(simulated.recordings), folder)
 

@@ -62,7 +62,7 @@ def test_pickled_objects_are_never_read(sample: Sample, tmp_path: Path) -> None:
         Sample.load(tmp_path / "x")
 
 
-@pytest.mark.parametrize("damage", ["cut", "missing", "meta"])
+@pytest.mark.parametrize("damage", ["cut", "missing", "{", "{}", "[]"])
 def test_a_damaged_artifact_is_told_in_one_line(damage: str, sample: Sample, tmp_path: Path) -> None:
     sample.save(tmp_path / "x")
     arrays, meta = tmp_path / "x/arrays.npz", tmp_path / "x" / META
@@ -72,6 +72,6 @@ def test_a_damaged_artifact_is_told_in_one_line(damage: str, sample: Sample, tmp
         np.savez(arrays, table=sample.table[:, 0])
         meta.write_text(meta.read_text().replace('"names"', '"other"'))
     else:
-        meta.write_text("{")
+        meta.write_text(damage)
     with pytest.raises(ArtifactError, match=r"holds a damaged Sample .*; rerun stage=fem"):
         Sample.load(tmp_path / "x")

@@ -38,6 +38,8 @@ def test_lists_become_tuples_and_mappings_dataclasses() -> None:
         ({"inner": {}}, "stage.inner.share is missing"),
         ({"inner": 3}, "stage.inner=3 has the wrong type; expected the keys of Inner"),
         ({"note": "???"}, "stage.note is not set"),
+        ({"inner": {"share": float("nan")}}, "stage.inner.share=nan; expected finite numbers"),
+        ({"band_hz": [0.1, float("inf")]}, "stage.band_hz"),
     ],
 )
 def test_a_wrong_value_is_named_with_its_key(change: dict, says: str) -> None:

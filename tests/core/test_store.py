@@ -34,6 +34,14 @@ def store_of(server: Server, folder: Path) -> Store:
     return store
 
 
+def test_a_file_that_a_run_does_not_have_is_not_fetched(tmp_path: Path) -> None:
+    server = Server(breaks=0)
+    server.list_artifacts = lambda run_id: [SimpleNamespace(path="snapshots")]  # type: ignore[attr-defined]
+    store = store_of(server, tmp_path)
+    assert store.file(RUN, "report.html") is None and server.downloads == 0
+    assert store.file(RUN, "snapshots") == store.folder(RUN, "snapshots")
+
+
 def test_a_download_that_was_broken_off_is_not_taken_for_whole(tmp_path: Path) -> None:
     server = Server(breaks=1)
     store = store_of(server, tmp_path)

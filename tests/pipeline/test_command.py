@@ -107,6 +107,8 @@ def test_a_reused_run_writes_its_dataset_again(tmp_path: Path) -> None:
         assert done.returncode == 0, done.stderr
         made.append((tmp_path / "made" / "run.csv").read_text())
     assert "reused" in done.stderr and made[0] == made[2] != made[1]
+    done = softrl(tmp_path, *words[:3], "out=given", "effect=[lag]")
+    assert done.returncode == 2 and "not simulated" in done.stderr and "started" not in done.stderr, "refused before the work"
 
 
 def test_a_sweep_is_one_parent_with_a_child_per_point(tmp_path: Path) -> None:

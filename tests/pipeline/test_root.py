@@ -76,6 +76,13 @@ def test_a_correction_of_another_body_is_refused() -> None:
         assembly._corrected(rom)
 
 
+def test_what_a_diagnosis_named_counts_among_the_code_that_a_result_depends_on() -> None:
+    found = SimpleNamespace(corrections=lambda: [{"name": "gain", "parameters": {"gain": 0.9}, "chamber": -1}])
+    assembly = Assembly(SimpleNamespace(), composed("stage=simulate", "effect=identified"), {})
+    assembly._artifact = lambda kind: found
+    assert assembly._chain().effects and {"softrl.effects.gain", Diagnosis.__module__} <= set(assembly.modules)
+
+
 def test_a_correction_by_an_older_library_is_refused() -> None:
     with pytest.raises(ArtifactError, match="'strain_stiffening' a parameter 'cubic', unknown by now: run stage=diagnosis again"):
         _corrected_by("strain_stiffening", {"cubic": 2.0, "chamber": -1})

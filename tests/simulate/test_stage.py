@@ -218,6 +218,11 @@ def test_recordings_of_a_robot_are_not_overwritten(tmp_path: Path) -> None:
     made = run(config(), body.robot, body, chain, given, tracker=NullTracker())
     with pytest.raises(RecordingError, match="not simulated"):
         write_out(config(out=str(tmp_path / "real")), body.robot, made)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "a.csv").write_text("mine")
+    with pytest.raises(RecordingError, match="something else than a simulated dataset"):
+        write_out(config(out=str(tmp_path / "mine")), body.robot, made)
+    assert (tmp_path / "mine" / "a.csv").read_text() == "mine"
     for _ in range(2):
         write_out(config(out=str(tmp_path / "made")), body.robot, made)
     assert len(list((tmp_path / "made").glob("*.csv"))) == 2
