@@ -172,6 +172,15 @@ def test_an_emergency_stop_vents_and_lasts_until_it_is_released(driver: Driver) 
         assert driver.advance(0.3)[-1].commanded.any()
 
 
+def test_a_stop_between_sessions_lasts_as_well(driver: Driver) -> None:
+    driver.stop()
+    with pytest.raises(DriverError, match="emergency stop"), driver:
+        pass
+    driver.release()
+    with driver:
+        assert driver.advance(0.3)
+
+
 def test_a_vented_robot_may_wait(driver: Driver) -> None:
     with driver:
         assert driver.advance(3.0)

@@ -21,6 +21,7 @@ from softrl.effects.effect import Effect
 from softrl.rl.workspace import Workspace
 from softrl.robots.robot import Robot
 from softrl.sim2real.drivers.limits import Setpoint
+from softrl.sim2real.drivers.regulator import Regulator
 from softrl.sim2real.drivers.rig import Hardware, Noise, Rig, sample_of
 from softrl.sim2real.drivers.stub import Ground
 from softrl.sim2real.stage import Config
@@ -28,6 +29,7 @@ from softrl.sim2real.surface import Surface
 from softrl.surrogate.stage import Config as SurrogateConfig
 from softrl.surrogate.stage import build_surrogate
 from softrl.surrogate.stiffness import Poses
+from tests.sim2real.line import Line
 
 CONF = Path(__file__).parents[2] / "conf"
 
@@ -52,6 +54,12 @@ def silence() -> Noise:
         position_white_mm=0.0, position_coloured_mm=0.0, colour_s=1.0, orientation_white_deg=0.0,
         pressure_white_kpa=0.0, force_white_n=0.0, dropped_share=0.0,
     )  # fmt: skip
+
+
+@pytest.fixture
+def line(tripod: Robot, body: Simulator, silence: Noise) -> Line:
+    """Return a line to a device on the lumped body."""
+    return Line(Regulator(Hardware(body, chain_of(tripod, []), silence, 100.0, 100.0, 0.08), 0))
 
 
 class BenchDriver:

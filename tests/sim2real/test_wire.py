@@ -4,7 +4,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -12,57 +12,13 @@ import pytest
 
 from softrl.core.errors import ConfigError, DriverError
 from softrl.core.simulator import Simulator
-from softrl.effects.chain import chain_of
 from softrl.robots.robot import Robot
 from softrl.sim2real.drivers.ports import SerialDriver, UdpDriver
 from softrl.sim2real.drivers.protocol import PRESSURE_PA, Decoder, Flag, Frame, Kind, State, Welcome, counts
-from softrl.sim2real.drivers.regulator import Regulator, WiredRig
-from softrl.sim2real.drivers.rig import Hardware, Noise
+from softrl.sim2real.drivers.regulator import WiredRig
+from softrl.sim2real.drivers.rig import Noise
 from softrl.sim2real.drivers.transport import SerialTransport, Transport, UdpTransport
-from softrl.sim2real.drivers.wire import WireDriver
-
-LEVEL = np.array([20e3, 10e3, -5e3])
-Spoil = Callable[[list[bytes]], list[bytes]]
-
-
-class Line:
-    """A line to a device in the same process; ``up`` and ``down`` spoil what goes to it and what comes back.
-
-    The device lives one period with each look at the line.
-    """
-
-    def __init__(self, device: Regulator) -> None:
-        self.device, self.decoder = device, Decoder()
-        self.up: Spoil = list
-        self.down: Spoil = list
-        self.states: list[State] = []
-
-    def send(self, data: bytes) -> None:
-        for piece in self.up([data]):
-            for frame in self.decoder.feed(piece):
-                answer = self.device.take(frame)
-                self.answers = [answer] if answer else []
-
-    def receive(self) -> bytes:
-        time.sleep(0.001)
-        data, self.answers = self.answers, []
-        state = self.device.tick()
-        if state is not None:
-            self.states.append(State.decode(Decoder().feed(state)[0].payload, 3))
-            data.append(state)
-        return b"".join(self.down(data))
-
-    def close(self) -> None:
-        pass
-
-
-@pytest.fixture
-def line(tripod: Robot, body: Simulator, silence: Noise) -> Line:
-    return Line(Regulator(Hardware(body, chain_of(tripod, []), silence, 100.0, 100.0, 0.08), 0))
-
-
-def driver_on(line: Transport, robot: Robot, link_timeout_s: float = 0.3) -> WireDriver:
-    return WireDriver(robot, lambda: line, 1e3, link_timeout_s, 0.1, 10.0)
+from tests.sim2real.line import LEVEL, Line, Spoil, driver_on, silent
 
 
 def test_a_clean_line_loses_nothing(line: Line, tripod: Robot) -> None:
@@ -113,10 +69,6 @@ def test_a_bad_line_delays_but_never_deceives(line: Line, tripod: Robot, fault: 
     np.testing.assert_array_equal(acted[-1], LEVEL)
 
 
-def silent(pieces: list[bytes]) -> list[bytes]:
-    return []
-
-
 @pytest.mark.parametrize(("way", "told"), [("down", "no fresh sample"), ("up", "watchdog|has taken nothing")])
 def test_a_line_that_is_cut_one_way_ends_in_a_vented_robot(line: Line, tripod: Robot, way: str, told: str) -> None:
     with pytest.raises(DriverError, match=told) as error, driver_on(line, tripod) as driver:
@@ -142,23 +94,6 @@ def test_frozen_readings_are_not_taken_for_fresh_ones(line: Line, tripod: Robot)
         frozen: list[bytes] = []
         line.down = lambda pieces: (frozen.extend(pieces), last(frozen[:1]))[1]
         driver.advance(5.0)
-
-
-def test_an_emergency_stop_lasts_until_it_is_released(line: Line, tripod: Robot) -> None:
-    driver = driver_on(line, tripod)
-    with pytest.raises(DriverError, match="emergency stop"), driver:
-        driver.command(LEVEL)
-        driver.advance(0.2)
-        driver.stop()
-        driver.command(LEVEL)
-    assert not line.states[-1].setpoint.any()
-    with pytest.raises(DriverError, match="release"), driver:
-        pass
-    driver.release()
-    with driver:
-        driver.command(LEVEL)
-        driver.advance(0.3)
-        np.testing.assert_array_equal(driver.samples[-1].commanded, LEVEL)
 
 
 def test_another_robot_is_refused(line: Line, tripod: Robot) -> None:

@@ -1,9 +1,12 @@
-"""What a driver may send: pressures within the robot's range, changing no faster than its slew."""
+"""What a driver may send, pressures within the robot's range, changing no faster than its slew; and to which device."""
 
 import numpy as np
 
 from softrl.core.errors import DriverError
 from softrl.robots.robot import Robot
+from softrl.sim2real.drivers.protocol import Flag, Welcome
+
+WATCHDOG_MS = 100  # longest time without a setpoint in which a device may stay under pressure
 
 
 class Setpoint:
@@ -55,3 +58,26 @@ class Setpoint:
 
     def _next(self) -> np.ndarray:
         return self.sent + np.clip(self.goal - self.sent, -self._reach_pa, self._reach_pa)
+
+
+def require_safe(device: Welcome, robot: Robot) -> None:
+    """Refuse a device of another robot, one in emergency stop, and one that would not vent by itself.
+
+    Raises
+    ------
+    DriverError
+        With what the device said, and what was expected of it.
+    """
+    if device.chambers != robot.chambers:
+        raise DriverError(f"the device has {device.chambers} chambers, robot={robot.name} has {robot.chambers}")
+    if device.flags & Flag.STOPPED:
+        raise DriverError("the device is in emergency stop; end it at the device, or with driver.release()")
+    if not 0 < device.watchdog_ms <= WATCHDOG_MS:
+        raise DriverError(
+            f"the device's own watchdog is {device.watchdog_ms} ms; expected above 0 and at most {WATCHDOG_MS} ms: set "
+            "it in the device, which has to vent by itself when its driver falls silent"
+        )
+    if device.rate_hz <= 0:
+        raise DriverError(
+            f"the device sends {device.rate_hz} samples a second; expected 1 or more: set the rate of STATE in the device"
+        )

@@ -2,7 +2,7 @@
 
 A thread of its own repeats the setpoint on every sample, so that a busy caller does not starve the device's watchdog, and
 watches the link. It vents the robot at once when the link is one-way, silent, or speaks of a fault, and when the
-caller has been silent for too long.
+caller has been silent for too long. An emergency stop is remembered here as well: the device may never hear of it.
 """
 
 import logging
@@ -18,14 +18,13 @@ import numpy as np
 from softrl.core.driver import Sample
 from softrl.core.errors import ConfigError, DriverError
 from softrl.robots.robot import Robot
-from softrl.sim2real.drivers.limits import Setpoint
+from softrl.sim2real.drivers.limits import Setpoint, require_safe
 from softrl.sim2real.drivers.protocol import PRESSURE_PA, Decoder, Flag, Frame, Kind, State, Welcome, counts
 from softrl.sim2real.drivers.transport import Transport
 
 log = logging.getLogger(__name__)
 HELLO_EVERY_S = 0.2
 VENT_REPEATS = 3
-WATCHDOG_MS = 100  # longest time without a setpoint in which a device may stay under pressure
 
 
 class WireDriver:
@@ -57,7 +56,8 @@ class WireDriver:
         self._robot, self._connect = robot, connect
         self._watchdog_s, self._link_timeout_s, self.stale_s = watchdog_s, link_timeout_s, link_timeout_s
         self._vent_s, self._start_timeout_s = vent_s, start_timeout_s
-        self._entered = False
+        self._entered = self._stopped = False
+        self._emergency = f"emergency stop of {robot.name}; driver.release() ends it in a new session"
         self.samples: list[Sample] = []
         self.dropped = 0
 
@@ -65,6 +65,8 @@ class WireDriver:
         """Connect and begin a session; the device is vented."""
         if self._entered:
             raise DriverError(f"the driver of {self._robot.name} is connected already; leave the first 'with' block")
+        if self._stopped:
+            raise DriverError(self._emergency)
         self.samples, self.dropped = [], 0
         self._decoder, self._transport = Decoder(), self._connect()
         self._session, self._number, self._heard = secrets.randbelow(1 << 16), 0, 0
@@ -74,11 +76,14 @@ class WireDriver:
         self._fresh = threading.Condition()
         try:
             welcome = self._hello()
-            self._check(welcome)
+            require_safe(welcome, self._robot)
         except BaseException:
             self._transport.close()
             raise
-        self._setpoint = Setpoint(self._robot, 1.0 / welcome.rate_hz)
+        self._pending.clear()
+        self._setpoint_period_s = 1.0 / welcome.rate_hz
+        self._setpoint = Setpoint(self._robot, self._setpoint_period_s)
+        self._clock_s, self._returned = 0.0, 0
         self._commanded_s, self._until_s = 0.0, 0.0
         self._running = self._entered = True
         self._last_fresh = time.monotonic()
@@ -140,22 +145,27 @@ class WireDriver:
             return self.samples[before:]
 
     def stop(self) -> None:
-        """Stop in an emergency: vent at once and refuse every command until ``release``; from any thread, at any time."""
-        self._require_entry()
-        with self._fresh:
-            self._halt(Kind.STOP, f"emergency stop of {self._robot.name}; driver.release() ends it in a new session")
+        """Stop in an emergency: vent at once, refuse commands and entries until ``release``; from any thread, at any time."""
+        self._stopped = True  # before all else, so that no entry that is under way gets past it
+        if self._entered:
+            with self._fresh:
+                self._halt(self._emergency)
 
     def release(self) -> None:
-        """End an emergency stop that an earlier session left; the driver must not be connected."""
+        """End an emergency stop, an earlier program's too; not while connected, and it lasts if no device answers."""
         if self._entered:
             raise DriverError(f"the driver of {self._robot.name} is connected; leave the 'with' block to release it")
         self._decoder, self._transport = Decoder(), self._connect()
         self._session, self._number, self._heard = secrets.randbelow(1 << 16), 0, 0
         self._pending = deque()
+        stopped, self._stopped = self._stopped, False  # a stop from here on outlives this release
         try:
             self._hello()
             for _ in range(VENT_REPEATS):
                 self._send(Kind.RELEASE)
+        except BaseException:
+            self._stopped |= stopped
+            raise
         finally:
             self._transport.close()
 
@@ -176,33 +186,13 @@ class WireDriver:
             f"no device answered within {self._start_timeout_s:g} s; is it on, and does it speak softrl's protocol?"
         )
 
-    def _check(self, welcome: Welcome) -> None:
-        if welcome.chambers != self._robot.chambers:
-            raise DriverError(
-                f"the device has {welcome.chambers} chambers, robot={self._robot.name} has {self._robot.chambers}"
-            )
-        if welcome.flags & Flag.STOPPED:
-            raise DriverError("the device is in emergency stop; end it at the device, or with driver.release()")
-        if not 0 < welcome.watchdog_ms <= WATCHDOG_MS:
-            raise DriverError(
-                f"the device's own watchdog is {welcome.watchdog_ms} ms; expected above 0 and at most {WATCHDOG_MS} ms: set "
-                "it in the device, which has to vent by itself when its driver falls silent"
-            )
-        if welcome.rate_hz <= 0:
-            raise DriverError(
-                f"the device sends {welcome.rate_hz} samples a second; expected 1 or more: set the rate of STATE in the device"
-            )
-        self._setpoint_period_s = 1.0 / welcome.rate_hz
-        self._clock_s, self._returned = 0.0, 0
-        self._pending.clear()
-
     def _begin(self) -> None:
         """Wait for the first sample, from which time counts."""
         with self._fresh:
             give_up = time.monotonic() + self._start_timeout_s
             while not self.samples and self._fault is None and time.monotonic() < give_up:
                 self._fresh.wait(self._link_timeout_s)
-            fault = self._fault or (None if self.samples else "the device sends no samples")
+            fault = self._broken or (None if self.samples else "the device sends no samples")
             self._until_s = self._commanded_s = self._clock_s
             self._returned = len(self.samples)
         if fault is not None:
@@ -215,12 +205,22 @@ class WireDriver:
         """Vent, stay connected for ``vent_s`` and return whether the device said that it is vented."""
         with self._fresh:
             self._setpoint.vent()
-            self._try(Kind.VENT)
+            self._try(self._end)
             sent, until_s = self._number, self._clock_s + self._vent_s
             give_up = time.monotonic() + self._vent_s + 2.0 * self._link_timeout_s
             while time.monotonic() < give_up and self._alive and (self._acted < sent or self._clock_s < until_s):
                 self._fresh.wait(self._link_timeout_s)
             return self._acted >= sent
+
+    @property
+    def _end(self) -> Kind:
+        """The frame that vents: STOP from an emergency on, for the device may have missed it."""
+        return Kind.STOP if self._stopped else Kind.VENT
+
+    @property
+    def _broken(self) -> str | None:
+        """Why nothing may be commanded in this session any more."""
+        return self._emergency if self._stopped else self._fault
 
     @property
     def _alive(self) -> bool:
@@ -298,9 +298,9 @@ class WireDriver:
 
     def _repeat(self, move: bool) -> None:
         """Send the setpoint, one period further if a sample has come; once the session ends, vent until the line closes."""
-        # a VENT may be lost, and a setpoint of zero would be reached at the slew only
-        if self._fault is not None or not self._entered:
-            self._send(Kind.VENT)
+        # a VENT or a STOP may be lost, and a setpoint of zero would be reached at the slew only
+        if self._stopped or self._fault is not None or not self._entered:
+            self._send(self._end)
             return
         if move:
             self._setpoint.advance(1)
@@ -312,18 +312,18 @@ class WireDriver:
     def _fail(self, fault: str) -> None:
         """Vent at once, and let the caller know at the next call."""
         if self._fault is None:
-            self._halt(Kind.VENT, fault)
+            self._halt(fault)
 
-    def _halt(self, kind: Kind, fault: str) -> None:
+    def _halt(self, fault: str) -> None:
         self._fault = fault
         self._setpoint.vent()
         for _ in range(VENT_REPEATS):
-            self._try(kind)
+            self._try(self._end)
         self._fresh.notify_all()
 
     def _raise_fault(self) -> None:
-        if self._fault is not None:
-            raise DriverError(f"{self._fault} (after {len(self.samples)} samples)")
+        if self._broken is not None:
+            raise DriverError(f"{self._broken} (after {len(self.samples)} samples)")
 
     def _send(self, kind: Kind, payload: bytes = b"") -> None:
         self._number += 1
