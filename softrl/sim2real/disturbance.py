@@ -36,12 +36,21 @@ class Disturbance:
             )
 
     def steps(self, count: int, period_s: float) -> tuple[int, int]:
-        """Return before which commands of ``count`` the line goes off and comes back."""
+        """Return before which commands of ``count`` the line goes off and comes back.
+
+        Raises
+        ------
+        ConfigError
+            If too few commands are left to see a recovery in.
+        """
         cut = max(round(self.cut_share * count), 1)
         back = cut + max(round(self.cut_s / period_s), 1)
-        if back >= count:
+        left = max(count - back, 0)
+        if left < QUIET_STEPS:
             raise ConfigError(
-                f"stage.disturbance.cut_s={self.cut_s:g}: the line would come back after the course's {count} commands"
+                f"stage.disturbance: cut_share={self.cut_share:g}, cut_s={self.cut_s:g} leave {left} of the course's {count} "
+                f"commands after the line is back; expected {QUIET_STEPS} or more, to see a recovery in: lower one of the "
+                "two, or raise stage.shape_steps"
             )
         return cut, back
 

@@ -89,6 +89,14 @@ def test_a_line_that_comes_back_too_late_is_refused() -> None:
         Disturbance("circle", 0, 0.5, 5.0).steps(12, 0.5)
 
 
+def test_a_line_that_comes_back_leaves_enough_to_see_a_recovery_in(recorded: Recording) -> None:
+    with pytest.raises(ConfigError, match="cut_s=2 leave 2 of the course's 100 commands"):
+        Disturbance("circle", 0, 0.94, 2.0).steps(100, 0.5)
+    cut, back = Disturbance("circle", 0, 0.93, 2.0).steps(100, 0.5)
+    found = recovery(rollout_with([1.0] * 100, recorded), cut, back, 0.5)
+    assert (back, found.back_s) == (97, 0.5)
+
+
 def test_what_was_recorded_before_a_lost_link_is_kept(
     tripod: Robot, body: Simulator, silence: Noise, recorded: Recording, tmp_path: Path
 ) -> None:
