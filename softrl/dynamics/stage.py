@@ -160,7 +160,7 @@ def _mark(config: Config, robot: Robot, model: ReducedModel) -> str:
     """Return a hash of all that the chunks of motion depend on."""
     arrays = {field.name: getattr(model, field.name) for field in fields(model)}
     settings = {key: value for key, value in asdict(config).items() if key in MOTION_KEYS}
-    code = fingerprint.of_code("softrl.dynamics.generate", "softrl.dynamics.body")
+    code = fingerprint.of_code("softrl.dynamics.generate", "softrl.dynamics.body", "softrl.dynamics.sets")
     return fingerprint.of_values([settings, asdict(robot), fingerprint.of_arrays(arrays), code])
 
 

@@ -9,6 +9,7 @@ import torch
 from omegaconf import OmegaConf
 
 from softrl.artifacts.dynamics import ForwardDynamics, InverseDynamics
+from softrl.core import fingerprint
 from softrl.core.errors import ConfigError
 from softrl.core.tracking import NullTracker
 from softrl.dynamics.body import ReducedBody
@@ -17,7 +18,7 @@ from softrl.dynamics.evaluate import onestep_errors, predictors, rollout_errors
 from softrl.dynamics.inverse import inverse_errors, inverse_net
 from softrl.dynamics.physics_residual import PhysicsResidual
 from softrl.dynamics.sets import Sets, generate
-from softrl.dynamics.stage import Config, learn_forward, learn_inverse, report, run
+from softrl.dynamics.stage import Config, _mark, learn_forward, learn_inverse, report, run
 from softrl.dynamics.transformer import ForwardNet, forward_net, weights_of
 from softrl.robots.robot import Robot
 from tests.pod.conftest import fitted
@@ -198,6 +199,16 @@ def test_stage_runs_on_a_fitted_reduced_model_whose_motions_leave_no_residual() 
     with torch.no_grad():
         true, wrong = (float(physics(rows, r).pow(2).mean().sqrt()) for r in (rate, 1.05 * rate))
     assert true < 0.1 * wrong, f"residual of motions {true:.3g}, of rates 5 % off {wrong:.3g}"
+
+
+@pytest.mark.parametrize("module", ["sets", "generate", "body"])
+def test_kept_chunks_are_left_where_the_code_that_makes_them_changes(monkeypatch: pytest.MonkeyPatch, module: str) -> None:
+    robot, _, model = fitted(3)
+    before, read = _mark(config(), robot, model), fingerprint._source
+    assert _mark(config(), robot, model) == before
+    changed = f"softrl.dynamics.{module}"
+    monkeypatch.setattr(fingerprint, "_source", lambda name: read(name) + "#" * (name == changed))
+    assert _mark(config(), robot, model) != before
 
 
 @pytest.mark.slow
