@@ -98,12 +98,13 @@ class Config:
         if self.tuned_factor <= 1.0:
             raise ConfigError(f"stage.tuned_factor={self.tuned_factor:g} must be above 1")
         noise = self.sensing
-        if min(noise.dt_s, noise.sample_s, noise.position_mm) <= 0.0 or (noise.pressure_kpa or 1.0) <= 0.0:
+        silent = noise.pressure_kpa is not None and noise.pressure_kpa <= 0.0
+        if min(noise.dt_s, noise.sample_s, noise.position_mm) <= 0.0 or silent:
             raise ConfigError(
                 f"stage.sensing: dt_s={noise.dt_s:g}, sample_s={noise.sample_s:g}, position_mm={noise.position_mm:g}, "
                 f"pressure_kpa={noise.pressure_kpa}; expected positive numbers, or null for pressure_kpa"
             )
-        for name in ("shortlist", "fit_evaluations"):
+        for name in ("shortlist", "repeats", "fit_evaluations"):
             if getattr(self.effort, name) < 1:
                 raise ConfigError(f"stage.effort.{name}={getattr(self.effort, name)}; expected 1 or more")
 
