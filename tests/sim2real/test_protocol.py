@@ -32,6 +32,12 @@ def test_a_state_arrives_as_it_was_sent() -> None:
     assert np.isnan(again.tip_force).all(), "what is not measured stays not measured"
 
 
+@pytest.mark.parametrize("length", [0, 6, 8])
+def test_a_welcome_of_another_length_is_refused(length: int) -> None:
+    with pytest.raises(ValueError, match=f"a WELCOME of {length} bytes; expected 7"):
+        Welcome.decode(bytes(length))
+
+
 def test_every_single_flipped_bit_is_noticed_and_the_next_frame_is_found() -> None:
     good, follower = FRAME.encode(), Frame(Kind.VENT, 7, 42).encode()
     for bit in range(8 * len(good)):

@@ -122,6 +122,18 @@ def test_a_device_that_would_not_vent_by_itself_is_refused(
     assert "\n" not in str(error.value)
 
 
+def test_a_device_that_answers_in_another_protocol_is_told_in_one_line(line: Line, tripod: Robot) -> None:
+    def cut_short(pieces: list[bytes]) -> list[bytes]:
+        frames = [frame for piece in pieces for frame in Decoder().feed(piece)]
+        return [replace(frame, payload=frame.payload[:5]).encode() for frame in frames]
+
+    line.down = cut_short
+    with pytest.raises(DriverError, match="a WELCOME of 5 bytes; expected 7: driver and device") as error:
+        with driver_on(line, tripod):
+            pass
+    assert "\n" not in str(error.value)
+
+
 def test_a_session_that_ends_vents_at_once_though_its_first_frame_is_lost(line: Line, tripod: Robot) -> None:
     lost: list[bytes] = []
 
@@ -256,4 +268,11 @@ def test_an_address_or_a_rig_not_both(tripod: Robot, rig: WiredRig) -> None:
     with pytest.raises(DriverError, match="cannot open serial port /dev/nothing"), SerialDriver(
         tripod, "/dev/nothing", 460800, 1.0, 0.1, 0.1, 1.0
     ):
+        pass
+
+
+@pytest.mark.parametrize("port", [-1, 99999])
+def test_a_port_that_cannot_be_is_told_in_one_line(tripod: Robot, port: int) -> None:
+    driver = UdpDriver(tripod, "127.0.0.1", port, 1.0, 0.1, 0.1, 1.0)
+    with pytest.raises(DriverError, match=f"cannot reach 127.0.0.1:{port}: .*0-65535"), driver:
         pass

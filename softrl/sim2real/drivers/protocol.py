@@ -140,7 +140,9 @@ class Welcome:
 
     @classmethod
     def decode(cls, payload: bytes) -> "Welcome":
-        """Return the content of a payload."""
+        """Return the content of a payload; a payload of another length is a ValueError."""
+        if len(payload) != _WELCOME.size:
+            raise ValueError(f"a WELCOME of {len(payload)} bytes; expected {_WELCOME.size}")
         chambers, rate_hz, watchdog_ms, flags = _WELCOME.unpack(payload)
         return cls(chambers, rate_hz, watchdog_ms, Flag(flags))
 

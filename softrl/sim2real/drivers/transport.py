@@ -70,7 +70,7 @@ class UdpTransport:
         self._socket.settimeout(wait_s)
         try:
             self._socket.connect((host, port))
-        except OSError as error:
+        except (OSError, OverflowError) as error:  # the second for a port beyond 65535
             self._socket.close()
             raise DriverError(f"cannot reach {self._name}: {error}") from error
 

@@ -25,6 +25,7 @@ from softrl.sim2real.drivers.transport import Transport
 log = logging.getLogger(__name__)
 HELLO_EVERY_S = 0.2
 VENT_REPEATS = 3
+FOREIGN = "driver and device do not speak the same protocol"
 
 
 class WireDriver:
@@ -72,7 +73,7 @@ class WireDriver:
         self._session, self._number, self._heard = secrets.randbelow(1 << 16), 0, 0
         self._pending: deque[tuple[int, float]] = deque()
         self._fault: str | None = None
-        self._taken = 0
+        self._taken = self._returned = 0
         self._fresh = threading.Condition()
         try:
             welcome = self._hello()
@@ -83,8 +84,7 @@ class WireDriver:
         self._pending.clear()
         self._setpoint_period_s = 1.0 / welcome.rate_hz
         self._setpoint = Setpoint(self._robot, self._setpoint_period_s)
-        self._clock_s, self._returned = 0.0, 0
-        self._commanded_s, self._until_s = 0.0, 0.0
+        self._clock_s = self._commanded_s = self._until_s = 0.0
         self._running = self._entered = True
         self._last_fresh = time.monotonic()
         self._thread = threading.Thread(target=self._pump, name="softrl-link", daemon=True)
@@ -181,7 +181,7 @@ class WireDriver:
                 for frame in self._decoder.feed(self._transport.receive()):
                     if frame.kind == Kind.WELCOME and frame.session == self._session:
                         self._heard = frame.sequence
-                        return Welcome.decode(frame.payload)
+                        return _welcome(frame)
         raise DriverError(
             f"no device answered within {self._start_timeout_s:g} s; is it on, and does it speak softrl's protocol?"
         )
@@ -264,7 +264,7 @@ class WireDriver:
         try:
             state = State.decode(frame.payload, self._robot.chambers)
         except ValueError as error:
-            self._fail(f"{error}: driver and device do not speak the same protocol")
+            self._fail(f"{error}: {FOREIGN}")
             return False
         if frame.sequence <= self._heard or state.clock_s <= self._clock_s:
             self.dropped += 1
@@ -341,3 +341,10 @@ class WireDriver:
     def _require_entry(self) -> None:
         if not self._entered:
             raise DriverError(f"the driver of {self._robot.name} is not connected; use it in a 'with' block")
+
+
+def _welcome(frame: Frame) -> Welcome:
+    try:
+        return Welcome.decode(frame.payload)
+    except ValueError as error:
+        raise DriverError(f"{error}: {FOREIGN}") from error
