@@ -17,9 +17,10 @@ class Identification:
     ----------
     sessions : number of sessions; each draws its own steps and phases and takes the next chamber for its triangles
     dt_s : time between commands
-    rest_s : vented time before, between and after the parts
+    rest_s : vented time before, between and after the parts; may be 0
     step_count, step_hold_s : random holds of all chambers, first and last at rest
-    multisine_s, multisine_band_hz, multisine_share : duration, lowest and highest tone, share of the pressure range
+    multisine_s, multisine_band_hz, multisine_share : duration, one period of the highest tone or more; lowest and highest
+        tone; share of the pressure range
     triangle_periods_s, triangle_cycles : the same path at several rates, and how often each; a loop that stays when the
         rate falls is hysteresis
     staircase_levels, staircase_repeats, staircase_period_s : rising maxima, each repeated: shows softening
@@ -51,8 +52,44 @@ class Identification:
         for name in positive:
             if getattr(self, name) <= 0:
                 raise ConfigError(f"stage.identification.{name}={getattr(self, name):g} must be positive")
+        if self.rest_s < 0:
+            raise ConfigError(f"stage.identification.rest_s={self.rest_s:g} must not be negative")
+        self._require_triangles()
+        self._require_multisine()
+
+    def _require_triangles(self) -> None:
+        """Refuse periods at which a triangle would have no sample off zero, and be missing without a word."""
         if not self.triangle_periods_s:
             raise ConfigError("stage.identification.triangle_periods_s=[] is empty; expected one period or more")
+        shortest_s = {"triangle_periods_s": min(self.triangle_periods_s), "staircase_period_s": self.staircase_period_s}
+        for name, period_s in shortest_s.items():
+            if round(period_s / self.dt_s) < 2:
+                raise ConfigError(
+                    f"stage.identification.{name}: {period_s:g} s is too short; expected two commands a triangle or more, "
+                    f"{2.0 * self.dt_s:g} s at dt_s={self.dt_s:g}"
+                )
+
+    def _require_multisine(self) -> None:
+        """Refuse tones that cannot be drawn, or would be others once they are sampled."""
+        low_hz, high_hz = self.multisine_band_hz
+        said = f"stage.identification.multisine_band_hz={list(self.multisine_band_hz)}"
+        if not 0.0 < low_hz <= high_hz:
+            raise ConfigError(f"{said}; expected a lowest tone above 0 Hz, and a highest one that is not below it")
+        if high_hz >= 0.5 / self.dt_s:
+            raise ConfigError(
+                f"{said} at dt_s={self.dt_s:g}; expected more than two commands a period, so tones below "
+                f"{0.5 / self.dt_s:g} Hz: lower the highest tone, or dt_s"
+            )
+        if self.multisine_s * high_hz < 1.0:
+            raise ConfigError(
+                f"stage.identification.multisine_s={self.multisine_s:g} is too short; expected one period of the highest "
+                f"tone or more, {1.0 / high_hz:g} s"
+            )
+        if not 0.0 < self.multisine_share <= 1.0:
+            raise ConfigError(
+                f"stage.identification.multisine_share={self.multisine_share:g}; expected a share of the pressure range, above 0 "
+                "and at most 1"
+            )
 
 
 def session_program(robot: Robot, settings: Identification, number: int, rng: np.random.Generator) -> Program:
