@@ -22,7 +22,7 @@ class Bandwidth:
     Attributes
     ----------
     frequencies_hz : of the tones, one after the other, rising; the first is the reference
-    middle_kpa, amplitude_kpa : of the pressure; at the highest tone the slew must not bind
+    middle_kpa, amplitude_kpa : of the pressure; at the highest tone the slew must not bind (see ``require_fit``)
     cycles, least_s : of a tone that count, at least so long; as many more go before
     dt_s : time between commands
     """
@@ -42,6 +42,27 @@ class Bandwidth:
         for name in ("amplitude_kpa", "cycles", "least_s", "dt_s"):
             if getattr(self, name) <= 0:
                 raise ConfigError(f"stage.bandwidth.{name}={getattr(self, name):g} must be positive")
+
+    def require_fit(self, robot: Robot) -> None:
+        """Refuse tones that ``robot`` cannot be sent as they are meant: out of its range, above its slew, or aliased."""
+        low, high, highest_hz = 1e-3 * robot.pressure_min_pa, 1e-3 * robot.pressure_max_pa, self.frequencies_hz[-1]
+        if self.middle_kpa - self.amplitude_kpa < low or self.middle_kpa + self.amplitude_kpa > high:
+            raise ConfigError(
+                f"stage.bandwidth: middle_kpa={self.middle_kpa:g} with amplitude_kpa={self.amplitude_kpa:g} leaves the range "
+                f"of robot {robot.name}, {low:g} to {high:g} kPa; expected both ends of the tone within it"
+            )
+        if highest_hz >= 0.5 / self.dt_s:
+            raise ConfigError(
+                f"stage.bandwidth.frequencies_hz={list(self.frequencies_hz)} at dt_s={self.dt_s:g}; expected more than two "
+                f"commands a period, so tones below {0.5 / self.dt_s:g} Hz: lower the highest tone, or dt_s"
+            )
+        fastest_pa_per_s = 2.0 * np.pi * highest_hz * 1e3 * self.amplitude_kpa
+        if fastest_pa_per_s > robot.slew_pa_per_s:
+            raise ConfigError(
+                f"stage.bandwidth: amplitude_kpa={self.amplitude_kpa:g} at {highest_hz:g} Hz asks for "
+                f"{fastest_pa_per_s:.0f} Pa/s; expected at most slew_pa_per_s={robot.slew_pa_per_s:g} of robot "
+                f"{robot.name}: lower the amplitude, or the highest tone"
+            )
 
 
 @dataclass(frozen=True)

@@ -155,12 +155,7 @@ def _require_pace(config: Config, policy: Policy) -> None:
 
 def _require_fit(config: Config, robot: Robot, curves: tuple[str, ...], driver: Driver) -> None:
     """Refuse, before anything moves, what would be found out late in the session only."""
-    band, low, high = config.bandwidth, 1e-3 * robot.pressure_min_pa, 1e-3 * robot.pressure_max_pa
-    if band.middle_kpa - band.amplitude_kpa < low or band.middle_kpa + band.amplitude_kpa > high:
-        raise ConfigError(
-            f"stage.bandwidth: middle_kpa={band.middle_kpa:g} with amplitude_kpa={band.amplitude_kpa:g} leaves the range "
-            f"of robot {robot.name}, {low:g} to {high:g} kPa; expected both ends of the tone within it"
-        )
+    config.bandwidth.require_fit(robot)
     cut = config.disturbance
     if not isinstance(driver, Breakable):
         return

@@ -198,3 +198,17 @@ def test_it_refuses_what_does_not_fit(everything: Stage, config: Config) -> None
         replace(config.identification, sessions=1)
     with pytest.raises(ConfigError, match="command_rate_hz=0"):
         replace(config, command_rate_hz=0.0)
+
+
+def test_what_would_be_found_out_late_is_refused_before_the_robot_moves(everything: Stage, config: Config) -> None:
+    driver = BenchDriver(everything.robot, everything.body, everything.noise)
+    plant = (everything.body, chain_of(everything.robot, []))
+    faults = {
+        "slew_pa_per_s": replace(config, bandwidth=replace(config.bandwidth, frequencies_hz=(1.0, 5.0, 7.0))),
+        "below 2 Hz": replace(config, bandwidth=replace(config.bandwidth, dt_s=0.25)),
+        "expected 3 or more": replace(config, disturbance=replace(config.disturbance, cut_s=1.0)),
+    }
+    for told, faulty in faults.items():
+        with pytest.raises(ConfigError, match=told):
+            run(faulty, everything.robot, *everything.inputs, *plant, driver, tracker=NullTracker())
+    assert driver.entries == 0

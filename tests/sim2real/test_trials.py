@@ -1,10 +1,14 @@
 """Laws of the disturbance, of the bandwidth, and of sessions that break off."""
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
+from omegaconf import OmegaConf
 
+from softrl.core.config import build
 from softrl.core.errors import ConfigError, DriverError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import NullTracker
@@ -19,7 +23,7 @@ from softrl.sim2real.disturbance import Disturbance, recovery
 from softrl.sim2real.drivers.rig import Hardware, Noise, Rig, sample_of
 from softrl.sim2real.keep import keeping
 from softrl.sim2real.rollout import Rollout
-from tests.sim2real.conftest import BenchDriver
+from tests.sim2real.conftest import CONF, BenchDriver
 
 TONES = Bandwidth((0.2, 0.5, 1.0, 2.0, 4.0), 12.0, 4.0, 1, 1.0, 0.01)
 
@@ -40,6 +44,30 @@ def test_the_sweep_keeps_the_limits(tripod: Robot) -> None:
     assert np.abs(np.diff(pressure, axis=0)).max() <= 0.01 * tripod.slew_pa_per_s * (1 + 1e-9)
     with pytest.raises(ConfigError, match="frequencies_hz"):
         Bandwidth((1.0, 0.5, 2.0), 12.0, 4.0, 1, 1.0, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [({"amplitude_kpa": 8.0}, r"amplitude_kpa=8 at 4 Hz asks for 201062 Pa/s; expected at most slew_pa_per_s=200000"),
+     ({"dt_s": 0.125}, r"frequencies_hz=\[.*4.0\] at dt_s=0.125; .*below 4 Hz"),
+     ({"middle_kpa": 32.0}, r"leaves the range of robot tripod, -20 to 35 kPa")],
+)  # fmt: skip
+def test_tones_that_the_robot_cannot_follow_are_refused(tripod: Robot, changed: dict[str, float], told: str) -> None:
+    TONES.require_fit(tripod)
+    with pytest.raises(ConfigError, match=told) as error:
+        replace(TONES, **changed).require_fit(tripod)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("profile", ["", "tiny", "paper"])
+def test_at_the_highest_tone_of_every_profile_the_slew_does_not_bind(tripod: Robot, profile: str) -> None:
+    parts = [CONF / "stage/sim2real.yaml", *([CONF / f"profile/{profile}/sim2real.yaml"] if profile else [])]
+    node = OmegaConf.merge(*(OmegaConf.load(part) for part in parts)).bandwidth
+    tones = build(cast(dict[str, Any], OmegaConf.to_container(node)), Bandwidth, "stage.bandwidth")
+    tones.require_fit(tripod)
+    _, pressure = sweep(tripod, tones)
+    last = np.diff(pressure[-round(1.0 / tones.frequencies_hz[-1] / tones.dt_s) :, 0])
+    assert np.abs(last).max() < 0.999 * tripod.slew_pa_per_s * tones.dt_s
 
 
 def test_a_line_that_is_off_vents_its_chamber_alone(tripod: Robot, body: Simulator, silence: Noise) -> None:
