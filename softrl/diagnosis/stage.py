@@ -200,7 +200,7 @@ def _steps(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Nu
     part = within(data.training, config.search.fit_s)
     body = Problem(robot, simulator, part, config.numerics, "motion", drive, False, False)
     warn_of_cost(body, config.search.workers)
-    floor = floor_in_bin(data.noise, data, body)
+    floor = floor_in_bin(data.noise, data.rounding, data, body)
     numerics = suited(body, Judge(body, floor, data.travel, config.thresholds, config.seed).material)
     if numerics != config.numerics:
         log.info("the motion is slow: steps of %g s, and of %g s to rank", numerics.dt_s, numerics.rough_dt_s)

@@ -107,7 +107,7 @@ class Effect:
     """Base of all effects: a subclass adds parameters with ``parameter(...)``, a site, and a kernel.
 
     Every subclass has a field ``chamber``, or none: -1 for all chambers, else one chamber's number from 0. Every effect may
-    be told to act only above a pressure or only from a time on, see ``effects.gate``.
+    be told to act only from a time on, and where pressures are only above one, see ``effects.gate``.
 
     Attributes
     ----------
@@ -189,6 +189,8 @@ class Effect:
             raise ConfigError(f"effect {self.name()}.behind_gauge=true: it is not that of a line from a gauge to a chamber")
         if self.layered and self.gated:
             raise ConfigError(f"effect {self.name()} is how the body is made; expected neither above_share nor since_s")
+        if self.above_share > EVERYWHERE and not self.under_pressure():
+            raise ConfigError(f"effect {self.name()}.above_share={self.above_share:g}: no pressure acts there; expected since_s")
 
     @classmethod
     def name(cls) -> str:
@@ -204,6 +206,11 @@ class Effect:
     def gate_fields(cls) -> Iterator[dataclasses.Field[Any]]:
         """Yield the fields that say above which pressure and from when on it acts."""
         return (field for field in fields(cls) if "gate" in field.metadata)
+
+    @classmethod
+    def under_pressure(cls) -> bool:
+        """Return whether it acts where pressures are, so that it may act above one only."""
+        return cls.site in ("valve", "chamber", "body") or (cls.site == "sensor" and cls.channel == "pressure")
 
     @property
     def acts_at(self) -> str:

@@ -28,6 +28,7 @@ NEARLY = 0.99  # of the best coincidence: the middle of the periods, or phases, 
 TELLS = 0.15  # correlation of changes with readings above which a period is taken to be one
 CHANCE = 5.0  # and this many times what chance gives it, for very many periods are tried
 BESIDE = 0.5  # of that correlation: what coincides more with the samples beside the readings is no jump
+HELD_SHARE = 0.3  # of the samples, which repeat the one before to the last digit where a sensor is slower
 KEPT_RUNS, KEPT_PHASES = 128, 256  # recordings whose changes are kept, and phases: columns of a Jacobian share them
 FIRST = -1e12  # number of the reading before the first
 
@@ -172,6 +173,8 @@ class _Changes:
         end = np.concatenate([time[1:] - time[0] for time, _ in series])
         # their size, not its square: a few fast motions would outweigh all others
         sizes = np.concatenate([np.linalg.norm(np.diff(values, axis=0), axis=1) for _, values in series])
+        if np.mean(sizes == 0.0) > HELD_SHARE:  # readings stand between others: when, not how far, tells them
+            sizes = (sizes > 0.0).astype(float)
         sample = float(np.median(end - begin))
         kept = (end - begin < PAUSE * sample) & (end < PAUSE * sample * most)
         sizes /= np.maximum(end - begin, BRIEF * sample) / sample  # what takes longer moves further, and holds more readings

@@ -127,7 +127,7 @@ def _shelf(config: Config, robot: Robot) -> Shelf:
     made = [config.cases, config.seed, asdict(config.generator), asdict(config.nominal), asdict(robot)]
     code = fingerprint.of_code("softrl.proof.trial", "softrl.proof.generator.plan")
     cases = Path(config.folder) / fingerprint.of_values([*made, code])
-    engine = fingerprint.of_code("softrl.diagnosis.stage")
+    engine = fingerprint.of_code("softrl.diagnosis.stage", "softrl.proof.judging")
     return Shelf(cases, cases / f"answers-{fingerprint.of_values([asdict(config.diagnosis), engine])}")
 
 

@@ -15,6 +15,7 @@ HOLD_S = 1.0  # a command unchanged for twice this long ends in a window of this
 EXCITED_SHARE = 0.02  # a chamber that moves less than this share of the pressure range is not excited
 CLIPPED_SHARE = 0.02  # this share of samples at one extreme value is clipping, unless the command holds there
 REPEAT_S, REPEAT_SAMPLES = 1.0, 5  # what lasts longer than this, and than so many samples, is no noise between repeats
+REPEATED_S = 3.0  # shorter stretches of equal commands do not tell how well a robot repeats itself
 REST_SHARE = 0.3  # a tip at rest this share of a length away from its place is told in another frame
 JUMP_RAD = 0.5  # an orientation that turns farther than this between samples has jumped
 
@@ -169,6 +170,12 @@ def _noise(values: np.ndarray, windows: list[slice]) -> float:
     return float(np.sqrt(np.mean(np.median(variance, axis=0))))
 
 
+def resolution(values: np.ndarray) -> np.ndarray:
+    """Return the smallest difference (n,) between two values of each column of ``values`` (steps, n): a coarse sensor's digit."""
+    gaps = [np.diff(np.unique(column)) for column in values.T]
+    return np.array([gap.min() if len(gap) else 0.0 for gap in gaps])
+
+
 def _held_share(recording: Recording, values: np.ndarray) -> float:
     moving = np.any(np.diff(recording.pressure_cmd, axis=0) != 0.0, axis=1)
     if moving.sum() < 10:
@@ -180,7 +187,8 @@ def _repeatability(recordings: RecordingSet) -> dict[str, float]:
     """Return the rms difference over sqrt 2 between runs of a session whose commands agree, on the shorter run's times.
 
     Of the difference only what is faster than ``REPEAT_S`` is noise: a wall that ages, or a load that came in between, is
-    not. Runs that nothing is fitted to do not count.
+    not. Runs that nothing is fitted to do not count, nor does where no command changes: from what came before a body may
+    still be coming back.
     """
     squares: dict[str, list[float]] = {}
     runs = without(recordings, DISTURBED, OUTSIDE).recordings
@@ -188,7 +196,8 @@ def _repeatability(recordings: RecordingSet) -> dict[str, float]:
         for other in [run for run in runs[i + 1 :] if run.session == one.session]:
             count = min(len(one.time), len(other.time))
             same_time = np.allclose(np.diff(one.time[:count]), np.diff(other.time[:count]), rtol=0.01)
-            if not same_time or not np.allclose(one.pressure_cmd[:count], other.pressure_cmd[:count], rtol=1e-6):
+            long = one.time[count - 1] - one.time[0] >= REPEATED_S and np.ptp(one.pressure_cmd[:count], axis=0).any()
+            if not long or not same_time or not np.allclose(one.pressure_cmd[:count], other.pressure_cmd[:count], rtol=1e-6):
                 continue
             theirs = dict(_sensed(other))
             for channel, values in _sensed(one):

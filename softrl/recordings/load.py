@@ -14,15 +14,13 @@ from softrl.core.errors import RecordingError
 from softrl.recordings.columns import match_columns
 from softrl.recordings.frame import continuous_quaternion, rotate, rotation_between, turn
 from softrl.recordings.run import Recording
-from softrl.recordings.store import DATASET
+from softrl.recordings.store import DATASET, OF_SESSIONS
 from softrl.recordings.validate import require_values
 from softrl.robots.robot import AXES, Robot
 
 log = logging.getLogger(__name__)
 
 EPOCH_S = 1e8  # a later time counts from an epoch, as Unix time does: no session goes on for three years
-
-
 NAMING = ("disturbed", "out_of_distribution")  # notes that hold names of runs or sessions, as they are written
 
 
@@ -51,8 +49,19 @@ def load_runs(folder: Path | str, robot: Robot | None) -> tuple[str, tuple[Recor
     if not recordings:
         raise RecordingError(f"{folder} names no runs; expected one CSV file a run beside {DATASET}")
     extras = {s.name: s.notes for s in sessions if s.notes}
-    notes = head["notes"] | ({"session_notes": extras} if extras else {})
+    notes = head["notes"] | ({OF_SESSIONS: extras} if extras else {})
     return head["robot"], recordings, notes
+
+
+class _Names(yaml.BaseLoader):
+    """Reads plain strings, and refuses what is named twice: of a session's runs the first would be forgotten."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+        """Return the mapping of ``node``."""
+        named = [self.construct_object(key, deep=True) for key, _ in node.value]
+        for key in {key for key in named if named.count(key) > 1}:
+            raise yaml.YAMLError(f"key '{key}' is there {named.count(key)} times; expected each once")
+        return dict(super().construct_mapping(node, deep=deep))
 
 
 def _dataset(folder: Path) -> tuple[dict[str, Any], list[Session]]:
@@ -64,7 +73,7 @@ def _dataset(folder: Path) -> tuple[dict[str, Any], list[Session]]:
     text = _text(path)
     try:
         # plain strings for names: YAML would turn a run called 2020_0908 into the number 20200908
-        names, typed = yaml.load(text, Loader=yaml.BaseLoader), yaml.safe_load(text)
+        names, typed = yaml.load(text, Loader=_Names), yaml.safe_load(text)
     except yaml.YAMLError as error:
         raise RecordingError(f"{path} is no YAML: {' '.join(str(error).split())}") from error
     if not isinstance(names, dict) or not isinstance(names.get("robot"), str):
@@ -170,7 +179,7 @@ def _table(path: Path) -> tuple[list[str], list[str]]:
 def _values(path: Path, header: list[str], lines: list[str], used: list[int]) -> np.ndarray:
     """Return the table (samples, columns) of which the ``used`` columns are read; zero elsewhere."""
     try:
-        read = np.loadtxt(lines[1:], delimiter=",", ndmin=2, comments=None, usecols=used)
+        read = np.loadtxt([line for line in lines[1:] if line.strip()], delimiter=",", ndmin=2, comments=None, usecols=used)
     except ValueError as error:
         raise RecordingError(_bad_cell(path, header, lines, used)) from error
     table = np.zeros((len(read), len(header)))

@@ -1,6 +1,7 @@
 """Read a user's dataset folder."""
 
 import difflib
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from softrl.core.errors import RecordingError
@@ -8,11 +9,12 @@ from softrl.recordings.acting import ACTS, until_rows
 from softrl.recordings.load import load_runs
 from softrl.recordings.marked import DISTURBED, OUTSIDE, named
 from softrl.recordings.recording import RecordingSet
-from softrl.recordings.store import DATASET
+from softrl.recordings.store import DATASET, OF_SESSIONS
 from softrl.robots.robot import Robot
 
 READ = ("robot", "sessions", ACTS, DISTURBED, OUTSIDE)  # keys that mean something; any other is a note of the user's own
-ALIKE = 0.85  # similarity, of 1, from which another key is one of these misspelt
+READ_OF_SESSION = ("runs", "axis")
+ALIKE, ALIKE_SHORT = 0.85, 0.7  # similarity, of 1, from which another key is one of these misspelt
 
 
 def read(folder: Path | str, robot: Robot | None) -> RecordingSet:
@@ -59,6 +61,14 @@ def read(folder: Path | str, robot: Robot | None) -> RecordingSet:
 
 
 def _refuse_misspelt(recordings: RecordingSet, folder: Path) -> None:
-    for key in (key for key in recordings.notes if key not in READ):
-        for meant in difflib.get_close_matches(str(key), READ, n=1, cutoff=ALIKE):
-            raise RecordingError(f"{folder / DATASET}: key '{key}' would be a note without effect; did you mean {meant}?")
+    if "axis" in recordings.notes:
+        raise RecordingError(f"{folder / DATASET}: key 'axis' would be a note without effect; expected it within a session")
+    _refuse_alike(recordings.notes, READ, ALIKE, f"{folder / DATASET}:")
+    for name, notes in recordings.notes.get(OF_SESSIONS, {}).items():
+        _refuse_alike(notes, READ_OF_SESSION, ALIKE_SHORT, f"{folder / DATASET}: session '{name}':")
+
+
+def _refuse_alike(notes: Iterable[str], known: Sequence[str], alike: float, where: str) -> None:
+    for key in (key for key in notes if key not in known):
+        for meant in difflib.get_close_matches(str(key), known, n=1, cutoff=alike):
+            raise RecordingError(f"{where} key '{key}' would be a note without effect; did you mean {meant}?")

@@ -12,6 +12,7 @@ from softrl.core.units import si_factor
 from softrl.recordings.run import Recording
 
 DATASET = "dataset.yaml"
+OF_SESSIONS = "session_notes"  # the note that holds those of sessions, by session
 TIME, OTHER = "%.15g", "%.9g"  # nine digits of a time that goes on for days are too few
 UNITS = {
     "time": "s",
@@ -33,7 +34,7 @@ def store_runs(folder: Path | str, robot_name: str, recordings: tuple[Recording,
     for recording in recordings:
         _write_run(folder / f"{recording.name}.csv", recording)
     head = {"robot": robot_name, "frame": "base", "units": UNITS, "sessions": _sessions(recordings, notes)}
-    rest = {key: value for key, value in notes.items() if key != "session_notes"}
+    rest = {key: value for key, value in notes.items() if key != OF_SESSIONS}
     (folder / DATASET).write_text(yaml.safe_dump(head | rest, sort_keys=False, width=110))
 
 
@@ -41,7 +42,7 @@ def _sessions(recordings: tuple[Recording, ...], notes: dict[str, Any]) -> dict[
     sessions: dict[str, dict[str, Any]] = {}
     for recording in recordings:
         sessions.setdefault(recording.session, {"runs": []})["runs"].append(recording.name)
-    extras = notes.get("session_notes", {})
+    extras = notes.get(OF_SESSIONS, {})
     return {session: entry | extras.get(session, {}) for session, entry in sessions.items()}
 
 

@@ -11,6 +11,7 @@ from softrl.robots.robot import Robot
 UNIT_RATIO = 20.0  # times the pressure limit: no sensor error, another unit
 REACH_LENGTHS = 5.0  # a tip farther from the base than this many lengths is in another unit
 TINY_SHARE = 5e-3  # a command that never reaches this share of the limit is in another unit
+RELATED = 0.3  # correlation of a gauge with its command, above which it shows something of it
 MEASURED_MARGIN = 0.25  # measured pressures may pass the limits by this share of the range: offsets, overshoot
 SLOWEST_PERIOD_S = 5.0  # a slower median sampling period means that time is in another unit
 FASTEST_PERIOD_S = 5e-5  # and so does a faster one: nothing that air moves is recorded at 20 kHz
@@ -105,12 +106,30 @@ def _require_pressure(path: Path, header: list[str], table: np.ndarray, columns:
     commanded = largest["pressure_cmd"]
     for channel, found in largest.items():
         # pressures that stay at zero are no matter of units, nor are measured ones where nothing was asked for
-        if 0.0 < found < TINY_SHARE * limit and (channel == "pressure_cmd" or commanded > 20.0 * found):
+        commands, measured = _pressures(table, columns)
+        noise = bool(np.ptp(measured, axis=0).any()) and not follows(commands, measured)
+        scaled = channel == "pressure_cmd" or (commanded > 20.0 * found and not noise)
+        if 0.0 < found < TINY_SHARE * limit and scaled:
             name = header[columns.channels[channel][0][0]]
             raise RecordingError(
                 f"{path}, column '{name}': no {channel} exceeds {found:g} Pa, under {TINY_SHARE:.1%} of the limit "
                 f"{limit:g} Pa of robot {robot.name}; is the column in another unit?"
             )
+
+
+def _pressures(table: np.ndarray, columns: Columns) -> tuple[np.ndarray, np.ndarray]:
+    """Return commands and measured pressures (steps, chambers) of the chambers that have both, in the file's units."""
+    commands, measured = (columns.channels.get(channel, {}) for channel in ("pressure_cmd", "pressure_meas"))
+    both = [chamber for chamber in commands if chamber in measured]
+    return table[:, [commands[c][0] for c in both]], table[:, [measured[c][0] for c in both]]
+
+
+def follows(commands: np.ndarray, measured: np.ndarray) -> bool:
+    """Return whether any of the ``measured`` pressures (steps, chambers) goes with its command: those of a dead gauge do not."""
+    for command, pressure in zip(commands.T, measured.T, strict=True):
+        if np.ptp(command) > 0.0 and np.ptp(pressure) > 0.0 and abs(np.corrcoef(command, pressure)[0, 1]) > RELATED:
+            return True
+    return False
 
 
 def _require_size(

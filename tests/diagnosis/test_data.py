@@ -54,3 +54,41 @@ def test_clocks_go_on_to_the_end_of_the_last_run_however_little_fits_see(body: P
     assert isinstance(found, Data)
     took = sum(float(np.ptp(run.time)) for run in whole.recordings)
     assert found.shortened(5.0).now.session == last.session and found.shortened(5.0).now.gone_s[-1] == pytest.approx(took)
+
+
+def test_a_coarse_sensor_is_as_wrong_as_its_last_digit(body: PccSimulator) -> None:
+    whole = made(body, sessions=3, noise_m=1e-9)
+    coarse = replace(whole, recordings=tuple(replace(r, position=np.round(np.asarray(r.position), 3)) for r in whole.recordings))
+    found = prepare(coarse, body.robot, 0.34, 0)
+    assert isinstance(found, Data) and found.noise == found.rounding == pytest.approx(1e-3 / 2.0)
+    loud = made(body, sessions=3, noise_m=1e-3)
+    blurred = replace(loud, recordings=tuple(replace(r, position=np.round(np.asarray(r.position), 3)) for r in loud.recordings))
+    found = prepare(blurred, body.robot, 0.34, 0)
+    assert isinstance(found, Data) and found.rounding == 0.0 and found.noise > 1e-3
+
+
+def test_a_run_of_two_rows_tells_no_noise(body: PccSimulator) -> None:
+    whole = made(body, sessions=3)
+    first = whole.recordings[0]
+    torn = replace(rows(first, np.isin(np.arange(len(first.time)), (0, 300))), name="torn")
+    sets = (replace(whole, recordings=(*whole.recordings, *more)) for more in ([torn], []))
+    found, plain = (prepare(recordings, body.robot, 0.34, 0) for recordings in sets)
+    assert isinstance(plain, Data) and isinstance(found, Data) and found.noise == pytest.approx(plain.noise, rel=0.1)
+
+
+def test_where_every_run_is_marked_that_is_the_reason(body: PccSimulator) -> None:
+    whole = made(body, sessions=3)
+    for mark in ("disturbed", "out_of_distribution"):
+        refused = prepare(replace(whole, notes={mark: [run.name for run in whole.recordings]}), body.robot, 0.34, 0)
+        assert isinstance(refused, Refusal) and "is marked as disturbed or out of distribution" in refused.reason
+
+
+@pytest.mark.parametrize("noise_pa", [0.0, 100.0])
+def test_gauges_that_are_all_dead_are_left_out(noise_pa: float, body: PccSimulator) -> None:
+    whole, rng = made(body, sessions=3, measured=True), np.random.default_rng(0)
+    dead = [replace(run, pressure_meas=noise_pa * rng.standard_normal(run.pressure_cmd.shape)) for run in whole.recordings]
+    found = prepare(replace(whole, recordings=tuple(dead)), body.robot, 0.34, 0)
+    assert isinstance(found, Data) and not found.pressure and any("dead, and left out" in line for line in found.mended)
+    scaled = [replace(run, pressure_meas=1e-3 * np.asarray(run.pressure_meas)) for run in whole.recordings]
+    refused = prepare(replace(whole, recordings=tuple(scaled)), body.robot, 0.34, 0)
+    assert isinstance(refused, Refusal) and "a wrong unit" in refused.reason

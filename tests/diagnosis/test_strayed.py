@@ -51,3 +51,10 @@ def test_a_swing_after_a_blow_does_not_stray() -> None:
     swing = np.outer(np.exp(-since / 0.5) * np.sin(40.0 * since), OFF)
     moved = swing + 0.01 * np.random.default_rng(0).standard_normal((3000, 3))
     assert not strayed(TIME, moved, STILL).any()
+
+
+@pytest.mark.parametrize("digit", [0.5, 1.0])
+def test_one_digit_of_a_coarse_sensor_is_no_jump(digit: float) -> None:
+    moved, drive = _motion(1)
+    slow = np.interp(TIME / 20.0, TIME, moved[:, 0])[:, None]
+    assert not strayed(TIME, np.round(slow / digit) * digit, np.interp(TIME / 20.0, TIME, drive[:, 0])[:, None]).any()

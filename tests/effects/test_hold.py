@@ -131,3 +131,21 @@ def test_without_a_measured_motion_readings_count_from_the_first_sample() -> Non
     made = replay(plant, replace(run, position=None), 0.005).position
     assert made is not None
     np.testing.assert_allclose(made[:-3:4], made[3::4])
+
+
+@pytest.mark.parametrize("period_s", [0.2, 0.3, 0.5])
+@pytest.mark.parametrize("step_s", [2.4, 3.0])
+def test_a_sensor_that_repeats_itself_is_not_taken_for_the_steps_that_it_sees(period_s: float, step_s: float) -> None:
+    runs = []
+    for number in range(3):
+        blank = recording(ROWS_S, 0.0, run=number)
+        frames = period_s * (np.arange(200) + 0.37 * number - 1.0)
+        levels = np.random.default_rng(number).uniform(-0.02, 0.02, (100, 3))
+        begun = np.maximum(frames, 0.0) // step_s
+        settled = np.exp(-(np.maximum(frames, 0.0) - begun * step_s) / 0.2)[:, None]
+        before = levels[np.maximum(begun.astype(int) - 1, 0)]
+        seen = levels[begun.astype(int)] * (1.0 - settled) + before * settled
+        seen += NOISE_M * np.random.default_rng(number).standard_normal(seen.shape)
+        runs.append(replace(blank, position=seen[np.searchsorted(frames, blank.time + 1e-9, side="right") - 1]))
+    found = reading_period(series(runs))
+    assert found is not None and abs(found - period_s) < 2e-3, found

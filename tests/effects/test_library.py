@@ -98,6 +98,9 @@ def test_config_mirrors_the_class_and_round_trips(name: str) -> None:
 
 @pytest.mark.parametrize("name", LAYERED)
 def test_what_changes_the_body_has_no_gate_and_needs_layers(name: str) -> None:
+    for name in ("payload", "frame", "delay"):
+        with pytest.raises(ConfigError, match="no pressure acts there; expected since_s"):
+            dataclasses.replace(typical(name), above_share=0.3)
     with pytest.raises(ConfigError, match="neither above_share nor since_s"):
         dataclasses.replace(typical(name), since_s=4.0)
     with pytest.raises(ConfigError, match="needs a body with layers"):

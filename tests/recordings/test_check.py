@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from softrl.recordings.check import check, check_run
+from softrl.recordings.check import check, check_run, resolution
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.robots.robot import Robot
 
@@ -85,3 +85,18 @@ def test_a_tip_told_in_another_frame_is_noticed() -> None:
     for frame in ([0.0, 0.0, -0.1765], [0.3, 0.0, 0.0]):  # the origin at the tip, or beside the robot
         moved = replace(right, position=right.position + frame)
         assert any("expected about (0, 0, 176) mm" in w for w in check_run(moved, TRIPOD).warnings)
+
+
+def test_a_run_that_was_broken_off_while_the_robot_came_back_measures_no_noise() -> None:
+    whole, other = (run_with_noise(3e-4, seed) for seed in (1, 2))
+    back = [0.0, 0.0, 0.1765] + 0.02 * np.exp(-other.time[:220] / 0.3)[:, None]
+    aborted = replace(other, name="aborted", time=other.time[:220], pressure_cmd=other.pressure_cmd[:220], position=back)
+    at_rest = replace(whole, name="at rest", pressure_cmd=np.zeros_like(whole.pressure_cmd))
+    for runs in ((whole, aborted), (at_rest, replace(aborted, pressure_cmd=aborted.pressure_cmd * 0.0))):
+        assert not check(RecordingSet("tripod", runs), TRIPOD).repeatability
+
+
+def test_the_last_digit_of_a_coarse_sensor_is_seen() -> None:
+    fine = np.random.default_rng(0).normal(0.0, 0.01, (3000, 2))
+    np.testing.assert_allclose(resolution(np.c_[np.round(fine, 3), np.ones(3000)]), [1e-3, 1e-3, 0.0])
+    assert resolution(fine).max() < 1e-6

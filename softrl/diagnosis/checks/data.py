@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from math import comb
 from typing import NamedTuple
 
 import numpy as np
 
 from softrl.core.errors import RecordingError
+from softrl.diagnosis.checks.dead import without_dead_gauges
+from softrl.diagnosis.checks.floor import floor_of
 from softrl.diagnosis.checks.gaps import mend_all, rows
 from softrl.diagnosis.checks.quality import torn, unusable
 from softrl.diagnosis.checks.spikes import without_spikes
@@ -23,7 +24,6 @@ from softrl.robots.robot import Robot
 MIN_RUN_S = 3.0  # a shorter run says nothing about dynamics
 LEAST_S = 15.0  # fits rather see fewer runs than shorter pieces
 MIN_SIGNAL = 3.0  # travel over noise below which nothing can be told
-FEW_READINGS = 20  # a sensor that reports fewer values than this tells no noise by their differences
 CHANGED_K = 1.0  # a temperature that changes less tells nothing
 ENOUGH_RUNS = 3  # of a session that is not held out as a whole: two to fit, and one to judge
 FEW_SESSIONS = 2  # with this many sessions or fewer, runs are held out within each instead
@@ -45,6 +45,7 @@ class Data:
     noise : rms of the noise of one sample of the motion, m over all its components
     turn_noise : the same of the orientation, rad
     pressure_noise : the same of the measured pressure, Pa
+    rounding, pressure_rounding : how much of both is a coarse sensor's last digit, of which no mean of samples gets rid
     travel, pressure_travel : rms about the mean of what the training runs measured, m and Pa
     mended : what was done about wrong samples and pauses, a sentence each
     now : where recording had come to when the last run ended, whatever fits see of it
@@ -63,6 +64,8 @@ class Data:
     travel: float
     pressure_travel: float
     now: Now
+    rounding: float = 0.0
+    pressure_rounding: float = 0.0
     mended: tuple[str, ...] = ()
     punctual: bool = False
 
@@ -115,6 +118,7 @@ def prepare(
     found = check(recordings, robot)
     channel = "bend_angle" if robot.output == "bend_angle" else "position"
     seen, copies = _without_copies(_seen_undisturbed(recordings, channel), channel)
+    seen, dead = without_dead_gauges(seen, robot)
     usable, spiked = without_spikes(seen)
     marked = named(recordings, OUTSIDE)
     outside = tuple(r for r in usable if marked & {r.name, r.session})
@@ -122,7 +126,8 @@ def prepare(
     parts, mended = mend_all([*usable, *outside], found)
     intact = tuple(run for run in usable if parts[run.name])
     whole = [part for run in intact for part in parts[run.name]]
-    reason = _refuse(usable, found, robot, channel) or torn(usable, intact, whole, found, robot)
+    any_marked = bool(marked | named(recordings, DISTURBED))
+    reason = _refuse(usable, found, robot, channel, any_marked) or torn(usable, intact, whole, found, robot)
     reason = reason or unusable(whole, robot)
     if reason:
         return Refusal(found, reason)
@@ -133,7 +138,8 @@ def prepare(
     sides = hold_out(replace(recordings, recordings=moving), heldout_share, seed, few_sessions)
     training, heldout = (tuple(part for run in side.recordings for part in parts[run.name]) for side in sides)
     training += tuple(part for run in still for part in parts[run.name])  # which would judge nothing
-    noise, pressure_noise = _noise(found, usable, robot, channel)
+    noise, rounding = floor_of(found, usable, robot, channel)
+    pressure_noise, pressure_rounding = floor_of(found, usable, robot, "pressure_meas")
     travel = _travel(training, lambda run: _seen(run, robot))
     if travel < MIN_SIGNAL * noise:
         return Refusal(
@@ -153,7 +159,9 @@ def prepare(
         travel,
         _travel([r for r in training if r.pressure_meas is not None], lambda run: np.asarray(run.pressure_meas)),
         now_after(recordings.recordings),
-        (*_too_short(recordings), *copies, *spiked, *mended),
+        rounding,
+        pressure_rounding,
+        (*_too_short(recordings), *copies, *dead, *spiked, *mended),
         is_known(recordings),
     )
 
@@ -272,45 +280,14 @@ def _seen(run: Recording, robot: Robot) -> np.ndarray:
     return np.asarray(run.position)
 
 
-def _noise(found: DataCheck, usable: Sequence[Recording], robot: Robot, channel: str) -> tuple[float, float]:
-    """Return the noise of one sample, from holds or from neighbouring samples, whichever is less, or from repeats."""
-    floor = {}
-    for name in (channel, "pressure_meas"):
-        series = [getattr(run, name) for run in usable if getattr(run, name) is not None]
-        if series:
-            quick = float(np.median([jitter(_readings(values.reshape(len(values), -1))) for values in series]))
-            floor[name] = max(min(quick, found.noise_floor[name]), found.repeatability.get(name, 0.0))
-    motion = floor[channel] * (robot.length_m if channel == "bend_angle" else np.sqrt(3.0))
-    return float(motion), float(floor.get("pressure_meas", 0.0) * np.sqrt(robot.chambers))
-
-
-def _readings(values: np.ndarray) -> np.ndarray:
-    """Return the rows (readings, n) of ``values`` (steps, n) that do not repeat the one before: a slower sensor's own."""
-    own = values[np.r_[True, np.any(np.diff(values, axis=0) != 0.0, axis=1)]]
-    return own if len(own) >= FEW_READINGS else values
-
-
-def jitter(values: np.ndarray) -> float:
-    """Return the standard deviation of the white part of ``values`` (steps, n), from differences of high order.
-
-    Notes
-    -----
-    A difference of order k has ``binom(2 k, k)`` times the variance of white noise, and the less of a smooth motion
-    the higher k is; the median of its square is 0.4549 of the mean. The smallest estimate of orders 2 to 6 is taken.
-    """
-    found = []
-    for order in range(2, 7):
-        change = np.diff(values, n=order, axis=0) ** 2 / comb(2 * order, order)
-        found.append(np.mean(np.median(change, axis=0)) / 0.4549)
-    return float(np.sqrt(min(found)))
-
-
 def _orientation_trusted(usable: Sequence[Recording], found: DataCheck, robot: Robot) -> bool:
     jumped = any(run.turns_jump for run in found.runs)
     return robot.output == "tip_pose" and not jumped and all(r.quaternion is not None for r in usable)
 
 
-def _refuse(usable: Sequence[Recording], found: DataCheck, robot: Robot, channel: str) -> str | None:
+def _refuse(usable: Sequence[Recording], found: DataCheck, robot: Robot, channel: str, any_marked: bool) -> str | None:
+    if not usable and any_marked:
+        return "every run that could be used is marked as disturbed or out of distribution: none is left to be fitted"
     if not usable:
         return f"no run of {MIN_RUN_S:g} s or more holds {channel}, which robot {robot.name} is said to report"
     if not found.excited:

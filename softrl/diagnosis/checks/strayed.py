@@ -3,8 +3,10 @@
 import numpy as np
 
 from softrl.diagnosis.checks.gaps import BRIDGED_CHANGE_S
+from softrl.recordings.check import resolution
 
 TIMES, LEAST_SHARE = 10.0, 0.02  # a jump is this many times the median step, and this share of the range
+DIGITS = 3.0  # and so many of the last digits of a coarse sensor
 CALM = 0.5  # of its height: steps in its own direction right before and after a jump are smaller
 CLOCKED, CLOCK = 4, 4  # so many jumps in a row, none of which comes sooner after another than by so many samples
 RETURNED = 0.5  # of both jumps: how far from where it left the motion may come back
@@ -77,7 +79,8 @@ def _jumps(time: np.ndarray, values: np.ndarray, moved: np.ndarray) -> np.ndarra
     size, span = np.linalg.norm(step, axis=1), float(np.linalg.norm(np.ptp(values, axis=0)))
     along = np.r_[0.0, np.sum(step[1:] * step[:-1], axis=1), 0.0]  # of every step with the next
     calm = np.maximum(along[:-1], along[1:]) < CALM * size**2
-    found = np.flatnonzero(calm & (size > max(TIMES * float(np.median(size)), LEAST_SHARE * span, 0.0)))
+    digit = float(np.linalg.norm(resolution(values)))
+    found = np.flatnonzero(calm & (size > max(TIMES * float(np.median(size)), LEAST_SHARE * span, DIGITS * digit)))
     groups = np.split(found, np.flatnonzero(np.diff(time[found]) > LONGEST_S) + 1)
     kept = [group for group in groups if len(group) < CLOCKED or np.diff(group).min() < CLOCK]
     found = np.concatenate([found[:0], *kept])

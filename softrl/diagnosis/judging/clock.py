@@ -20,6 +20,7 @@ from softrl.recordings.recording import Recording
 MOVE = 0.1  # share of a run's largest step between rows: a smaller one begins no response of its own
 FEW = 8  # moves, of all runs: fewer say nothing about a clock
 ROUNDS, SHARES = 3, (1.0, 0.5, 0.25)  # of Gauss and Newton, and of their step, the first that helps
+QUIET = 1e-3  # of what counts: recordings without any noise are weighed as if they had so much
 ALIKE = 0.1  # scaled units by which parameters are wrong for the clock alone
 DIFFERENCE = 0.05  # of a row, for derivatives
 WITHIN = 0.75  # rows by which moves are early or late: half a row about their middle, and what a time is wrong by
@@ -107,7 +108,7 @@ class _Clock:
         normal, gradient = np.eye(len(trial.fit.point)) / ALIKE**2, np.zeros(len(trial.fit.point))
         rows = []
         for k, columns in enumerate(slopes(problem, trial, now)):
-            noise = self.judge.floor / np.sqrt(now.runs[k].shape[1])
+            noise = max(self.judge.floor, QUIET * self.judge.material) / np.sqrt(now.runs[k].shape[1])
             for hold, time in zip(self._holds[k], times[k], strict=True):
                 left, late, free = (
                     _still(x, hold).reshape(-1, *x.shape[2:]) / noise

@@ -41,7 +41,7 @@ def valve_part(whole: Problem, data: Data, effects: list[str], gauges: Sequence[
     problem = replace(whole, target="pressure", register=False, orientation=False, runs=runs, numerics=finer)
     choices = candidates(effects, ("valve",), whole.robot, data.check.excited, gauges_only=True)
     choices += [*that_last(choices, [run.session for run in runs], []), *gauges]
-    floor = floor_in_bin(data.pressure_noise, data, problem)
+    floor = floor_in_bin(data.pressure_noise, data.pressure_rounding, data, problem)
     return Part("command to measured pressure", problem, data.heldout, floor, data.pressure_travel, tuple(choices), data.now)
 
 
@@ -117,14 +117,14 @@ def _motion_part(problem: Problem, data: Data, title: str, effects: list[str], s
     order = sessions_in_order((*data.training, *data.heldout))
     choices = in_some_sessions(wanted, *sessions, order, data.check.excited) + everywhere + that_last(everywhere, *sessions)
     turned = ORIENTATION_LEVER * problem.robot.length_m * data.turn_noise if problem.orientation else 0.0
-    floor = floor_in_bin(float(np.hypot(data.noise, turned)), data, problem)
+    floor = floor_in_bin(float(np.hypot(data.noise, turned)), data.rounding, data, problem)
     return Part(title, problem.on(data.training), data.heldout, floor, data.travel, tuple(choices), data.now)
 
 
-def floor_in_bin(noise: float, data: Data, problem: Problem) -> float:
-    """Return the rms that white noise leaves in the mean of a bin."""
+def floor_in_bin(noise: float, rounding: float, data: Data, problem: Problem) -> float:
+    """Return the rms that white noise leaves in the mean of a bin, or rounding, which is the same in all its samples."""
     period = float(np.median([run.period_s for run in data.check.runs]))
-    return noise / float(np.sqrt(max(problem.numerics.bin_s / period, 1.0)))
+    return max(noise / float(np.sqrt(max(problem.numerics.bin_s / period, 1.0))), rounding)
 
 
 def supplied(runs: Sequence[Recording], valve: Finding, shown: bool = True) -> list[Recording]:
