@@ -12,7 +12,8 @@ from softrl.diagnosis.fitting.problem import Problem
 
 log = logging.getLogger(__name__)
 REPLAYS = 4000  # of all runs that fits see; searches of the whole library took up to twenty thousand
-PROBE_S = 0.2  # of motion that is timed
+PROBES_S = (0.2, 2.0, 20.0)  # of motion that are timed: the first that takes longer than ``TOLD_S``, and than what goes with it
+TOLD_S = 0.1
 LONG_S = 3600.0
 
 
@@ -20,13 +21,16 @@ def expected_s(body: Problem, workers: int) -> float:
     """Return how long a search of the whole library takes at least, s, by a short piece of the first run as it begins to move."""
     first = body.runs[0]
     moving = int(np.argmax(np.any(first.pressure_cmd != first.pressure_cmd[0], axis=1)))  # a body at rest costs nothing
-    moves = min(moving, len(first.time) - 2)
-    last = int(np.searchsorted(first.time, first.time[moves] + PROBE_S, side="right"))
-    piece = rows(first, slice(moves, max(last, moves + 2)))
-    at_once = replace(body.on((piece,)), numerics=replace(body.numerics, settle_s=0.0))
-    took = min(_replay_s(replace(at_once)) for _ in range(2))  # the first one may compile
-    whole = sum(float(np.ptp(run.time)) for run in body.runs)
-    return REPLAYS * took * whole / float(np.ptp(piece.time)) / workers
+    begin, took, lasted = min(moving, len(first.time) - 2), 0.0, 1.0
+    for probe_s in PROBES_S:
+        if took > TOLD_S:
+            break
+        end = int(np.searchsorted(first.time, first.time[begin] + probe_s, side="right"))
+        piece = rows(first, slice(begin, max(end, begin + 2)))
+        at_once = replace(body.on((piece,)), numerics=replace(body.numerics, settle_s=0.0))
+        took = min(_replay_s(replace(at_once)) for _ in range(2))  # the first one may compile
+        lasted = float(np.ptp(piece.time))
+    return REPLAYS * took / lasted * sum(float(np.ptp(run.time)) for run in body.runs) / workers
 
 
 def warn_of_cost(body: Problem, workers: int) -> None:

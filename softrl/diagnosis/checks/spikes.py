@@ -7,8 +7,9 @@ from scipy.ndimage import median_filter, percentile_filter
 
 from softrl.core.identity import Same
 from softrl.diagnosis.checks.gaps import rows
-from softrl.diagnosis.checks.strayed import strayed
+from softrl.diagnosis.checks.strayed import DIGITS, strayed
 from softrl.effects.hold import reading_period, reading_phase
+from softrl.recordings.check import resolution
 from softrl.recordings.recording import Recording
 
 LONGEST = 7  # samples: what lasts longer may be real
@@ -69,7 +70,8 @@ def spikes(values: np.ndarray, commands: np.ndarray) -> np.ndarray:
         return wrong
     off = values - median_filter(values, size=(2 * LONGEST + 1, 1), mode="nearest")
     height = np.linalg.norm(off, axis=1)
-    level = max(TIMES * float(np.quantile(height, 0.8)), LEAST_SHARE * float(np.linalg.norm(np.ptp(values, axis=0))))
+    span, digit = (float(np.linalg.norm(size)) for size in (np.ptp(values, axis=0), resolution(values)))
+    level = max(TIMES * float(np.quantile(height, 0.8)), LEAST_SHARE * span, DIGITS * digit)
     nearby = percentile_filter(height, CALM_PERCENT, size=8 * LONGEST + 1, mode="nearest")
     thrown = _just_jumped(commands)
     edges = np.flatnonzero(np.diff(np.r_[False, height > level, False].astype(int)))
