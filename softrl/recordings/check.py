@@ -15,6 +15,7 @@ HOLD_S = 1.0  # a command unchanged for twice this long ends in a window of this
 EXCITED_SHARE = 0.02  # a chamber that moves less than this share of the pressure range is not excited
 CLIPPED_SHARE = 0.02  # this share of samples at one extreme value is clipping, unless the command holds there
 REPEAT_S, REPEAT_SAMPLES = 1.0, 5  # what lasts longer than this, and than so many samples, is no noise between repeats
+WHOLE = 0.01  # of a digit, by which what is a multiple of it may be off
 REPEATED_S = 3.0  # shorter stretches of equal commands do not tell how well a robot repeats itself
 REST_SHARE = 0.3  # a tip at rest this share of a length away from its place is told in another frame
 JUMP_RAD = 0.5  # an orientation that turns farther than this between samples has jumped
@@ -171,9 +172,16 @@ def _noise(values: np.ndarray, windows: list[slice]) -> float:
 
 
 def resolution(values: np.ndarray) -> np.ndarray:
-    """Return the smallest difference (n,) between two values of each column of ``values`` (steps, n): a coarse sensor's digit."""
-    gaps = [np.diff(np.unique(column)) for column in values.T]
-    return np.array([gap.min() if len(gap) else 0.0 for gap in gaps])
+    """Return of each column of ``values`` (steps, n) the digit (n,) of which all its differences are multiples, or 0."""
+    return np.array([_digit(np.unique(column)) for column in values.T])
+
+
+def _digit(levels: np.ndarray) -> float:
+    if len(levels) < 2:
+        return 0.0
+    digit = float(np.diff(levels).min())
+    steps = (levels - levels[0]) / digit
+    return digit if np.abs(steps - np.round(steps)).max() < WHOLE else 0.0
 
 
 def _held_share(recording: Recording, values: np.ndarray) -> float:

@@ -99,4 +99,5 @@ def test_a_run_that_was_broken_off_while_the_robot_came_back_measures_no_noise()
 def test_the_last_digit_of_a_coarse_sensor_is_seen() -> None:
     fine = np.random.default_rng(0).normal(0.0, 0.01, (3000, 2))
     np.testing.assert_allclose(resolution(np.c_[np.round(fine, 3), np.ones(3000)]), [1e-3, 1e-3, 0.0])
-    assert resolution(fine).max() < 1e-6
+    assert resolution(fine).max() == 0.0
+    assert resolution(np.random.default_rng(1).choice([0.0, 0.3, 0.47, 0.9], (200, 1))) == 0.0, "levels of a program, no digits"
