@@ -159,7 +159,9 @@ def usual_program(robot: Robot, usual: Identification, dt_s: float, count: int, 
 
 def require_own(folder: Path) -> None:
     """Raise ``ConfigError`` if ``folder`` holds another dataset, or commands beside which something was recorded."""
-    if folder.is_file() or ((folder / DATASET).is_file() and "planned_by" not in (folder / DATASET).read_text()):
+    if folder.is_file():
+        raise ConfigError(f"out={folder} is a file; expected a folder")
+    if (folder / DATASET).is_file() and "planned_by" not in (folder / DATASET).read_text():
         raise ConfigError(f"out={folder} holds a dataset that was not planned by stage=excite; choose another folder")
     for path in sorted(folder.glob("*.csv")):
         measured = [name for name in path.read_text().partition("\n")[0].split(",") if name != "time_s" and "_cmd_" not in name]

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from softrl.core.errors import SolverError
 from softrl.diagnosis.checks.cost import REPLAYS, expected_s, warn_of_cost
 from softrl.diagnosis.fitting.problem import Numerics, Problem
 from softrl.pcc.simulator import PccSimulator
@@ -28,3 +29,15 @@ def test_a_simulator_that_is_too_slow_for_a_search_is_told_of(body: PccSimulator
     assert expected_s(slow, 2) == pytest.approx(REPLAYS * seconds / 2, rel=0.5)
     warn_of_cost(slow, 2)
     assert "hours or more" in caplog.text and "Slow" in caplog.text
+
+
+def test_a_body_that_does_not_bear_to_be_timed_is_not_told_of(body: PccSimulator, caplog: pytest.LogCaptureFixture) -> None:
+    class Breaks(PccSimulator):
+        def simulate(self, *others: Any, **named: Any) -> Any:
+            raise SolverError("too sudden")
+
+    runs = made(body, sessions=1).recordings
+    breaks = Breaks(body.robot, **node("simulator/pcc.yaml"))
+    frail = Problem(body.robot, breaks, runs, NUMERICS, "motion", "command", False, False)
+    warn_of_cost(frail, 2)
+    assert expected_s(frail, 2) == 0.0 and not caplog.records

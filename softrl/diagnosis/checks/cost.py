@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from softrl.core.errors import SolverError
 from softrl.diagnosis.checks.gaps import rows
 from softrl.diagnosis.fitting.hypothesis import Hypothesis
 from softrl.diagnosis.fitting.problem import Problem
@@ -18,19 +19,25 @@ LONG_S = 3600.0
 
 
 def expected_s(body: Problem, workers: int) -> float:
-    """Return how long a search of the whole library takes at least, s, by a short piece of the first run as it begins to move."""
+    """Return how long a search of the whole library takes at least, s, by a short piece of the first run as it begins to move.
+
+    Nought where the body does not bear to begin there.
+    """
     first = body.runs[0]
     moving = int(np.argmax(np.any(first.pressure_cmd != first.pressure_cmd[0], axis=1)))  # a body at rest costs nothing
-    begin, took, lasted = min(moving, len(first.time) - 2), 0.0, 1.0
+    begin = min(moving, len(first.time) - 2)
     for probe_s in PROBES_S:
-        if took > TOLD_S:
-            break
         end = int(np.searchsorted(first.time, first.time[begin] + probe_s, side="right"))
         piece = rows(first, slice(begin, max(end, begin + 2)))
         at_once = replace(body.on((piece,)), numerics=replace(body.numerics, settle_s=0.0))
-        took = min(_replay_s(replace(at_once)) for _ in range(2))  # the first one may compile
-        lasted = float(np.ptp(piece.time))
-    return REPLAYS * took / lasted * sum(float(np.ptp(run.time)) for run in body.runs) / workers
+        try:
+            took = min(_replay_s(replace(at_once)) for _ in range(2))  # the first one may compile
+        except SolverError:
+            return 0.0
+        if took > TOLD_S:
+            break
+    whole = sum(float(np.ptp(run.time)) for run in body.runs)
+    return REPLAYS * took * whole / float(np.ptp(piece.time)) / workers
 
 
 def warn_of_cost(body: Problem, workers: int) -> None:
