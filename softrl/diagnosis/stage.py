@@ -34,6 +34,7 @@ from softrl.diagnosis.judging.join import joined, put_together
 from softrl.diagnosis.judging.locate import corrected, locate
 from softrl.diagnosis.judging.own import differing, told_of
 from softrl.diagnosis.judging.parts import both_at_once, floor_in_bin, part_behind, punctual, valve_part
+from softrl.diagnosis.judging.quieter import quieter
 from softrl.diagnosis.judging.unbelieved import clipping, doubtful, tells_more, told_of_unbelieved
 from softrl.diagnosis.telling.conclusion import cannot_tell, conclude
 from softrl.diagnosis.telling.figures import draw_all
@@ -44,6 +45,7 @@ from softrl.recordings.recording import RecordingSet
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
+QUIETER = 2  # times that the noise may turn out to be less than was thought
 
 
 @dataclass(frozen=True)
@@ -132,12 +134,21 @@ def diagnose(
     if isinstance(found, Refusal):
         return cannot_tell(found, robot.name, type(simulator).__name__), None
     diagnosis, evidence = _believing(config, robot, found, simulator, calibration)
+    for _ in range(QUIETER):
+        heard = quieter(found, diagnosis)
+        if heard is None:
+            break
+        log.info("%s", heard.mended[-1])
+        found = heard
+        diagnosis, evidence = _believing(config, robot, found, simulator, calibration)
     odd = differing(evidence.findings[-1], found.used) if evidence and diagnosis.verdict == "unknown" else []
     if not odd:
         return diagnosis, evidence
     log.info("%s", told_of(odd))
     inside = prepare(recordings, robot, config.heldout_share, config.seed, few_sessions=len(found.used))
-    again = (diagnosis, evidence) if isinstance(inside, Refusal) else _diagnosed(config, robot, inside, simulator, calibration)
+    if isinstance(inside, Refusal):
+        return diagnosis, evidence
+    again = _diagnosed(config, robot, replace(inside, noise=found.noise, mended=found.mended), simulator, calibration)
     if not again[0].effects or again[0].verdict == "unknown":
         return diagnosis, evidence
     return replace(again[0], sentences=[*again[0].sentences, told_of(odd)]), again[1]

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 
 from softrl.recordings.frame import axis_vector
 from softrl.recordings.marked import DISTURBED, OUTSIDE, without
@@ -12,6 +13,7 @@ from softrl.robots.robot import Robot
 
 GAP_PERIODS = 5.0  # a pause of more than this many median periods is a gap
 HOLD_S = 1.0  # a command unchanged for twice this long ends in a window of this length at rest
+MANY, FREE = 8, 8  # rows of such a window, or else degrees of freedom of all second halves of holds
 EXCITED_SHARE = 0.02  # a chamber that moves less than this share of the pressure range is not excited
 CLIPPED_SHARE = 0.02  # this share of samples at one extreme value is clipping, unless the command holds there
 REPEAT_S, REPEAT_SAMPLES = 1.0, 5  # what lasts longer than this, and than so many samples, is no noise between repeats
@@ -94,7 +96,7 @@ def check_run(recording: Recording, robot: Robot) -> RunCheck:
     pauses = np.flatnonzero(step > GAP_PERIODS * period)
     gaps = tuple((float(recording.time[k]), float(step[k])) for k in pauses)
     excited = driven([recording], robot)
-    windows = list(_hold_windows(recording))
+    windows = _hold_windows(recording)
     told = _sensed(recording) if len(step) >= 2 else ()  # of two samples nobody knows what is noise
     noise = {channel: _noise(values, windows) for channel, values in told}
     held = {channel: _held_share(recording, values) for channel, values in _sensed(recording)}
@@ -147,15 +149,31 @@ def _sensed(recording: Recording) -> Iterator[tuple[str, np.ndarray]]:
             yield channel, values.reshape(len(values), -1)
 
 
-def _hold_windows(recording: Recording) -> Iterator[slice]:
-    """Yield the last ``HOLD_S`` of every command held at least twice that long: settled as far as it gets."""
+def _hold_windows(recording: Recording) -> list[slice]:
+    """Return the last ``HOLD_S`` of every command held at least twice that long: settled as far as it gets.
+
+    Where rows are too slow for that, the second halves of such holds.
+    """
     time = recording.time
     change = np.flatnonzero(np.any(np.diff(recording.pressure_cmd, axis=0) != 0.0, axis=1)) + 1
-    for start, end in zip(np.r_[0, change], np.r_[change, len(time)], strict=True):
-        if time[end - 1] - time[start] >= 2.0 * HOLD_S:
-            first = int(np.searchsorted(time, time[end - 1] - HOLD_S))
-            if end - first >= 8:
-                yield slice(first, end)
+    holds = [
+        (start, end)
+        for start, end in zip(np.r_[0, change], np.r_[change, len(time)], strict=True)
+        if time[end - 1] - time[start] >= 2.0 * HOLD_S
+    ]
+    last = [slice(int(np.searchsorted(time, time[end - 1] - HOLD_S)), int(end)) for _, end in holds]
+    last = [window for window in last if window.stop - window.start >= MANY]
+    if last:
+        return last
+    halves = [slice(int(np.searchsorted(time, 0.5 * (time[start] + time[end - 1]))), int(end)) for start, end in holds]
+    halves = [half for half in halves if half.stop - half.start >= 2]
+    return halves if sum(_freedom(half) for half in halves) >= FREE else []
+
+
+def _freedom(window: slice) -> int:
+    """Return the degrees of freedom of a window about its line, of less than four rows about their mean."""
+    rows = window.stop - window.start
+    return rows - 2 if rows >= 4 else rows - 1
 
 
 def _noise(values: np.ndarray, windows: list[slice]) -> float:
@@ -164,10 +182,12 @@ def _noise(values: np.ndarray, windows: list[slice]) -> float:
         return float(np.sqrt(np.mean(np.median(np.diff(values, n=2, axis=0) ** 2, axis=0) / 0.4549 / 6.0)))
     variance = []
     for window in windows:
-        k = np.arange(window.stop - window.start) - 0.5 * (window.stop - window.start - 1)
         level = values[window] - values[window].mean(axis=0)
-        slope = k @ level / (k @ k)
-        variance.append(np.sum((level - np.outer(k, slope)) ** 2, axis=0) / (len(k) - 2))
+        if len(level) >= 4:
+            k = np.arange(len(level)) - 0.5 * (len(level) - 1)
+            level = level - np.outer(k, k @ level / (k @ k))
+        free = _freedom(window)
+        variance.append(np.sum(level**2, axis=0) / chi2.median(free))
     return float(np.sqrt(np.mean(np.median(variance, axis=0))))
 
 

@@ -1,0 +1,28 @@
+"""Noise that was told too loud: where rows are slower than the motion, neighbouring ones differ by what moves, too."""
+
+from dataclasses import replace
+
+from softrl.artifacts.diagnosis import Diagnosis
+from softrl.diagnosis.checks.data import Data
+
+LESS = 0.8  # of the noise: what errs by less on held-out runs shows that the noise is less
+MODELS = {"corrected": "the correction", "retuned": "the retuned simulator", "one_lag": "one lag alone",
+          "static": "a static map", "blackbox": "a black box"}  # fmt: skip
+
+
+def quieter(data: Data, diagnosis: Diagnosis) -> Data | None:
+    """Return ``data`` with the noise that the best model of ``diagnosis`` leaves on held-out runs, if that is plainly less.
+
+    No model errs by less than the noise on runs that it has not seen.
+    """
+    held = diagnosis.errors_mm["heldout"]
+    errors = {name: held[name] for name in MODELS if name in held}
+    best = min(errors, key=lambda name: errors[name], default=None)
+    if best is None or errors[best] >= LESS * held["noise_floor"]:
+        return None
+    told = (
+        f"neighbouring rows tell {held['noise_floor']:.3g} mm of noise, more than the {errors[best]:.3g} mm by which "
+        f"{MODELS[best]} errs on held-out runs: they are too slow to tell it from motion, and all is examined again with that"
+    )
+    noise = max(1e-3 * errors[best], data.rounding)
+    return replace(data, noise=noise, mended=(*data.mended, told)) if noise < data.noise else None

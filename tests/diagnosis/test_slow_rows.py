@@ -1,0 +1,107 @@
+"""Rows slower than the motion make noise of it, until a model shows that the noise is less."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softrl.artifacts.diagnosis import Diagnosis
+from softrl.core.config import build
+from softrl.core.tracking import NullTracker
+from softrl.diagnosis.checks.data import Data, prepare
+from softrl.diagnosis.checks.floor import jitter
+from softrl.diagnosis.judging.quieter import quieter
+from softrl.diagnosis.stage import run
+from softrl.effects.chain import Plant, chain_of
+from softrl.effects.lag import Lag
+from softrl.effects.replay import replay
+from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.recording import Recording, RecordingSet
+from softrl.robots.robot import Robot
+from tests.diagnosis.conftest import configured, node
+
+NOISE_M, FILL_S, VENT_S = 1e-4, 0.3, 0.5
+TRUE_M = np.sqrt(3.0) * NOISE_M
+Program = Callable[[np.ndarray, int, np.random.Generator], np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def segment() -> PccSimulator:
+    robot = build(node("robot/three_chamber_segment.yaml"), Robot, "robot")
+    return PccSimulator(robot=robot, **node("simulator/pcc.yaml"))
+
+
+def sines(time: np.ndarray, chambers: int, rng: np.random.Generator) -> np.ndarray:
+    """Return commands (steps, chambers) from 0 to 1, the quickest part of 5 s."""
+    phase = rng.uniform(0.0, 2.0 * np.pi, (chambers, 1, 6))
+    waves = np.sin(2.0 * np.pi * np.geomspace(0.02, 0.2, 6) * time[:, None] + phase).sum(axis=2).T
+    return np.asarray(0.5 * (1.0 + waves / np.abs(waves).max()))
+
+
+def held(rows: int) -> Program:
+    """Return a program of random commands, each held for so many rows."""
+    return lambda time, chambers, rng: np.repeat(rng.uniform(size=(-(-len(time) // rows), chambers)), rows, axis=0)[: len(time)]
+
+
+def lagging(segment: PccSimulator, period_s: float, program: Program) -> RecordingSet:
+    """Return four sessions of two minutes behind a lag."""
+    rng, robot = np.random.default_rng(3), segment.robot
+    plant, runs = Plant(segment, chain_of(robot, [Lag(FILL_S, VENT_S)])), []
+    time = period_s * np.arange(1, round(120.0 / period_s) + 1)
+    for k in range(4):
+        command = robot.pressure_max_pa * program(time, robot.chambers, rng)
+        seen = replay(plant, Recording(f"run_{k}", f"day_{k}", time, command, position=np.zeros((len(time), 3))), 0.005)
+        noisy = np.asarray(seen.position) + NOISE_M * rng.standard_normal((len(time), 3))
+        runs.append(replace(seen, position=noisy, quaternion=None, pressure_meas=None))
+    return RecordingSet(robot.name, tuple(runs), {})
+
+
+@pytest.fixture(scope="module")
+def slow(segment: PccSimulator) -> RecordingSet:
+    """One row a second."""
+    return lagging(segment, 1.0, sines)
+
+
+def test_motion_of_another_pose_in_every_row_is_no_noise(segment: PccSimulator) -> None:
+    data = prepare(lagging(segment, 1.0, held(1)), segment.robot, 0.3, 0)
+    assert isinstance(data, Data)
+    told = np.sqrt(3.0) * jitter(np.asarray(data.training[0].position))
+    assert told > 0.5 * data.travel > data.noise > TRUE_M
+
+
+def test_second_halves_of_holds_tell_the_noise_of_slow_rows(segment: PccSimulator) -> None:
+    data = prepare(lagging(segment, 0.5, held(12)), segment.robot, 0.3, 0)
+    assert isinstance(data, Data)
+    assert {run.noise_from for run in data.check.runs} == {"holds"}
+    assert data.noise == pytest.approx(TRUE_M, rel=0.25)
+
+
+def test_a_lag_is_named_though_rows_are_slow(segment: PccSimulator, slow: RecordingSet) -> None:
+    found = run(configured(candidates=["lag", "dead_time", "payload"]), segment.robot, slow, segment, tracker=NullTracker())
+    assert found.verdict == "named", found.sentences
+    (effect,) = found.effects
+    assert effect["name"] == "lag"
+    for name, value in (("fill_s", FILL_S), ("vent_s", VENT_S)):
+        assert effect["parameters"][name]["low"] <= value <= effect["parameters"][name]["high"]
+    assert 0.9e3 * TRUE_M < found.errors_mm["heldout"]["noise_floor"] < 1.5e3 * TRUE_M
+    assert sum("neighbouring rows tell" in line for line in found.data["warnings"]) >= 1
+
+
+def test_noise_is_believed_where_no_model_errs_by_less(segment: PccSimulator, slow: RecordingSet) -> None:
+    data = prepare(slow, segment.robot, 0.3, 0)
+    assert isinstance(data, Data)
+    told = 1e3 * data.noise
+
+    def after(**errors: float) -> Data | None:
+        return quieter(data, _diagnosis({"noise_floor": told, **errors}))
+
+    assert after(retuned=told, corrected=0.9 * told) is None
+    heard = after(retuned=2.0 * told, corrected=0.5 * told)
+    assert heard is not None and heard.noise == pytest.approx(0.5 * data.noise)
+    assert quieter(replace(data, rounding=data.noise), _diagnosis({"noise_floor": told, "retuned": 0.5 * told})) is None
+    assert quieter(data, _diagnosis({})) is None
+
+
+def _diagnosis(heldout: dict[str, float]) -> Diagnosis:
+    return Diagnosis("robot", "PccSimulator", "nothing missing", [], [], {}, {}, [], [], {"heldout": heldout}, {}, {}, None, {})
