@@ -15,7 +15,7 @@ GAP_PERIODS = 5.0  # a pause of more than this many median periods is a gap
 HOLD_S = 1.0  # a command unchanged for twice this long ends in a window of this length at rest
 MANY, FREE = 8, 8  # rows of such a window, or else degrees of freedom of all second halves of holds
 EXCITED_SHARE = 0.02  # a chamber that moves less than this share of the pressure range is not excited
-CLIPPED_SHARE = 0.02  # this share of samples at one extreme value is clipping, unless the command holds there
+CLIPPED_SHARE, CLIPPED_ROWS = 0.02, 3  # so many samples at one extreme value are clipping, unless the command holds there
 REPEAT_S, REPEAT_SAMPLES = 1.0, 5  # what lasts longer than this, and than so many samples, is no noise between repeats
 WHOLE = 0.01  # of a digit, by which what is a multiple of it may be off
 REPEATED_S = 3.0  # shorter stretches of equal commands do not tell how well a robot repeats itself
@@ -270,9 +270,14 @@ def _clipping_warnings(recording: Recording) -> Iterator[str]:
         for i, series in enumerate(values.T):
             moved = moved_by_command(recording, channel, i)
             for extreme, name in ((series.max(), "maximum"), (series.min(), "minimum")):
-                share = float(np.mean((series == extreme) & moved))
-                if share > CLIPPED_SHARE and np.ptp(series) > 0.0:
-                    yield f"{channel}[{i}] is at its {name} {extreme:g} in {share:.0%} of the samples: clipped?"
+                there = (series == extreme) & moved
+                if is_clipping(there) and np.ptp(series) > 0.0:
+                    yield f"{channel}[{i}] is at its {name} {extreme:g} in {there.mean():.0%} of the samples: clipped?"
+
+
+def is_clipping(there: np.ndarray) -> bool:
+    """Return whether enough of the samples lie ``there`` (steps,), at an extreme value, to be clipped."""
+    return bool(there.mean() > CLIPPED_SHARE and there.sum() >= CLIPPED_ROWS)
 
 
 def _jump_warnings(recording: Recording) -> Iterator[str]:

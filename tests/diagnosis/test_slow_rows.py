@@ -21,7 +21,7 @@ from softrl.recordings.recording import Recording, RecordingSet
 from softrl.robots.robot import Robot
 from tests.diagnosis.conftest import configured, node
 
-NOISE_M, FILL_S, VENT_S = 1e-4, 0.3, 0.5
+NOISE_M, PRESSURE_PA, FILL_S, VENT_S = 1e-4, 500.0, 0.3, 0.5
 TRUE_M = np.sqrt(3.0) * NOISE_M
 Program = Callable[[np.ndarray, int, np.random.Generator], np.ndarray]
 
@@ -53,7 +53,8 @@ def lagging(segment: PccSimulator, period_s: float, program: Program) -> Recordi
         command = robot.pressure_max_pa * program(time, robot.chambers, rng)
         seen = replay(plant, Recording(f"run_{k}", f"day_{k}", time, command, position=np.zeros((len(time), 3))), 0.005)
         noisy = np.asarray(seen.position) + NOISE_M * rng.standard_normal((len(time), 3))
-        runs.append(replace(seen, position=noisy, quaternion=None, pressure_meas=None))
+        gauges = np.asarray(seen.pressure_meas) + PRESSURE_PA * rng.standard_normal(command.shape)
+        runs.append(replace(seen, position=noisy, quaternion=None, pressure_meas=gauges))
     return RecordingSet(robot.name, tuple(runs), {})
 
 
@@ -67,7 +68,19 @@ def test_motion_of_another_pose_in_every_row_is_no_noise(segment: PccSimulator) 
     data = prepare(lagging(segment, 1.0, held(1)), segment.robot, 0.3, 0)
     assert isinstance(data, Data)
     told = np.sqrt(3.0) * jitter(np.asarray(data.training[0].position))
-    assert told > 0.5 * data.travel > data.noise > TRUE_M
+    assert told > 0.5 * data.travel > 5.0 * data.noise > TRUE_M
+    assert 0.9 * PRESSURE_PA < data.pressure_noise / np.sqrt(3.0) < 2.0 * PRESSURE_PA
+
+
+def test_a_lag_is_seen_by_gauges_that_show_every_pose_once(segment: PccSimulator) -> None:
+    config = configured(candidates=["lag", "dead_time"])
+    recordings = replace(lagging(segment, 1.0, held(1)), notes={"command_acts": "from_row"})
+    found = run(config, segment.robot, recordings, segment, tracker=NullTracker())
+    assert found.verdict == "named", found.sentences
+    (effect,) = found.effects
+    assert effect["name"] == "lag" and effect["evidence"].startswith("command to measured pressure"), effect
+    assert abs(effect["parameters"]["fill_s"]["value"] / FILL_S - 1.0) < 0.03
+    assert abs(effect["parameters"]["vent_s"]["value"] / VENT_S - 1.0) < 0.03
 
 
 def test_second_halves_of_holds_tell_the_noise_of_slow_rows(segment: PccSimulator) -> None:
@@ -78,7 +91,8 @@ def test_second_halves_of_holds_tell_the_noise_of_slow_rows(segment: PccSimulato
 
 
 def test_a_lag_is_named_though_rows_are_slow(segment: PccSimulator, slow: RecordingSet) -> None:
-    found = run(configured(candidates=["lag", "dead_time", "payload"]), segment.robot, slow, segment, tracker=NullTracker())
+    config = configured(candidates=["lag", "dead_time", "payload"], measured_pressure=False)
+    found = run(config, segment.robot, slow, segment, tracker=NullTracker())
     assert found.verdict == "named", found.sentences
     (effect,) = found.effects
     assert effect["name"] == "lag"

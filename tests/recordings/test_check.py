@@ -69,6 +69,9 @@ def test_gap_hold_and_clipping_are_reported() -> None:
     assert abs(held.held["position"] - 0.75) < 0.02
     clipped = np.minimum(clean.position, [0.012, 1.0, 1.0])
     assert any("clipped" in w for w in check_run(replace(clean, position=clipped), TRIPOD).warnings)
+    few = slice(0, 3000, 150)  # the largest of twenty samples is no clipping
+    sparse = replace(clean, time=clean.time[few], pressure_cmd=clean.pressure_cmd[few], position=clean.position[few])
+    assert not any("clipped" in w for w in check_run(sparse, TRIPOD).warnings)
 
 
 def test_jump_of_orientation_is_reported() -> None:

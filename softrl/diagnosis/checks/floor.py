@@ -11,7 +11,7 @@ from softrl.robots.robot import Robot
 
 TELLING = 8  # rows of a run, from which on it tells what is noise
 LOUD = 0.1  # of the motion, above which noise is asked for beside what commands foretell
-PAST, RIDGE = 3, 1e-4  # rows of commands that foretell the motion; share of the mean square by which that is regularised
+PAST, RIDGE = 3, 1e-6  # rows of commands that foretell a row; share of a column's square by which that is regularised
 FEW_READINGS = 20  # a sensor that reports fewer values than this tells no noise by their differences
 
 
@@ -53,28 +53,34 @@ def _readings(values: np.ndarray) -> np.ndarray:
 
 
 def _left_by_commands(runs: Sequence[Recording], channel: str) -> float:
-    """Return the rms that the commands of the last rows, and their squares and products, leave in runs left out in turn.
+    """Return the rms that commands and the row before leave in runs left out in turn.
 
-    Where every row is another pose, what neighbouring rows differ by is motion. Noise is what no command foretells.
+    Where every row is another pose, what neighbouring rows differ by is motion. Noise is what nothing foretells.
     """
-    rows = [_foretelling(run.pressure_cmd) for run in runs]
-    seen = [_columns(run, channel) - _columns(run, channel).mean(axis=0) for run in runs]
-    grams = [(x.T @ x, x.T @ y) for x, y in zip(rows, seen, strict=True)]
+    seen = [_columns(run, channel) for run in runs]
+    rows = [_foretelling(run.pressure_cmd, values) for run, values in zip(runs, seen, strict=True)]
+    seen = [values[1:] - values[1:].mean(axis=0) for values in seen]
+    size = np.sqrt(sum(np.sum(x**2, axis=0) for x in rows))
+    rows = [x / np.maximum(size, 1e-300) for x in rows]
+    grams = [(x.T @ x + RIDGE / len(rows) * np.eye(len(size)), x.T @ y) for x, y in zip(rows, seen, strict=True)]
     total, cross = sum(gram for gram, _ in grams), sum(along for _, along in grams)
-    left, count = 0.0, 0
-    for x, y, (gram, along) in zip(rows, seen, grams, strict=True):
-        others = total - gram
-        share = RIDGE * np.diag(np.diag(total)) + 1e-12 * np.trace(total) * np.eye(len(total))
-        left += float(np.sum((y - x @ np.linalg.solve(others + share, cross - along)) ** 2))
-        count += y.size
-    return float(np.sqrt(left / count))
+    squares = [
+        np.sum((y - x @ np.linalg.solve(total - gram, cross - along)) ** 2)
+        for x, y, (gram, along) in zip(rows, seen, grams, strict=True)
+    ]
+    return float(np.sqrt(sum(squares) / sum(y.size for y in seen)))
 
 
-def _foretelling(command: np.ndarray) -> np.ndarray:
-    """Return commands (steps, chambers) of a row and of those before, with squares and products, less their means: (steps, m)."""
-    past = [np.r_[np.repeat(command[:1], k, axis=0), command[: len(command) - k]] for k in range(PAST)]
+def _foretelling(command: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Return what may foretell the rows of a run but the first, less its mean, (steps - 1, m).
+
+    The commands (steps, chambers) of a row and of those before, their squares and products, what was ``seen`` (steps, n) in the
+    row before, and of a gauge how far below either command it was then: filling and venting take their own times.
+    """
+    past = [np.r_[np.repeat(command[:1], k, axis=0), command[: len(command) - k]][1:] for k in range(PAST)]
     first, second = np.triu_indices(command.shape[1])
-    columns = np.hstack([np.hstack([rows, rows[:, first] * rows[:, second]]) for rows in past])
+    below = [np.maximum(rows - seen[:-1], 0.0) for rows in past[:2] if seen.shape == command.shape]
+    columns = np.hstack([seen[:-1], *below, *past, *(rows[:, first] * rows[:, second] for rows in past)])
     return np.asarray(columns - columns.mean(axis=0))
 
 

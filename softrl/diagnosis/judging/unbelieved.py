@@ -6,7 +6,7 @@ import numpy as np
 
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.diagnosis.judging.verdict import FAR_BETTER
-from softrl.recordings.check import CLIPPED_SHARE
+from softrl.recordings.check import is_clipping
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
@@ -56,7 +56,7 @@ def clipping(runs: Sequence[Recording], robot: Robot) -> dict[int, float]:
         seen = [run.pressure_meas[:, chamber] for run in runs if run.pressure_meas is not None]
         level = max((float(values.max()) for values in seen), default=np.inf)
         above = any(bool((run.pressure_cmd[:, chamber] > level).any()) for run in runs)
-        if above and np.mean(np.concatenate(seen) == level) > CLIPPED_SHARE:
+        if above and is_clipping(np.concatenate(seen) == level):
             found[chamber] = level
     return found
 
