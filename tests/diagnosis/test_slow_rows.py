@@ -11,9 +11,11 @@ from softrl.core.config import build
 from softrl.core.tracking import NullTracker
 from softrl.diagnosis.checks.data import Data, prepare
 from softrl.diagnosis.checks.floor import jitter
-from softrl.diagnosis.judging.quieter import quieter
+from softrl.diagnosis.judging.quieter import quieter, supposed
 from softrl.diagnosis.stage import run
 from softrl.effects.chain import Plant, chain_of
+from softrl.effects.effect import Effect
+from softrl.effects.hysteresis import Hysteresis
 from softrl.effects.lag import Lag
 from softrl.effects.replay import replay
 from softrl.pcc.simulator import PccSimulator
@@ -44,10 +46,10 @@ def held(rows: int) -> Program:
     return lambda time, chambers, rng: np.repeat(rng.uniform(size=(-(-len(time) // rows), chambers)), rows, axis=0)[: len(time)]
 
 
-def lagging(segment: PccSimulator, period_s: float, program: Program) -> RecordingSet:
-    """Return four sessions of two minutes behind a lag."""
+def lagging(segment: PccSimulator, period_s: float, program: Program, hidden: Effect | None = None) -> RecordingSet:
+    """Return four sessions of two minutes behind a lag, or what is ``hidden``."""
     rng, robot = np.random.default_rng(3), segment.robot
-    plant, runs = Plant(segment, chain_of(robot, [Lag(FILL_S, VENT_S)])), []
+    plant, runs = Plant(segment, chain_of(robot, [hidden or Lag(FILL_S, VENT_S)])), []
     time = period_s * np.arange(1, round(120.0 / period_s) + 1)
     for k in range(4):
         command = robot.pressure_max_pa * program(time, robot.chambers, rng)
@@ -81,6 +83,25 @@ def test_a_lag_is_seen_by_gauges_that_show_every_pose_once(segment: PccSimulator
     assert effect["name"] == "lag" and effect["evidence"].startswith("command to measured pressure"), effect
     assert abs(effect["parameters"]["fill_s"]["value"] / FILL_S - 1.0) < 0.03
     assert abs(effect["parameters"]["vent_s"]["value"] / VENT_S - 1.0) < 0.03
+
+
+@pytest.mark.slow
+def test_hysteresis_is_named_though_it_makes_noise_of_every_pose(segment: PccSimulator) -> None:
+    config = configured(candidates=["lag", "hysteresis", "payload", "gain"], measured_pressure=False)
+    recordings = lagging(segment, 5.0, held(1), Hysteresis(0.15, 0.02))
+    data = prepare(recordings, segment.robot, config.heldout_share, config.seed)
+    assert isinstance(data, Data) and data.at_most
+    found = run(config, segment.robot, recordings, segment, tracker=NullTracker())
+    assert [effect["name"] for effect in found.effects] == ["hysteresis"], found.sentences
+    assert abs(found.effects[0]["parameters"]["height"]["value"] / 0.15 - 1.0) < 0.1
+    assert found.errors_mm["heldout"]["corrected"] < 0.5e3 * data.noise
+
+
+def test_less_noise_is_supposed_but_no_less_than_rounding(segment: PccSimulator, slow: RecordingSet) -> None:
+    data = prepare(slow, segment.robot, 0.3, 0)
+    assert isinstance(data, Data)
+    assert supposed(data).noise == pytest.approx(0.25 * data.noise)
+    assert supposed(replace(data, rounding=0.5 * data.noise)).noise == pytest.approx(0.5 * data.noise)
 
 
 def test_second_halves_of_holds_tell_the_noise_of_slow_rows(segment: PccSimulator) -> None:

@@ -50,6 +50,7 @@ class Data:
     mended : what was done about wrong samples and pauses, a sentence each
     now : where recording had come to when the last run ended, whatever fits see of it
     punctual : whether the dataset says when a row's command acts, so that its log is late by nothing
+    at_most : whether the noise of the motion may be less: rows were too slow to tell it from motion
     """
 
     check: DataCheck
@@ -68,6 +69,7 @@ class Data:
     pressure_rounding: float = 0.0
     mended: tuple[str, ...] = ()
     punctual: bool = False
+    at_most: bool = False
 
     @property
     def splits(self) -> dict[str, tuple[Recording, ...]]:
@@ -138,13 +140,12 @@ def prepare(
     sides = hold_out(replace(recordings, recordings=moving), heldout_share, seed, few_sessions)
     training, heldout = (tuple(part for run in side.recordings for part in parts[run.name]) for side in sides)
     training += tuple(part for run in still for part in parts[run.name])  # which would judge nothing
-    noise, rounding = floor_of(found, usable, robot, channel)
-    pressure_noise, pressure_rounding = floor_of(found, usable, robot, "pressure_meas")
+    floor, pressure_floor = floor_of(found, usable, robot, channel), floor_of(found, usable, robot, "pressure_meas")
     travel = _travel(training, lambda run: _seen(run, robot))
-    if travel < MIN_SIGNAL * noise:
+    if travel < MIN_SIGNAL * floor.noise:
         return Refusal(
             found,
-            f"the motion ({1e3 * travel:.3g} mm rms) hardly exceeds its noise ({1e3 * noise:.3g} mm); drive harder",
+            f"the motion ({1e3 * travel:.3g} mm rms) hardly exceeds its noise ({1e3 * floor.noise:.3g} mm); drive harder",
         )
     return Data(
         replace(found, excited=driven(whole, robot)),
@@ -153,16 +154,17 @@ def prepare(
         tuple(part for run in outside for part in parts[run.name]),
         all(r.pressure_meas is not None for r in whole),
         _orientation_trusted(usable, found, robot),
-        noise,
+        floor.noise,
         2.0 * np.sqrt(3.0) * found.noise_floor.get("quaternion", 0.0),  # a turn is twice the quaternion's vector
-        pressure_noise,
+        pressure_floor.noise,
         travel,
         _travel([r for r in training if r.pressure_meas is not None], lambda run: np.asarray(run.pressure_meas)),
         now_after(recordings.recordings),
-        rounding,
-        pressure_rounding,
+        floor.rounding,
+        pressure_floor.rounding,
         (*_too_short(recordings), *copies, *dead, *spiked, *mended),
         is_known(recordings),
+        floor.at_most,
     )
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from math import comb
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,24 +16,36 @@ PAST, RIDGE = 3, 1e-6  # rows of commands that foretell a row; share of a column
 FEW_READINGS = 20  # a sensor that reports fewer values than this tells no noise by their differences
 
 
-def floor_of(found: DataCheck, usable: Sequence[Recording], robot: Robot, channel: str) -> tuple[float, float]:
-    """Return the noise of one sample of a channel, rms over all its components, and how much of it is rounding; m or Pa.
+class Floor(NamedTuple):
+    """The noise of one sample of a channel, rms over all its components; m or Pa.
 
-    Noise is told by holds or by neighbouring samples, whichever is less, or by repeats. A sensor whose last digit is coarser
-    than that rounds: neighbouring samples are then wrong by the same, and no mean gets rid of it. Otherwise noise blurs the
-    rounding, which is told as 0.
+    Attributes
+    ----------
+    noise : all of it
+    rounding : by a sensor whose last digit is coarser than its noise: neighbouring samples are then wrong by the same, and no
+        mean gets rid of it. Otherwise noise blurs the rounding, which is told as 0
+    at_most : whether it may be less: rows were too slow to tell it from motion
     """
+
+    noise: float
+    rounding: float
+    at_most: bool = False
+
+
+def floor_of(found: DataCheck, usable: Sequence[Recording], robot: Robot, channel: str) -> Floor:
+    """Return the noise of a channel, as holds or neighbouring samples tell it, whichever is less, or repeats."""
     series = [_columns(run, channel) for run in usable if getattr(run, channel) is not None]
     series = [values for values in series if len(values) >= TELLING] or series
     if not series:
-        return 0.0, 0.0
+        return Floor(0.0, 0.0)
     quick = float(np.median([jitter(_readings(values)) for values in series]))
     noise = max(min(quick, found.noise_floor[channel]), found.repeatability.get(channel, 0.0))
-    if noise > LOUD * float(np.median([np.sqrt(np.mean(values.var(axis=0))) for values in series])):
+    loud = noise > LOUD * float(np.median([np.sqrt(np.mean(values.var(axis=0))) for values in series]))
+    if loud:
         noise = min(noise, _left_by_commands([run for run in usable if getattr(run, channel) is not None], channel))
     digit = float(np.median([np.sqrt(np.mean(resolution(values) ** 2)) for values in series]))
     rounding, whole = digit / np.sqrt(12.0), _of_all(robot, channel)
-    return whole * max(noise, rounding), whole * rounding if rounding > noise else 0.0
+    return Floor(whole * max(noise, rounding), whole * rounding if rounding > noise else 0.0, loud and noise > rounding)
 
 
 def _columns(run: Recording, channel: str) -> np.ndarray:
