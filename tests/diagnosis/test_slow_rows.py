@@ -12,7 +12,8 @@ from softrl.core.tracking import NullTracker
 from softrl.diagnosis.checks.data import Data, prepare
 from softrl.diagnosis.checks.floor import jitter
 from softrl.diagnosis.judging.quieter import quieter, supposed
-from softrl.diagnosis.stage import run
+from softrl.diagnosis.stage import diagnose, run
+from softrl.diagnosis.telling.figures import draw_run
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.effect import Effect
 from softrl.effects.hysteresis import Hysteresis
@@ -77,12 +78,15 @@ def test_motion_of_another_pose_in_every_row_is_no_noise(segment: PccSimulator) 
 def test_a_lag_is_seen_by_gauges_that_show_every_pose_once(segment: PccSimulator) -> None:
     config = configured(candidates=["lag", "dead_time"])
     recordings = replace(lagging(segment, 1.0, held(1)), notes={"command_acts": "from_row"})
-    found = run(config, segment.robot, recordings, segment, tracker=NullTracker())
+    found, evidence = diagnose(config, segment.robot, recordings, segment)
     assert found.verdict == "named", found.sentences
     (effect,) = found.effects
     assert effect["name"] == "lag" and effect["evidence"].startswith("command to measured pressure"), effect
     assert abs(effect["parameters"]["fill_s"]["value"] / FILL_S - 1.0) < 0.03
     assert abs(effect["parameters"]["vent_s"]["value"] / VENT_S - 1.0) < 0.03
+    assert evidence is not None and len(evidence.heldout.runs) == 1
+    drawn = [line.get_label() for line in draw_run(evidence.heldout, evidence.traces).axes[1].lines]
+    assert f"corrected: rms {found.errors_mm['heldout']['corrected']:.3g} mm" in drawn  # rows that do not count are not drawn
 
 
 @pytest.mark.slow

@@ -143,10 +143,9 @@ def prepare(
     floor, pressure_floor = floor_of(found, usable, robot, channel), floor_of(found, usable, robot, "pressure_meas")
     travel = _travel(training, lambda run: _seen(run, robot))
     if travel < MIN_SIGNAL * floor.noise:
-        return Refusal(
-            found,
-            f"the motion ({1e3 * travel:.3g} mm rms) hardly exceeds its noise ({1e3 * floor.noise:.3g} mm); drive harder",
-        )
+        said = f"the motion ({1e3 * travel:.3g} mm rms) hardly exceeds its noise ({1e3 * floor.noise:.3g} mm)"
+        slow = "rows are slow, and commands do not foretell the motion: check their columns and command_acts, or record faster"
+        return Refusal(found, f"{said}; {slow if floor.at_most else 'drive harder'}")
     return Data(
         replace(found, excited=driven(whole, robot)),
         training,

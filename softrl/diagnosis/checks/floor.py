@@ -71,7 +71,8 @@ def _left_by_commands(runs: Sequence[Recording], channel: str) -> float:
     Where every row is another pose, what neighbouring rows differ by is motion. Noise is what nothing foretells.
     """
     seen = [_columns(run, channel) for run in runs]
-    rows = [_foretelling(run.pressure_cmd, values) for run, values in zip(runs, seen, strict=True)]
+    gauge = channel == "pressure_meas"
+    rows = [_foretelling(run.pressure_cmd, values, gauge) for run, values in zip(runs, seen, strict=True)]
     seen = [values[1:] - values[1:].mean(axis=0) for values in seen]
     size = np.sqrt(sum(np.sum(x**2, axis=0) for x in rows))
     rows = [x / np.maximum(size, 1e-300) for x in rows]
@@ -84,15 +85,15 @@ def _left_by_commands(runs: Sequence[Recording], channel: str) -> float:
     return float(np.sqrt(sum(squares) / sum(y.size for y in seen)))
 
 
-def _foretelling(command: np.ndarray, seen: np.ndarray) -> np.ndarray:
+def _foretelling(command: np.ndarray, seen: np.ndarray, gauge: bool) -> np.ndarray:
     """Return what may foretell the rows of a run but the first, less its mean, (steps - 1, m).
 
     The commands (steps, chambers) of a row and of those before, their squares and products, what was ``seen`` (steps, n) in the
-    row before, and of a gauge how far below either command it was then: filling and venting take their own times.
+    row before, and of a ``gauge`` how far below either command it was then: filling and venting take their own times.
     """
     past = [np.r_[np.repeat(command[:1], k, axis=0), command[: len(command) - k]][1:] for k in range(PAST)]
     first, second = np.triu_indices(command.shape[1])
-    below = [np.maximum(rows - seen[:-1], 0.0) for rows in past[:2] if seen.shape == command.shape]
+    below = [np.maximum(rows - seen[:-1], 0.0) for rows in past[:2] if gauge]
     columns = np.hstack([seen[:-1], *below, *past, *(rows[:, first] * rows[:, second] for rows in past)])
     return np.asarray(columns - columns.mean(axis=0))
 

@@ -49,9 +49,9 @@ def draw_run(heldout: Problem, judged: dict[str, Traces]) -> Figure:
     for name in ("nominal", "retuned", "corrected"):
         traces = judged[name]
         above.plot(run.time, factor * traces.predicted[k][:, main], color=COLOURS[name], lw=0.9, label=name)
-        error = factor * np.linalg.norm(measured - traces.predicted[k], axis=1)
+        error = factor * _off(heldout, k, traces)
         label = f"{name}: rms {np.sqrt(np.mean(error**2)):.3g} {unit}"
-        below.plot(run.time, error, color=COLOURS[name], lw=0.9, label=label)
+        below.plot(run.time[heldout.first[k] :], error, color=COLOURS[name], lw=0.9, label=label)
     above.set_ylabel(f"{'bend angle' if angle else 'tip ' + 'xyz'[main]}, {unit}")
     above.set_title(f"held-out run {run.name}", loc="right", fontsize=9)
     below.set_ylabel(f"error, {unit}")
@@ -61,27 +61,30 @@ def draw_run(heldout: Problem, judged: dict[str, Traces]) -> Figure:
     return figure
 
 
+def _off(heldout: Problem, k: int, traces: Traces) -> np.ndarray:
+    """Return how far (steps,) the motion predicted for run ``k`` is off, from the first sample that is compared."""
+    return np.asarray(np.linalg.norm(seen(heldout, heldout.runs[k]) - traces.predicted[k], axis=1)[heldout.first[k] :])
+
+
 def draw_map(heldout: Problem, judged: dict[str, Traces]) -> Figure:
     """Draw the held-out error before and after, over time and pressure, and over two pressures (or pressure and rate)."""
-    command = np.concatenate([1e-3 * run.pressure_cmd for run in heldout.runs])
+    rows = list(zip(heldout.runs, heldout.first, strict=True))
+    command = np.concatenate([1e-3 * run.pressure_cmd[begin:] for run, begin in rows])
     moved: np.ndarray = np.max([np.ptp(1e-3 * run.pressure_cmd, axis=0) for run in heldout.runs], axis=0)
     order = np.argsort(-moved)  # within runs: a chamber that is held at another level on another day is not driven
     first = order[0]
     if len(order) > 1 and moved[order[1]] > 0.0:
         second, other = command[:, order[1]], f"command of chamber {order[1] + 1}, kPa"
     else:
-        second = np.concatenate([np.gradient(1e-3 * run.pressure_cmd[:, first], run.time) for run in heldout.runs])
+        second = np.concatenate([np.gradient(1e-3 * run.pressure_cmd[:, first], run.time)[begin:] for run, begin in rows])
         reach = np.quantile(np.abs(second), 0.98) or 1.0
         second, other = np.clip(second, -reach, reach), "rate of the command, kPa/s"
-    time = np.concatenate([run.time - run.time[0] for run in heldout.runs])
+    time = np.concatenate([(run.time - run.time[0])[begin:] for run, begin in rows])
     factor, unit = (180.0 / np.pi, "deg") if heldout.robot.output == "bend_angle" else (1e3, "mm")
     errors = {
-        name: factor * np.concatenate([
-            np.linalg.norm(seen(heldout, run) - p, axis=1)
-            for run, p in zip(heldout.runs, judged[name].predicted, strict=True)
-        ])
+        name: factor * np.concatenate([_off(heldout, k, judged[name]) for k in range(len(rows))])
         for name in ("retuned", "corrected")
-    }  # fmt: skip
+    }
     figure = Figure(figsize=(9, 6), layout="constrained")
     axes = figure.subplots(2, 2)
     maps = [[_mean_over(x, command[:, first], errors[name]) for name in errors] for x in (time, second)]
@@ -137,7 +140,8 @@ def draw_whiteness(findings: Sequence[Finding]) -> Figure:
     """Draw the autocorrelation of what is left on held-out runs, before and after the correction."""
     figure = Figure(figsize=(9, 2.8), layout="constrained")
     for ax, finding in zip(figure.subplots(1, len(findings), squeeze=False)[0], findings, strict=True):
-        bin_s = finding.part.problem.numerics.bin_s
+        problem = finding.judge.problem
+        bin_s = max(problem.numerics.bin_s, *(float(np.median(np.diff(run.time))) for run in problem.runs))
         for name, residual, colour in (
             ("retuned", finding.residual_before, COLOURS["retuned"]),
             ("corrected", finding.residual_after, COLOURS["corrected"]),
