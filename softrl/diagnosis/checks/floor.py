@@ -66,10 +66,12 @@ def _readings(values: np.ndarray) -> np.ndarray:
 
 
 def _left_by_commands(runs: Sequence[Recording], channel: str) -> float:
-    """Return the rms that commands and the row before leave in runs left out in turn.
+    """Return the rms that commands and the row before leave in runs left out in turn; infinite of a single run.
 
     Where every row is another pose, what neighbouring rows differ by is motion. Noise is what nothing foretells.
     """
+    if len(runs) < 2:
+        return np.inf
     seen = [_columns(run, channel) for run in runs]
     gauge = channel == "pressure_meas"
     rows = [_foretelling(run.pressure_cmd, values, gauge) for run, values in zip(runs, seen, strict=True)]

@@ -22,8 +22,8 @@ def quieter(data: Data, diagnosis: Diagnosis) -> Data | None:
     if best is None or errors[best] >= LESS * told_mm:
         return None
     told = (
-        f"neighbouring rows tell {told_mm:.3g} mm of noise, more than the {errors[best]:.3g} mm by which {MODELS[best]} errs on "
-        "held-out runs: they are too slow to tell it from motion, and all is examined again with that"
+        f"noise was told as {told_mm:.3g} mm, more than the {errors[best]:.3g} mm by which {MODELS[best]} errs on held-out runs: "
+        "that was motion in part, which slow rows do not tell from noise, and all is examined again with less"
     )
     noise = max(1e-3 * errors[best], data.rounding)
     at_most = data.at_most and best != "corrected"
