@@ -100,3 +100,19 @@ def test_what_follows_from_a_guessed_past_is_not_judged(body: PccSimulator) -> N
     np.testing.assert_array_equal(problem.binned(0, wild), problem.binned(0, values))
     (rest,) = made(body, sessions=1).recordings
     assert replace(problem, runs=(rest,)).first == [0]
+
+
+@pytest.mark.parametrize("poses", [24, 60])
+def test_a_table_of_poses_began_at_rest(body: PccSimulator, poses: int) -> None:
+    """Rest is at the corner of the pressures' range, where a plane through poses errs by a fifth of it."""
+    rng = np.random.default_rng(poses)
+    plant, runs = Plant(body, chain_of(body.robot, ())), []
+    for k in range(3):
+        time = 5.0 * np.arange(1, poses + 1)
+        pressures = rng.uniform(0.0, body.robot.pressure_max_pa, (poses, body.robot.chambers))
+        blank = Recording(f"run_{k}", f"day_{k}", time, pressures, position=np.zeros((poses, 3)))
+        rested = replay(plant, blank, 0.002, settle_s=5.0, before=(0.0,) * body.robot.chambers)
+        noisy = rested.position + 1e-4 * rng.standard_normal((poses, 3))
+        runs.append(replace(rested, position=noisy, pressure_meas=None, quaternion=None))
+    found = preludes(runs, runs, body.robot)
+    assert all(np.abs(found[recording.name]).max() < 0.02 * body.robot.pressure_max_pa for recording in runs), found
