@@ -1,13 +1,13 @@
 """What a run that does not begin at rest was under before its first sample, read from where it was first seen."""
 
 from collections.abc import Sequence
-from itertools import combinations_with_replacement, product
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
+from softrl.core.polynomial import Basis, basis, count
 from softrl.recordings.check import driven
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
@@ -17,39 +17,50 @@ ROWS = 2000  # of a session that the map is fitted to
 SHRINK = 1e-3  # of the mean square response: pressures that hardly move the tip are left as they were
 TRUSTED = 0.3  # share of the motion that the map must explain
 DEGREES = (1, 2, 3)  # of the map
-TERM_ROWS = 2  # rows for each number of a map beyond the affine one
+TERM_ROWS = 2  # for each term of the map at least
 USUAL = 0.95  # of rows miss their map by less than what is told from none
 
 
 class Response(NamedTuple):
-    """A map from pressures over ``scale`` to motion: ``numbers`` (terms, n), their unit covariance, and the usual error."""
+    """A polynomial from pressures to motion.
+
+    Attributes
+    ----------
+    scale : Pa, over which pressures are its variables
+    terms : its monomials
+    numbers : (monomials, n) their coefficients
+    spread : (monomials, monomials) covariance of these, where rows err by one
+    error : what rows usually err by
+    """
 
     scale: float
-    degree: int
+    terms: Basis
     numbers: np.ndarray
     spread: np.ndarray
     error: float
 
     def missing(self, pressure: np.ndarray, motion: np.ndarray) -> np.ndarray:
         """Return how far (n,) ``motion`` (n,) is from where ``pressure`` (chambers,) holds it."""
-        return np.asarray(motion - self._terms(pressure) @ self.numbers)
+        return np.asarray(motion - self._values(pressure) @ self.numbers)
 
     def may_hold(self, pressure: np.ndarray, motion: np.ndarray) -> bool:
         """Return whether ``motion`` (n,) is where ``pressure`` (chambers,) holds it, for all that the map knows."""
-        terms = self._terms(pressure)
-        return bool(np.linalg.norm(self.missing(pressure, motion)) < self.error * np.sqrt(1.0 + terms @ self.spread @ terms))
+        values = self._values(pressure)
+        error = self.error * np.sqrt(1.0 + values @ self.spread @ values)
+        return bool(np.linalg.norm(self.missing(pressure, motion)) < error)
 
-    def _terms(self, pressure: np.ndarray) -> np.ndarray:
-        return np.asarray(_terms(pressure[None] / self.scale, self.degree)[0])
+    def _values(self, pressure: np.ndarray) -> np.ndarray:
+        return self.terms.values(pressure[None] / self.scale)[0]
 
 
 def preludes(training: Sequence[Recording], runs: Sequence[Recording], robot: Robot) -> dict[str, tuple[float, ...]]:
     """Return by run the constant pressures (chambers,) Pa that bring the tip where the run's first sample shows it.
 
     A run that begins while a chamber fills is not yet where its first pressures would hold it, and one that was driven
-    before is not yet back. From the first sample alone, and an affine map from pressures to motion that is fitted to the
-    training runs of the same session, follows the constant pressure which stands for that past: the run's first one, or
-    none, where the map cannot tell. Runs of sessions without such a map are left out.
+    before is not yet back. From the first sample alone, and a map from pressures to motion that is fitted to the training
+    runs of the same session, follows the constant pressure which stands for that past: the run's first one, or none, where
+    the map cannot tell. The map is a polynomial: rest is at a corner of the pressures' range, which a plane misses. Runs
+    of sessions without such a map are left out.
     """
     found: dict[str, tuple[float, ...]] = {}
     moved = list(driven(training, robot))
@@ -67,7 +78,8 @@ def preludes(training: Sequence[Recording], runs: Sequence[Recording], robot: Ro
 
 def _before(response: Response, first: np.ndarray, motion: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
     """Return the constant pressures (chambers,) Pa under which the tip was where it was seen first, ``motion`` (n,)."""
-    plain = min((first, np.zeros_like(first)), key=lambda p: float(np.linalg.norm(response.missing(p, motion))))
+    rest = np.full_like(first, np.clip(0.0, *limits))
+    plain = min((first, rest), key=lambda p: float(np.linalg.norm(response.missing(p, motion))))
     if response.may_hold(plain, motion):
         return plain
     slopes = response.numbers[1 : 1 + len(first)]
@@ -77,7 +89,7 @@ def _before(response: Response, first: np.ndarray, motion: np.ndarray, limits: t
         return np.concatenate([response.missing(response.scale * x, motion), held * (x - start)])
 
     start = first / response.scale
-    found = least_squares(left, start, bounds=(limits[0] / response.scale, limits[1] / response.scale))
+    found = least_squares(left, start, bounds=tuple(limit / response.scale for limit in limits))
     return np.asarray(response.scale * found.x)
 
 
@@ -93,33 +105,28 @@ def _response(runs: Sequence[Recording], moved: list[int]) -> Response | None:
     """
     rows = np.flatnonzero(np.concatenate([run.time - run.time[0] >= max(LAGS_S) for run in runs]))
     rows = rows[:: max(len(rows) // ROWS, 1)]
+    degrees = [degree for degree in DEGREES if len(rows) >= TERM_ROWS * count(len(moved), degree)]
+    if not (moved and degrees):
+        return None
     y = np.concatenate([_motion(run) for run in runs])[rows]
     found, least = None, (1.0 - TRUSTED) * float(np.sum(np.var(y, axis=0)))
-    for lag_s, degree in product(LAGS_S, DEGREES):
+    for lag_s in LAGS_S:
         pressure = np.concatenate([_lagged(run, acting(run)[:, moved], lag_s) for run in runs])[rows]
-        response = _fitted(pressure, y, degree)
-        if response is not None and response[1] <= least:
-            found, least = response
+        for degree in degrees:
+            response, left = _fitted(pressure, y, basis(len(moved), degree))
+            if left <= least:
+                found, least = response, left
     return found
 
 
-def _fitted(pressure: np.ndarray, motion: np.ndarray, degree: int) -> tuple[Response, float] | None:
-    """Return the map of ``degree`` and the mean square that it leaves; None where there are too few rows for it."""
-    scale = float(np.abs(pressure).max(initial=0.0)) or 1.0
-    x = _terms(pressure / scale, degree)
-    rows, terms = x.shape
-    if rows <= terms or (degree > 1 and rows < TERM_ROWS * terms):
-        return None
+def _fitted(pressure: np.ndarray, motion: np.ndarray, terms: Basis) -> tuple[Response, float]:
+    """Return the map of ``terms`` and the mean square that it leaves, made up for the numbers that are fitted."""
+    scale = float(np.abs(pressure).max()) or 1.0
+    x = terms.values(pressure / scale)
     numbers = np.linalg.lstsq(x, motion, rcond=SHRINK)[0]
-    missing = np.linalg.norm(motion - x @ numbers, axis=1) * np.sqrt(rows / (rows - terms))
+    missing = np.linalg.norm(motion - x @ numbers, axis=1) * np.sqrt(len(x) / (len(x) - terms.monomials))
     spread = np.linalg.pinv(x.T @ x, rcond=SHRINK**2)
-    return Response(scale, degree, numbers, spread, float(np.quantile(missing, USUAL))), float(np.mean(missing**2))
-
-
-def _terms(x: np.ndarray, degree: int) -> np.ndarray:
-    """Return the monomials up to ``degree`` of ``x`` (rows, n), those of a lower degree first: (rows, terms)."""
-    columns = [c for d in range(degree + 1) for c in combinations_with_replacement(range(x.shape[1]), d)]
-    return np.stack([np.prod(x[:, c], axis=1) for c in columns], axis=1)
+    return Response(scale, terms, numbers, spread, float(np.quantile(missing, USUAL))), float(np.mean(missing**2))
 
 
 def _lagged(run: Recording, pressure: np.ndarray, lag_s: float) -> np.ndarray:
