@@ -3,7 +3,7 @@
 import numpy as np
 
 from softrl.core.polynomial import basis, count
-from softrl.pod.fitting.maps import Seen, best_forms, equations
+from softrl.pod.fitting.maps import Seen, best_forms, equations, trust
 
 ORDER, DEGREE = 6, 3
 
@@ -53,3 +53,21 @@ def test_the_form_is_that_of_the_law() -> None:
     ]
     assert forms[0].degree == 2 and forms[0].ridge == 1e-10 and forms[0].error < 1e-12
     assert forms[1].ridge == 1e-3 and forms[1].error > 0.5
+
+
+def test_samples_that_no_polynomial_follows_do_not_lead_the_others_astray() -> None:
+    """Of eighty samples five have slopes twenty times as steep as the cubic that all others are of."""
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-1.0, 1.0, (80, ORDER))
+    seen = Seen(points, np.tile(np.eye(ORDER), (80, 1, 1)))
+    law = rng.standard_normal((count(ORDER, DEGREE), 2))
+    targets = {"map": cubic(points, law) + 1e-3 * rng.standard_normal((80, 1 + ORDER, 2))}
+    targets["map"][:5, 1:] *= 20.0
+    unseen, even = rng.uniform(-1.0, 1.0, (50, ORDER)), np.ones(80)
+    weight = trust(seen, targets, even, {"map": DEGREE}, False)
+    assert weight[:5].max() < 1e-3 and weight[5:].min() > 0.3, (weight[:5], weight[5:].min())
+    error = [
+        np.abs(cubic(unseen, equations(seen, targets["map"], each, DEGREE, False).solve(1e-10).T - law)[:, 0]).max()
+        for each in (even, weight)
+    ]
+    assert error[1] < 0.01 < 1.0 < error[0], error

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softrl.pod.fitting.equilibria import Answers, Equilibria, slopes_of
-from softrl.pod.fitting.maps import Seen, best_forms, equations, symmetric_roots
+from softrl.pod.fitting.maps import Seen, best_forms, equations, symmetric_roots, trust
 from softrl.pod.fitting.settings import FitSettings
 from softrl.pod.fitting.symmetry import reflected, weight_to_trust
 from softrl.robots.robot import Robot
@@ -32,7 +32,7 @@ def fit_maps(
     """Return the coefficients of all maps besides the energy; each weighs the samples' images as they deserve.
 
     A map is fitted to its values at the equilibria and, where that is known, to how it changes under the largest load of
-    each kind.
+    each kind. Equilibria that no polynomial follows count for little, see ``trust``.
     """
     images = images_of(robot)
     everything = reflected(samples, [*symmetries(robot.chamber_direction)[:1], *images])
@@ -54,15 +54,17 @@ def fit_maps(
             weight: _part(weight, seen, {name: goals[name] for name in names}, len(fold))
             for weight in settings.image_weights_of(robot)
         }
+        trusted = trust(*parts[max(parts)], degrees, at_origin)
+        parts = {weight: (here, values, each * trusted[: len(each)]) for weight, (here, values, each) in parts.items()}
         forms = {
             weight: best_forms(here, values, each, folds[: len(each)], own, degrees, at_origin, RIDGES)
             for weight, (here, values, each) in parts.items()
         }
         for name in names:
-            trusted = weight_to_trust({weight: np.sqrt(form[name].error) for weight, form in forms.items()})
-            form, (here, values, each) = forms[trusted][name], parts[trusted]
+            image = weight_to_trust({weight: np.sqrt(form[name].error) for weight, form in forms.items()})
+            form, (here, values, each) = forms[image][name], parts[image]
             maps[name] = equations(here, values[name], each, form.degree, at_origin).solve(form.ridge)
-            log.debug("%s of degree %d, ridge %g, images of weight %g", name, form.degree, form.ridge, trusted)
+            log.debug("%s of degree %d, ridge %g, images of weight %g", name, form.degree, form.ridge, image)
     maps["amplitudes"] = _with_rest(maps["amplitudes"], goals["amplitudes"], seen, frame.T @ everything.answers["mass"] @ frame)
     return maps
 

@@ -9,6 +9,9 @@ from scipy.linalg import cho_factor, cho_solve
 from softrl.core.polynomial import basis, count, multinomials
 
 ALWAYS = -1  # the fold of samples that no fit leaves out
+ROUNDS, USUAL = 5, 1.5  # of weights; an error of so many times the usual one counts half
+LEAST_RIDGE = 1e-8  # of the fits that tell what is usual
+TINY = np.finfo(float).tiny
 
 
 class Seen(NamedTuple):
@@ -69,13 +72,40 @@ class Form(NamedTuple):
     error: float
 
 
+def trust(
+    seen: Seen, targets: Mapping[str, np.ndarray], weight: np.ndarray, degree_max: Mapping[str, int], through_origin: bool
+) -> np.ndarray:
+    """Return how far (S,), at most 1, a fit trusts each sample: less where the maps of highest degree err far more than usual.
+
+    A chamber that is all but emptied folds its walls, which no polynomial follows: squares of such errors outweigh all
+    others, and the maps would be wrong everywhere. These are Cauchy's weights, iterated; the usual error of a map is its median.
+    """
+    alike = [
+        (degree, np.concatenate([targets[name] for name in names], axis=2), names)
+        for degree in sorted(set(degree_max.values()))
+        for names in [[name for name in targets if degree_max[name] == degree]]
+    ]
+    trusted = np.ones(len(weight))
+    for _ in range(ROUNDS):
+        odd = np.zeros(len(weight))
+        for degree, goal, names in alike:
+            found = equations(seen, goal, weight * trusted, degree, through_origin).solve(LEAST_RIDGE)
+            squares = (seen.design(degree) @ found.T - goal) ** 2
+            edges = np.cumsum([targets[name].shape[2] for name in names])[:-1]
+            for part in np.split(squares, edges, axis=2):
+                mean = part.mean(axis=(1, 2))
+                odd += mean / max(float(np.median(mean)), TINY) / len(targets)
+        trusted = 1.0 / (1.0 + odd / USUAL**2)
+    return trusted
+
+
 def best_forms(
     seen: Seen, targets: Mapping[str, np.ndarray], weight: np.ndarray, fold: np.ndarray, judged: slice,
     degree_max: Mapping[str, int], through_origin: bool, ridges: Sequence[float],
 ) -> dict[str, Form]:
     """Return for each map the degree up to its largest and the ridge whose error over folds that the fit did not see is least.
 
-    ``weight`` (S,) is that of each sample in the fits, ``fold`` (S,) numbers its part; the error is that of the rows
+    ``weight`` (S,) is that of each sample in the fits, ``fold`` (S,) numbers its part; the error is the weighed one of the rows
     ``judged``. A degree with more monomials than equations is not tried. All maps are fitted at once.
     """
     best: dict[str, Form] = {}
@@ -88,7 +118,7 @@ def best_forms(
         for ridge, squares in zip(ridges, _squares(seen, goal, weight, fold, degree, through_origin, ridges), strict=True):
             edges = np.cumsum([targets[name].shape[2] for name in names])[:-1]
             for name, part in zip(names, np.split(squares[judged], edges, axis=2), strict=True):
-                form = Form(degree, ridge, float(part.mean()))
+                form = Form(degree, ridge, float(np.average(part.mean(axis=(1, 2)), weights=weight[judged])))
                 best[name] = min(best.get(name, form), form, key=lambda tried: tried.error)
     return best
 
