@@ -11,6 +11,8 @@ from softrl.core.polynomial import basis, count, multinomials
 ALWAYS = -1  # the fold of samples that no fit leaves out
 ROUNDS, USUAL = 5, 1.5  # of weights; an error of so many times the usual one counts half
 LEAST_RIDGE = 1e-8  # of the fits that tell what is usual
+SURPLUS = 0.5  # coefficients an equation there at most: a map that meets every sample tells nothing
+ENOUGH = 0.7  # likewise of every other fit
 TINY = np.finfo(float).tiny
 
 
@@ -80,21 +82,22 @@ def trust(
     A chamber that is all but emptied folds its walls, which no polynomial follows: squares of such errors outweigh all
     others, and the maps would be wrong everywhere. These are Cauchy's weights, iterated; the usual error of a map is its median.
     """
-    alike = [
-        (degree, np.concatenate([targets[name] for name in names], axis=2), names)
-        for degree in sorted(set(degree_max.values()))
-        for names in [[name for name in targets if degree_max[name] == degree]]
-    ]
-    trusted = np.ones(len(weight))
+    samples, equal = next(iter(targets.values())).shape[:2]
+    by_degree: dict[int, list[str]] = {}
+    for name, degree in degree_max.items():
+        while degree > 1 and count(seen.points.shape[1], degree) > SURPLUS * samples * equal:
+            degree -= 1
+        by_degree.setdefault(degree, []).append(name)
+    trusted = np.ones(samples)
     for _ in range(ROUNDS):
-        odd = np.zeros(len(weight))
-        for degree, goal, names in alike:
+        odd = np.zeros(samples)
+        for degree, names in by_degree.items():
+            goal = np.concatenate([targets[name] for name in names], axis=2)
             found = equations(seen, goal, weight * trusted, degree, through_origin).solve(LEAST_RIDGE)
-            squares = (seen.design(degree) @ found.T - goal) ** 2
-            edges = np.cumsum([targets[name].shape[2] for name in names])[:-1]
-            for part in np.split(squares, edges, axis=2):
-                mean = part.mean(axis=(1, 2))
-                odd += mean / max(float(np.median(mean)), TINY) / len(targets)
+            left = (seen.design(degree) @ found.T - goal) ** 2
+            for part in np.split(left, np.cumsum([targets[name].shape[2] for name in names])[:-1], axis=2):
+                squares = part.mean(axis=(1, 2))
+                odd += squares / max(float(np.median(squares)), TINY) / len(targets)
         trusted = 1.0 / (1.0 + odd / USUAL**2)
     return trusted
 
@@ -111,7 +114,7 @@ def best_forms(
     best: dict[str, Form] = {}
     samples, equal = next(iter(targets.values())).shape[:2]
     for degree in range(1 if through_origin else 0, max(degree_max.values()) + 1):
-        if best and count(seen.points.shape[1], degree) > 0.7 * samples * equal:
+        if best and count(seen.points.shape[1], degree) > ENOUGH * samples * equal:
             break
         names = [name for name in targets if degree <= degree_max[name]]
         goal = np.concatenate([targets[name] for name in names], axis=2)
