@@ -238,7 +238,7 @@ def _whole(config: Config, robot: Robot, simulator: Simulator, data: Data, numer
     turns = config.orientation and data.orientation
     bare = Problem(robot, simulator, data.training, numerics, "motion", "command", False, turns)
     runs = [run for part in data.splits.values() for run in part]
-    interval_s = 0.0 if data.punctual else float(np.median([run.period_s for run in data.check.runs]))
+    interval_s = 0.0 if data.punctual else data.period_s
     bare = replace(bare, late_max_s=interval_s, interval_s=interval_s, before=preludes(data.training, runs, robot))
     if robot.output == "bend_angle":
         return bare

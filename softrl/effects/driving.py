@@ -50,8 +50,14 @@ def drive_on_grid(
         pressure = _mean_held(known, held, time, dt_s)
     if first and recording.pressure_meas is not None:
         pressure[:first] = recording.pressure_meas[0]
-    force = None if recording.tip_force is None else _mean_held(recording.time + late_s, recording.tip_force, time, dt_s)
-    return time, pressure, force
+    return time, pressure, _force(recording, time, dt_s, late_s if drive == "measured" else 0.0)
+
+
+def _force(recording: Recording, time: np.ndarray, dt_s: float, late_s: float) -> np.ndarray | None:
+    """Return the forces (steps, 3) N on the grid, measured at their rows' times: how late commands act is nothing to them."""
+    if recording.tip_force is None:
+        return None
+    return _mean_held(*_filled_in(recording.time + late_s, recording.tip_force, time), time, dt_s)
 
 
 def _bridged(stamps: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -53,7 +53,29 @@ def test_clocks_go_on_to_the_end_of_the_last_run_however_little_fits_see(body: P
     found = prepare(replace(whole, notes={"out_of_distribution": [last.name]}), body.robot, 0.34, 0)
     assert isinstance(found, Data)
     took = sum(float(np.ptp(run.time)) for run in whole.recordings)
-    assert found.shortened(5.0).now.session == last.session and found.shortened(5.0).now.gone_s[-1] == pytest.approx(took)
+    assert found.shortened(5.0).now.gone_s[-1] == pytest.approx(took)
+
+
+def test_what_acts_from_a_session_on_goes_on_in_one_that_fits_know_nothing_of(body: PccSimulator) -> None:
+    """Its form lists the sessions that fits know: recorded behind the last of them, a run without its own session is as of it."""
+    whole = made(body, sessions=4)
+    first, second, third, last = whole.recordings
+    for mark in ("out_of_distribution", "disturbed"):
+        found = prepare(replace(whole, notes={mark: [last.name]}), body.robot, 0.34, 0)
+        assert isinstance(found, Data) and found.now.session == third.session
+        assert [run.session for run in found.outside] == ([third.session] if mark == "out_of_distribution" else [])
+    between = prepare(replace(whole, notes={"out_of_distribution": [second.name]}), body.robot, 0.34, 0)
+    assert isinstance(between, Data) and between.now.session == last.session
+    assert [run.session for run in between.outside] == [first.session]
+
+
+def test_runs_that_are_left_out_say_nothing_about_frames_and_orientations(body: PccSimulator) -> None:
+    whole = made(body, sessions=4)
+    *others, last = whole.recordings
+    elsewhere = replace(last, position=np.asarray(last.position) + 3.0 * body.robot.length_m)
+    for notes, misplaced in (({}, True), ({"disturbed": [last.name]}, False), ({"out_of_distribution": [last.name]}, False)):
+        found = prepare(replace(whole, recordings=(*others, elsewhere), notes=notes), body.robot, 0.34, 0)
+        assert isinstance(found, Data) and found.misplaced is misplaced and len(found.check.runs) == 4
 
 
 def test_a_coarse_sensor_is_as_wrong_as_its_last_digit(body: PccSimulator) -> None:

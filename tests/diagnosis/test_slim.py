@@ -8,7 +8,7 @@ from softrl.diagnosis.fitting.minimise import Fit
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.fitting.trial import Trial
 from softrl.diagnosis.search.path import Path
-from softrl.diagnosis.search.slim import slim
+from softrl.diagnosis.search.slim import _contained, slim
 from softrl.effects.leak import Leak
 from softrl.pcc.simulator import PccSimulator
 from tests.diagnosis.conftest import configured, made
@@ -32,3 +32,15 @@ def test_a_gate_in_which_nothing_happens_goes_whatever_is_said_of_runs_left_out(
     left = slim(problem, judge, trial, config.search, Path(trial, trial))
     assert left.hypothesis.effects == (Choice("leak", pinned=("exponent",)),)
     np.testing.assert_array_equal(left.squares, lucky)
+
+
+def test_the_law_within_another_keeps_how_suddenly_its_gate_opens() -> None:
+    """What is never bounded is a lag: its gate's width stays pinned, of which its point would know nothing."""
+    gated = Choice("rate_limit", pinned=("over_s",), gate=Gate("since_s", 10.0))
+    axes = effect_axes(gated)
+    point = np.array([axis.scaled(0.0 if axis.name == "lag_s" else 10.0) for axis in axes])
+    trial = Trial(Hypothesis((gated,), ()), Fit(point, np.zeros(1), np.zeros((1, len(point))), 0.0, 0), {}, np.zeros(1), np.zeros(1))
+    ((hypothesis, begin, _),) = _contained(trial, gated)
+    (less,) = hypothesis.effects
+    assert less.name == "lag" and less.pinned == ("over_s",) and len(begin) == len(effect_axes(less))
+    assert np.isfinite(begin).all()

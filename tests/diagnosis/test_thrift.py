@@ -8,6 +8,7 @@ import pytest
 
 from softrl.core.identity import Same
 from softrl.diagnosis.fitting import problem as problems
+from softrl.diagnosis.fitting.bins import Bins
 from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, starts
 from softrl.diagnosis.fitting.minimise import Fit, jacobian_at, least_squares
 from softrl.diagnosis.fitting.problem import Numerics, Problem
@@ -63,10 +64,16 @@ def test_bins_hold_means(tripod: Robot, body: PccSimulator) -> None:
     problem = problem_of(tripod, body)
     run, values = problem.runs[0], np.asarray(problem.runs[0].position)
     found = problem.binned(0, values)
-    number = problem.bins[0]
+    number = problem.bins[0].number
     for k in (0, 7, int(number[-1])):
         np.testing.assert_allclose(found[k], values[number == k].mean(axis=0), rtol=1e-12)
-    assert len(found) == len(set(((run.time - run.time[0]) / NUMERICS.bin_s).astype(int)))
+    assert len(found) == len(set(np.floor((run.time - run.time[0]) / NUMERICS.bin_s + 1e-6)))
+
+
+@pytest.mark.parametrize("began_s", [0.0, 1.7e9])
+def test_rows_as_slow_as_bins_have_one_each(began_s: float) -> None:
+    bins = Bins(began_s + 0.1 * np.arange(750), 0, 0.1)
+    np.testing.assert_array_equal(bins.places, np.arange(750))
 
 
 def test_long_steps_are_corrected_where_they_are_told_to(tripod: Robot, body: PccSimulator) -> None:

@@ -81,6 +81,20 @@ def test_measured_pressures_change_evenly_between_their_samples(uneven_s: float)
     np.testing.assert_allclose(drive[within], swings(grid[within]), atol=40.0)  # held, they are up to 1200 Pa early
 
 
+@pytest.mark.parametrize("late_s", [0.0, 0.1])
+def test_forces_act_when_they_were_measured_however_late_commands_are(late_s: float) -> None:
+    time = 0.1 * np.arange(1, 301)
+
+    def swings(at: np.ndarray) -> np.ndarray:
+        return np.sin(np.outer(at, [1.1, 0.7, 0.4]))
+
+    seldom = Recording("run", "day", time, np.zeros((300, 3)), tip_force=swings(time))
+    grid, _, force = drive_on_grid(seldom, 0.005, "command", 0.0, late_s)
+    within = (grid > time[0]) & (grid < time[-1])
+    assert force is not None
+    np.testing.assert_allclose(force[within], swings(grid[within]), atol=0.004)  # held, they are up to 0.11 N early
+
+
 @pytest.mark.parametrize("period_s", [0.013, 0.07, 0.4])
 def test_a_slow_sensor_reports_the_pose_of_its_last_reading_whatever_the_step(period_s: float) -> None:
     time = np.cumsum(0.02 + 2e-3 * np.random.default_rng(3).uniform(-1.0, 1.0, 1000))

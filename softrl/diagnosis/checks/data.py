@@ -14,8 +14,8 @@ from softrl.diagnosis.checks.quality import torn, unusable
 from softrl.diagnosis.checks.spikes import without_spikes
 from softrl.diagnosis.fitting.problem import MIN_FOLDS
 from softrl.recordings.acting import is_known
-from softrl.recordings.check import DataCheck, check, driven
-from softrl.recordings.gone import Now, in_order, now_after
+from softrl.recordings.check import DataCheck, RunCheck, check, driven
+from softrl.recordings.gone import Now, in_order, now_after, sessions_in_order
 from softrl.recordings.marked import DISTURBED, OUTSIDE, named, without
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.split import split
@@ -36,10 +36,12 @@ class Data:
     Attributes
     ----------
     check : findings
+    shown : of them those of the runs that are fitted or judge
     training : runs that fits see; left out in turn, they choose between hypotheses
     heldout : whole runs that judge once
     outside : runs that the dataset marks as out of distribution (``out_of_distribution`` in its notes: names of runs or
-        sessions); they are neither fitted nor do they decide anything
+        sessions); they are neither fitted nor do they decide anything; a session of such runs alone goes by the name of the
+        one before it, since what acted then did so in it
     pressure : whether every run has measured pressure
     orientation : whether orientations are recorded and can be trusted
     noise : rms of the noise of one sample of the motion, m over all its components
@@ -48,12 +50,14 @@ class Data:
     rounding, pressure_rounding : how much of both is a coarse sensor's last digit, of which no mean of samples gets rid
     travel, pressure_travel : rms about the mean of what the training runs measured, m and Pa
     mended : what was done about wrong samples and pauses, a sentence each
-    now : where recording had come to when the last run ended, whatever fits see of it
+    now : where recording had come to when the last run ended, whatever fits see of it; its session is the last one that they
+        know of
     punctual : whether the dataset says when a row's command acts, so that its log is late by nothing
     at_most : whether the noise of the motion may be less: rows were too slow to tell it from motion
     """
 
     check: DataCheck
+    shown: tuple[RunCheck, ...]
     training: tuple[Recording, ...]
     heldout: tuple[Recording, ...]
     outside: tuple[Recording, ...]
@@ -93,8 +97,13 @@ class Data:
 
     @property
     def misplaced(self) -> bool:
-        """Whether any run shows the tip at rest far from where the base frame has it."""
-        return any(run.misplaced for run in self.check.runs)
+        """Whether any run that is fitted or judges shows the tip at rest far from where the base frame has it."""
+        return any(run.misplaced for run in self.shown)
+
+    @property
+    def period_s(self) -> float:
+        """Median time between the samples of these runs."""
+        return float(np.median([run.period_s for run in self.shown]))
 
     def shortened(self, fit_s: float) -> "Data":
         """Return the data with fits limited to ``fit_s`` of recordings."""
@@ -123,10 +132,11 @@ def prepare(
     seen, dead = without_dead_gauges(seen, robot)
     usable, spiked = without_spikes(seen)
     marked = named(recordings, OUTSIDE)
-    outside = tuple(r for r in usable if marked & {r.name, r.session})
+    apart = tuple(r for r in usable if marked & {r.name, r.session})
     usable = tuple(r for r in usable if not marked & {r.name, r.session})
-    parts, mended = mend_all([*usable, *outside], found)
+    parts, mended = mend_all([*usable, *apart], found)
     intact = tuple(run for run in usable if parts[run.name])
+    shown = tuple(run for run in found.runs if run.name in {run.name for run in intact})
     whole = [part for run in intact for part in parts[run.name]]
     any_marked = bool(marked | named(recordings, DISTURBED))
     reason = _refuse(usable, found, robot, channel, any_marked) or torn(usable, intact, whole, found, robot)
@@ -148,23 +158,35 @@ def prepare(
         return Refusal(found, f"{said}; {slow if floor.at_most else 'drive harder'}")
     return Data(
         replace(found, excited=driven(whole, robot)),
+        shown,
         training,
         heldout,
-        tuple(part for run in outside for part in parts[run.name]),
+        dated(tuple(part for run in apart for part in parts[run.name]), (*training, *heldout)),
         all(r.pressure_meas is not None for r in whole),
-        _orientation_trusted(usable, found, robot),
+        _orientation_trusted(usable, shown, robot),
         floor.noise,
         2.0 * np.sqrt(3.0) * found.noise_floor.get("quaternion", 0.0),  # a turn is twice the quaternion's vector
         pressure_floor.noise,
         travel,
         _travel([r for r in training if r.pressure_meas is not None], lambda run: np.asarray(run.pressure_meas)),
-        now_after(recordings.recordings),
+        now_after(recordings.recordings)._replace(session=sessions_in_order((*training, *heldout))[-1]),
         floor.rounding,
         pressure_floor.rounding,
         (*_too_short(recordings), *copies, *dead, *spiked, *mended),
         is_known(recordings),
         floor.at_most,
     )
+
+
+def dated(outside: tuple[Recording, ...], known: Sequence[Recording]) -> tuple[Recording, ...]:
+    """Return the runs ``outside``, those of sessions without ``known`` ones as of the known session before them, or the first."""
+    sessions = sessions_in_order(known)
+    found = []
+    for run in outside:
+        before = [other for other in known if other.gone_s[-1] <= run.gone_s[-1]]
+        session = sessions_in_order(before)[-1] if before else sessions[0]
+        found.append(run if run.session in sessions else replace(run, session=session))
+    return tuple(found)
 
 
 def _seen_undisturbed(recordings: RecordingSet, channel: str) -> list[Recording]:
@@ -281,8 +303,8 @@ def _seen(run: Recording, robot: Robot) -> np.ndarray:
     return np.asarray(run.position)
 
 
-def _orientation_trusted(usable: Sequence[Recording], found: DataCheck, robot: Robot) -> bool:
-    jumped = any(run.turns_jump for run in found.runs)
+def _orientation_trusted(usable: Sequence[Recording], shown: Sequence[RunCheck], robot: Robot) -> bool:
+    jumped = any(run.turns_jump for run in shown)
     return robot.output == "tip_pose" and not jumped and all(r.quaternion is not None for r in usable)
 
 

@@ -118,7 +118,11 @@ def rise_time(time: np.ndarray, values: np.ndarray) -> float | None:
 
 
 def _steps(run: Recording) -> Iterator[tuple[int, slice, bool]]:
-    """Yield (chamber, samples from the step to the next change of any command, whether it fills)."""
+    """Yield (chamber, samples from the last before the step to the next change of any command, whether it fills).
+
+    A command acts until its row's time, so a step comes right behind the row before: what is quicker than a row has happened
+    at the row of the step.
+    """
     change = np.diff(run.pressure_cmd, axis=0)
     moved = np.flatnonzero(np.any(change != 0.0, axis=1)) + 1
     ends = np.r_[moved[1:], len(run.time)][: len(moved)]
@@ -128,7 +132,7 @@ def _steps(run: Recording) -> Iterator[tuple[int, slice, bool]]:
         chamber = int(np.argmax(np.abs(jump)))
         alone = np.count_nonzero(jump) == 1
         if alone and abs(jump[chamber]) > STEP_SHARE * span[chamber] and run.time[end - 1] - run.time[start] >= HOLD_S:
-            yield chamber, slice(start, end), bool(jump[chamber] > 0.0)
+            yield chamber, slice(start - 1, end), bool(jump[chamber] > 0.0)
 
 
 def _channels(run: Recording, chamber: int) -> Iterator[tuple[str, np.ndarray]]:

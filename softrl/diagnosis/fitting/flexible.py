@@ -87,8 +87,7 @@ def _in_time(problem: Problem, number: int) -> tuple[np.ndarray, np.ndarray]:
 
     Where a pause left bins without samples the pressures are taken to change evenly.
     """
-    run = problem.runs[number]
-    place = np.unique(((run.time[problem.first[number] :] - run.time[0]) / problem.numerics.bin_s).astype(int))
+    place = problem.bins[number].places
     every = np.arange(place[-1] + 1)
     known = pressures(problem, number)
     return place, np.stack([np.interp(every, place, column) for column in known.T], axis=1)

@@ -10,6 +10,7 @@ import numpy as np
 from softrl.core.errors import SolverError
 from softrl.core.identity import Same
 from softrl.core.simulator import Simulator
+from softrl.diagnosis.fitting.bins import Bins
 from softrl.diagnosis.fitting.hypothesis import LASTING, LATE, Hypothesis, Space
 from softrl.diagnosis.fitting.placement import Registration, place
 from softrl.diagnosis.fitting.still_body import StillBody
@@ -142,17 +143,19 @@ class Problem:
         return {name: np.pad(self.later[name], (0, rows))[:rows] for name, rows in longest.items()}
 
     @cached_property
-    def bins(self) -> list[np.ndarray]:
-        """Bin number of every sample that is compared, one array a run, without empty bins."""
-        return [
-            np.unique(((run.time[first:] - run.time[0]) / self.numerics.bin_s).astype(int), return_inverse=True)[1]
-            for run, first in zip(self.runs, self.first, strict=True)
-        ]
+    def bins(self) -> list[Bins]:
+        """The bins of all samples that are compared, run by run."""
+        return [Bins(run.time, first, self.numerics.bin_s) for run, first in zip(self.runs, self.first, strict=True)]
+
+    @cached_property
+    def spacing_s(self) -> float:
+        """Time between bins: that between rows, where those are slower than bins."""
+        return max(self.numerics.bin_s, float(np.median([np.median(np.diff(run.time)) for run in self.runs])))
 
     @cached_property
     def run_of_bin(self) -> np.ndarray:
         """Run number (bins,) of every bin, runs joined."""
-        return np.repeat(np.arange(len(self.runs)), [int(b[-1]) + 1 for b in self.bins])
+        return np.repeat(np.arange(len(self.runs)), [len(bins) for bins in self.bins])
 
     @cached_property
     def seen(self) -> dict[tuple[str, str], list[dict[str, float]]]:
@@ -176,20 +179,12 @@ class Problem:
         parts = -(-wanted // runs)
         found = []
         for number, bins in enumerate(self.bins):
-            count = int(bins[-1]) + 1
-            found.append(number * parts + np.arange(count) * parts // count)
+            found.append(number * parts + np.arange(len(bins)) * parts // len(bins))
         return np.concatenate(found)
-
-    @cached_property
-    def _samples(self) -> list[np.ndarray]:
-        """Number of samples (bins, 1) in every bin, one array a run."""
-        return [np.bincount(which)[:, None] for which in self.bins]
 
     def binned(self, number: int, values: np.ndarray) -> np.ndarray:
         """Return bin means (bins, n) of ``values`` (steps, n) of run ``number``."""
-        which = self.bins[number]
-        sums = np.stack([np.bincount(which, column) for column in values[self.first[number] :].T], axis=1)
-        return np.asarray(sums / self._samples[number])
+        return self.bins[number].mean(values)
 
     @cached_property
     def _known(self) -> dict[tuple[Hypothesis, bytes, tuple[str, ...]], list[Recording]]:

@@ -40,9 +40,10 @@ def along_the_body(problem: Problem, trial: Trial, site: str) -> list[Finding]:
     """Return, for each piece of the body between markers, its share of the bending that the ``trial`` gets wrong.
 
     Uncorrected tests, see ``locate.corrected``: does that bending follow the pressures? Nothing without two markers or more
-    that every run has and shows at rest.
+    that every run has and shows at rest, nor where sessions are placed separately: heights count from the base, of which nothing
+    is known there.
     """
-    markers = _markers(problem)
+    markers = [] if problem.register else _markers(problem)
     if not markers:
         return []
     heights = np.array([0.0, *(marker.share for marker in markers), 1.0]) * problem.robot.length_m

@@ -138,9 +138,9 @@ class _Clock:
     def _holds(self) -> list[list[slice]]:
         """The bins of every run from each move to the next: a row's command acts from the row before on."""
         found = []
-        for which, first, begins in zip(self.judge.problem.bins, self.judge.problem.first, self.moves, strict=True):
-            edges = [int(which[min(max(row - 1 - first, 0), len(which) - 1)]) for row in begins]
-            ends = [*edges[1:], int(which[-1]) + 1][: len(edges)]
+        for bins, first, begins in zip(self.judge.problem.bins, self.judge.problem.first, self.moves, strict=True):
+            edges = [int(bins.number[min(max(row - 1 - first, 0), len(bins.number) - 1)]) for row in begins]
+            ends = [*edges[1:], len(bins)][: len(edges)]
             found.append([slice(a, max(b, a + 1)) for a, b in zip(edges, ends, strict=True)])
         return found
 

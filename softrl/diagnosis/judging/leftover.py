@@ -148,7 +148,7 @@ def reasons_of(judge: Judge, final: Trial, offer: Offer, explained: Explained) -
     elif _changing(judge, heldout) > (FOLLOWING_FACTOR * judge.material) ** 2:
         reasons.append("what is left follows the pressures, but not always in the same way")
     elif left > judge.floor and (line := spectral_line(heldout.runs, drives)).chance < LINE_LEVEL:
-        rate_hz = line.cycles / judge.problem.numerics.bin_s
+        rate_hz = line.cycles / judge.problem.spacing_s
         reasons.append(f"what is left swings at one frequency, {rate_hz:.2g} Hz: record at rest, and see if it swings there, too")
     elif left > UNEVEN_FACTOR * judge.material and _uneven(judge, final, heldout, drives, UNEVEN_FACTOR):
         reasons.append("what is left is no noise: it jumps, or grows where the pressures move")

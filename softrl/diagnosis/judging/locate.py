@@ -165,7 +165,7 @@ def _bands(problem: Problem, main: list[np.ndarray], site: str) -> list[Finding]
     if length < 16 or len(starts_) < 4:
         return []
     window = np.hanning(length)[:, None]
-    frequency = np.fft.rfftfreq(length, problem.numerics.bin_s)[1:]
+    frequency = np.fft.rfftfreq(length, problem.spacing_s)[1:]
     cut_x = np.stack([np.fft.rfft(_level(runs[k][s : s + length]) * window, axis=0)[1:] for k, s in starts_])
     cut_y = np.stack([np.fft.rfft(_level(main[k][s : s + length, None]) * window, axis=0)[1:] for k, s in starts_])
     power_x, power_y = np.sum(np.abs(cut_x) ** 2, axis=0), np.sum(np.abs(cut_y) ** 2, axis=0)

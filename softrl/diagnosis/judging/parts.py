@@ -123,8 +123,7 @@ def _motion_part(problem: Problem, data: Data, title: str, effects: list[str], s
 
 def floor_in_bin(noise: float, rounding: float, data: Data, problem: Problem) -> float:
     """Return the rms that white noise leaves in the mean of a bin, or rounding, which is the same in all its samples."""
-    period = float(np.median([run.period_s for run in data.check.runs]))
-    return max(noise / float(np.sqrt(max(problem.numerics.bin_s / period, 1.0))), rounding)
+    return max(noise / float(np.sqrt(max(problem.numerics.bin_s / data.period_s, 1.0))), rounding)
 
 
 def supplied(runs: Sequence[Recording], valve: Finding, shown: bool = True) -> list[Recording]:

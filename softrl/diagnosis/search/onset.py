@@ -39,9 +39,9 @@ def for_good(fitting: Problem, current: Trial, choices: Sequence[Choice], search
 
 
 def _moments(fitting: Problem) -> np.ndarray:
-    """Return about when each bin (bins,) was recorded, s, all runs one after another: pauses in a run do not count."""
-    within = [np.arange(int(bins[-1]) + 1) * fitting.numerics.bin_s for bins in fitting.bins]
-    return np.concatenate([run.gone_s[-1] + bins for run, bins in zip(fitting.runs, within, strict=True)])
+    """Return about when each bin (bins,) was recorded, s, all runs one after another."""
+    begins = [fitting.numerics.bin_s * bins.places for bins in fitting.bins]
+    return np.concatenate([run.gone_s[-1] + within for run, within in zip(fitting.runs, begins, strict=True)])
 
 
 def _best_onset(fitting: Problem, base: Base, choice: Choice, piece: np.ndarray) -> tuple[int, float]:

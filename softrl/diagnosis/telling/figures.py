@@ -141,13 +141,12 @@ def draw_whiteness(findings: Sequence[Finding]) -> Figure:
     figure = Figure(figsize=(9, 2.8), layout="constrained")
     for ax, finding in zip(figure.subplots(1, len(findings), squeeze=False)[0], findings, strict=True):
         problem = finding.judge.problem
-        bin_s = max(problem.numerics.bin_s, *(float(np.median(np.diff(run.time))) for run in problem.runs))
         for name, residual, colour in (
             ("retuned", finding.residual_before, COLOURS["retuned"]),
             ("corrected", finding.residual_after, COLOURS["corrected"]),
         ):
             lags = min(60, min(len(run) for run in residual.runs) // 2)
-            ax.plot(bin_s * np.arange(lags), _autocorrelation(residual.runs, lags), color=colour, label=name)
+            ax.plot(problem.spacing_s * np.arange(lags), _autocorrelation(residual.runs, lags), color=colour, label=name)
         band = 1.96 / np.sqrt(sum(len(run) for run in finding.residual_after.runs))
         ax.axhspan(-band, band, color="0.85", label="white noise, 95 %")
         ax.set_xlabel("lag, s")

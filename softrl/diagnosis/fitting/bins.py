@@ -1,0 +1,35 @@
+"""Short times whose means are compared: what is faster is noise, or nothing that a fit could follow."""
+
+from functools import cached_property
+
+import numpy as np
+
+ROUNDED = 1e-4  # of a bin: rows at its very edge belong to the bin that begins there, however their times are rounded
+
+
+class Bins:
+    """The bins of a run from its sample ``first`` on, without empty ones.
+
+    Attributes
+    ----------
+    places : (bins,) which bins out of the run's whole time hold samples
+    number : (samples,) of which of these every sample is
+    """
+
+    def __init__(self, time: np.ndarray, first: int, bin_s: float):
+        self._first = first
+        place = ((time[first:] - time[0]) / bin_s + ROUNDED).astype(int)
+        self.places, self.number = np.unique(place, return_inverse=True)
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    @cached_property
+    def _samples(self) -> np.ndarray:
+        """Number of samples (bins, 1) in every bin."""
+        return np.bincount(self.number)[:, None]
+
+    def mean(self, values: np.ndarray) -> np.ndarray:
+        """Return the means (bins, n) of ``values`` (steps, n) of the whole run."""
+        sums = np.stack([np.bincount(self.number, column) for column in values[self._first :].T], axis=1)
+        return np.asarray(sums / self._samples)
