@@ -33,7 +33,7 @@ from softrl.diagnosis.judging.gauges import behind_gauges
 from softrl.diagnosis.judging.join import joined, put_together
 from softrl.diagnosis.judging.locate import corrected, locate
 from softrl.diagnosis.judging.own import differing, told_of
-from softrl.diagnosis.judging.parts import both_at_once, floor_in_bin, part_behind, punctual, valve_part
+from softrl.diagnosis.judging.parts import both_at_once, part_behind, punctual, valve_part
 from softrl.diagnosis.judging.quieter import quieter, supposed
 from softrl.diagnosis.judging.unbelieved import clipping, doubtful, tells_more, told_of_unbelieved
 from softrl.diagnosis.telling.conclusion import cannot_tell, conclude
@@ -226,7 +226,7 @@ def _steps(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Nu
     part = within(data.training, config.search.fit_s)
     body = Problem(robot, simulator, part, config.numerics, "motion", drive, False, False)
     warn_of_cost(body, config.search.workers)
-    floor = floor_in_bin(data.noise, data.rounding, data, body)
+    floor = body.floor(data.noise, data.rounding)
     numerics = suited(body, Judge(body, floor, data.travel, config.thresholds, config.seed).material)
     if numerics != config.numerics:
         log.info("the motion is slow: steps of %g s, and of %g s to rank", numerics.dt_s, numerics.rough_dt_s)
@@ -285,7 +285,7 @@ def _look(config: Config, part: Part) -> Finding:
 def _locate(finding: Finding) -> list[Any]:
     problem = finding.part.problem
     residual = problem.residual(finding.base.hypothesis, finding.base.fit.point, finding.base.placed)
-    found = locate(problem, residual, finding.part.floor, finding.part.title)
+    found = locate(problem, residual, finding.part.floor_of(problem), finding.part.title)
     return found + (along_the_body(problem, finding.base, finding.part.title) if problem.target == "motion" else [])
 
 

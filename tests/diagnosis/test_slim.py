@@ -39,7 +39,8 @@ def test_the_law_within_another_keeps_how_suddenly_its_gate_opens() -> None:
     gated = Choice("rate_limit", pinned=("over_s",), gate=Gate("since_s", 10.0))
     axes = effect_axes(gated)
     point = np.array([axis.scaled(0.0 if axis.name == "lag_s" else 10.0) for axis in axes])
-    trial = Trial(Hypothesis((gated,), ()), Fit(point, np.zeros(1), np.zeros((1, len(point))), 0.0, 0), {}, np.zeros(1), np.zeros(1))
+    fit = Fit(point, np.zeros(1), np.zeros((1, len(point))), 0.0, 0)
+    trial = Trial(Hypothesis((gated,), ()), fit, {}, np.zeros(1), np.zeros(1))
     ((hypothesis, begin, _),) = _contained(trial, gated)
     (less,) = hypothesis.effects
     assert less.name == "lag" and less.pinned == ("over_s",) and len(begin) == len(effect_axes(less))

@@ -23,6 +23,7 @@ from softrl.excite.block import blocks
 from softrl.excite.separation import Sensing
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.gone import Now
+from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 from tests.diagnosis.conftest import configured, made
 
@@ -68,6 +69,18 @@ def test_bins_hold_means(tripod: Robot, body: PccSimulator) -> None:
     for k in (0, 7, int(number[-1])):
         np.testing.assert_allclose(found[k], values[number == k].mean(axis=0), rtol=1e-12)
     assert len(found) == len(set(np.floor((run.time - run.time[0]) / NUMERICS.bin_s + 1e-6)))
+
+
+def test_bins_hold_what_is_said_to_be_left_of_noise(tripod: Robot, body: PccSimulator) -> None:
+    rng, periods = np.random.default_rng(5), (0.01, 0.03, 0.1)
+    times = [period * np.arange(round(200.0 / period)) for period in periods]
+    runs = tuple(Recording(f"{k}", "day", time, np.zeros((len(time), 3))) for k, time in enumerate(times))
+    problem = replace(problem_of(tripod, body), runs=runs)
+    squares = [(problem.binned(k, rng.standard_normal((len(time), 8))) ** 2).mean(axis=1) for k, time in enumerate(times)]
+    assert problem.floor(1.0, 0.0) == pytest.approx(np.sqrt(np.concatenate(squares).mean()), rel=0.03)
+    for k, own in enumerate(squares):
+        assert problem.on(runs[k : k + 1]).floor(1.0, 0.0) == pytest.approx(np.sqrt(own.mean()), rel=0.03)
+    assert problem.floor(1.0, 2.0) == 2.0
 
 
 @pytest.mark.parametrize("began_s", [0.0, 1.7e9])

@@ -29,6 +29,11 @@ class Bins:
         """Number of samples (bins, 1) in every bin."""
         return np.bincount(self.number)[:, None]
 
+    @property
+    def noise_left(self) -> float:
+        """Share of white noise's variance that the means hold."""
+        return float(np.mean(1.0 / self._samples))
+
     def mean(self, values: np.ndarray) -> np.ndarray:
         """Return the means (bins, n) of ``values`` (steps, n) of the whole run."""
         sums = np.stack([np.bincount(self.number, column) for column in values[self._first :].T], axis=1)

@@ -182,6 +182,11 @@ class Problem:
             found.append(number * parts + np.arange(len(bins)) * parts // len(bins))
         return np.concatenate(found)
 
+    def floor(self, noise: float, rounding: float) -> float:
+        """Return the rms that white ``noise`` leaves in the bins, or ``rounding``, which is the same in all samples of one."""
+        left = np.average([bins.noise_left for bins in self.bins], weights=[len(bins) for bins in self.bins])
+        return max(noise * float(np.sqrt(left)), rounding)
+
     def binned(self, number: int, values: np.ndarray) -> np.ndarray:
         """Return bin means (bins, n) of ``values`` (steps, n) of run ``number``."""
         return self.bins[number].mean(values)

@@ -55,7 +55,7 @@ class Part:
     title : "command to measured pressure", "measured pressure to motion" or "command to motion"
     problem : on the training runs, as far as fits see them
     heldout : runs
-    floor, travel : m (Pa): noise in a bin, rms of what is measured
+    noise, rounding, travel : m (Pa): of one sample, see ``Data``; rms of what is measured
     choices : effects to consider
     now : where recording had come to at its end
     """
@@ -63,14 +63,20 @@ class Part:
     title: str
     problem: Problem
     heldout: tuple[Recording, ...]
-    floor: float
+    noise: float
+    rounding: float
     travel: float
     choices: tuple[Choice, ...]
     now: Now
 
     def judge(self, runs: Sequence[Recording], thresholds: Thresholds, seed: int) -> Judge:
         """Return the judge on ``runs``."""
-        return Judge(self.problem.on(runs), self.floor, self.travel, thresholds, seed)
+        problem = self.problem.on(runs)
+        return Judge(problem, self.floor_of(problem), self.travel, thresholds, seed)
+
+    def floor_of(self, problem: Problem) -> float:
+        """Return what noise leaves in a bin of ``problem``, whose runs may have other rates than those of fits."""
+        return problem.floor(self.noise, self.rounding)
 
 
 class Named(NamedTuple):

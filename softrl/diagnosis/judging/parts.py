@@ -41,8 +41,10 @@ def valve_part(whole: Problem, data: Data, effects: list[str], gauges: Sequence[
     problem = replace(whole, target="pressure", register=False, orientation=False, runs=runs, numerics=finer)
     choices = candidates(effects, ("valve",), whole.robot, data.check.excited, gauges_only=True)
     choices += [*that_last(choices, [run.session for run in runs], []), *gauges]
-    floor = floor_in_bin(data.pressure_noise, data.pressure_rounding, data, problem)
-    return Part("command to measured pressure", problem, data.heldout, floor, data.pressure_travel, tuple(choices), data.now)
+    return Part(
+        "command to measured pressure", problem, data.heldout, data.pressure_noise, data.pressure_rounding,
+        data.pressure_travel, tuple(choices), data.now,
+    )  # fmt: skip
 
 
 def punctual(valve: Finding) -> Finding:
@@ -117,13 +119,10 @@ def _motion_part(problem: Problem, data: Data, title: str, effects: list[str], s
     order = sessions_in_order((*data.training, *data.heldout))
     choices = in_some_sessions(wanted, *sessions, order, data.check.excited) + everywhere + that_last(everywhere, *sessions)
     turned = ORIENTATION_LEVER * problem.robot.length_m * data.turn_noise if problem.orientation else 0.0
-    floor = floor_in_bin(float(np.hypot(data.noise, turned)), data.rounding, data, problem)
-    return Part(title, problem.on(data.training), data.heldout, floor, data.travel, tuple(choices), data.now)
-
-
-def floor_in_bin(noise: float, rounding: float, data: Data, problem: Problem) -> float:
-    """Return the rms that white noise leaves in the mean of a bin, or rounding, which is the same in all its samples."""
-    return max(noise / float(np.sqrt(max(problem.numerics.bin_s / data.period_s, 1.0))), rounding)
+    noise = float(np.hypot(data.noise, turned))
+    return Part(
+        title, problem.on(data.training), data.heldout, noise, data.rounding, data.travel, tuple(choices), data.now
+    )
 
 
 def supplied(runs: Sequence[Recording], valve: Finding, shown: bool = True) -> list[Recording]:
