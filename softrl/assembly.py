@@ -114,14 +114,17 @@ class Assembly:
         node = self._effects
         self.used["effect"] = node
         chosen = [_effect(value, f"effect.{key}") for key, value in node.items() if key != "identified"]
+        retuned = False
         if "identified" in node:
             self.modules.append(Diagnosis.__module__)  # what makes corrections of what was found
-            for found in self._artifact(Diagnosis).corrections():
+            diagnosis = self._artifact(Diagnosis)
+            retuned = bool(diagnosis.simulator_parameters)  # see _corrected
+            for found in diagnosis.corrections():
                 cls = effect_class(found["name"])
                 fixed = {"chamber": found["chamber"]} if "chamber" in constructor_hints(cls) else {}
                 chosen.append(_corrected_by(found["name"], found["parameters"] | fixed))
         self.modules += [type(effect).__module__ for effect in chosen]
-        return EffectChain(self.robot, tuple(chosen))
+        return EffectChain(self.robot, tuple(chosen), retuned=retuned)
 
     def _corrected(self, simulator: Any) -> Any:
         """Return the simulator with the parameters that a diagnosis found.

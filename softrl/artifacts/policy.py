@@ -39,7 +39,8 @@ class Policy(Artifact):
     told_as : how positions are told, position or joints
     memory : number of earlier readings in an observation
     average_window : commands in the moving average that it was trained behind
-    effects : names of the effects of the simulator that it was trained on; if any, it takes the robot's own pressures
+    effects : names of the effects of the simulator that it was trained on
+    retuned : whether that simulator has the parameters that a diagnosis found
     """
 
     stage: ClassVar[str] = "rl"
@@ -63,11 +64,17 @@ class Policy(Artifact):
     memory: int = 0
     average_window: int = 1
     effects: tuple[str, ...] = ()
+    retuned: bool = False
 
     @property
     def layers(self) -> int:
         """Number of layers of the actor."""
         return sum(name.startswith("weight_") for name in self.weights)
+
+    @property
+    def corrected(self) -> bool:
+        """Whether it was trained on another simulator than the nominal one: it sends the robot's own pressures, without f_RS."""
+        return bool(self.effects) or self.retuned
 
     @property
     def observation_size(self) -> int:

@@ -27,9 +27,15 @@ class EffectChain:
     effects: tuple[Effect, ...] = ()
     before_s: float = 0.0  # how long a run goes on before its first sample, at which the effects' clocks stand at zero
     temperature: np.ndarray | None = field(default=None, compare=False)  # degree Celsius, one a second from there on
+    retuned: bool = False  # whether the body that they surround has the parameters that a diagnosis found
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "effects", tuple(part for effect in self.effects for part in effect.parts()))
+
+    @property
+    def corrected(self) -> bool:
+        """Whether the simulator is another than the nominal one: it takes the robot's own pressures then, and no f_RS."""
+        return bool(self.effects) or self.retuned
 
     @cached_property
     def ordered(self) -> tuple[Effect, ...]:

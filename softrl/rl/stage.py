@@ -234,4 +234,5 @@ def _policy(
         memory=motion.memory_steps if motion else 0,
         average_window=motion.average_window if motion else 1,
         effects=tuple(effect.name() for effect in effects.effects) if effects else (),
+        retuned=effects.retuned if effects else False,
     )

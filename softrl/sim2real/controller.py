@@ -24,7 +24,7 @@ class PolicyController:
 
     Parameters
     ----------
-    calibration : left out for a policy that was trained on a simulator with effects, which takes the robot's own pressures
+    calibration : left out for a policy that was trained on a corrected simulator, which takes the robot's own pressures
     course : what it follows
     settings : of the watch over the air lines, for a policy with a memory: while one is broken, and until the tip has
         forgotten it, the policy is told that the tip is where it was to be, or it would wind up against what no command can
@@ -35,7 +35,7 @@ class PolicyController:
         self, policy: Policy, surrogate: Surrogate, calibration: Calibration, course: Course, settings: Watch | None = None
     ) -> None:
         require_match(surrogate, calibration)
-        self._chain, self._course = Inference(policy, surrogate, None if policy.effects else calibration), course
+        self._chain, self._course = Inference(policy, surrogate, None if policy.corrected else calibration), course
         self._lines = LineWatch(settings) if settings is not None and policy.memory else None
 
     def watch(self, arrived: Sequence[Sample], step: int) -> None:

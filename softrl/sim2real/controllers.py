@@ -43,8 +43,8 @@ class Models:
 
     @property
     def corrected(self) -> bool:
-        """Whether the simulator has effects: then it takes the robot's own pressures, f_RS was for the nominal one."""
-        return bool(self.plant.chain.effects)
+        """Whether the simulator has effects or was retuned: it takes the robot's own pressures, f_RS was for the nominal one."""
+        return self.plant.chain.corrected
 
     @cached_property
     def surface(self) -> Surface | None:

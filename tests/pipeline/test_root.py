@@ -77,10 +77,18 @@ def test_a_correction_of_another_body_is_refused() -> None:
 
 
 def test_what_a_diagnosis_named_counts_among_the_code_that_a_result_depends_on() -> None:
-    found = SimpleNamespace(corrections=lambda: [{"name": "gain", "parameters": {"gain": 0.9}, "chamber": -1}])
+    gain = {"name": "gain", "parameters": {"gain": 0.9}, "chamber": -1}
+    found = SimpleNamespace(corrections=lambda: [gain], simulator_parameters={})
     assembly = Assembly(SimpleNamespace(), composed("stage=simulate", "effect=identified"), {})
     assembly._artifact = lambda kind: found
     assert assembly._chain().effects and {"softrl.effects.gain", Diagnosis.__module__} <= set(assembly.modules)
+
+
+@pytest.mark.parametrize(("tuned", "corrected"), [({"damping_scale": 1.2}, True), ({}, False)])
+def test_a_body_that_was_retuned_counts_as_corrected_without_any_effect(tuned: dict[str, float], corrected: bool) -> None:
+    assembly = Assembly(SimpleNamespace(), composed("stage=sim2real", "effect=identified"), {})
+    assembly._artifact = lambda kind: SimpleNamespace(corrections=list, simulator_parameters=tuned)
+    assert not assembly._chain().effects and assembly._chain().corrected == corrected
 
 
 def test_a_correction_by_an_older_library_is_refused() -> None:

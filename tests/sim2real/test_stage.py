@@ -13,7 +13,7 @@ from softrl.core.driver import Sample
 from softrl.core.errors import ArtifactError, ConfigError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import NullTracker
-from softrl.effects.chain import chain_of
+from softrl.effects.chain import Plant, chain_of
 from softrl.effects.effect import Effect
 from softrl.effects.lag import Lag
 from softrl.effects.library import names
@@ -22,6 +22,7 @@ from softrl.recordings.recording import RecordingSet
 from softrl.rl.workspace import Workspace
 from softrl.robots.robot import Robot
 from softrl.sim2real.controller import ModelController, PolicyController
+from softrl.sim2real.controllers import Models, controllers, prepare
 from softrl.sim2real.course import Course, task_of
 from softrl.sim2real.drivers.rig import Noise
 from softrl.sim2real.identification import session_program
@@ -171,6 +172,26 @@ def test_the_map_of_the_real_robot_is_applied(everything: Stage) -> None:
     plain = PolicyController(policy, surrogate, calibration, course).pressure(target[0], 0)
     mapped = PolicyController(policy, surrogate, raised, course).pressure(target[0], 0)
     np.testing.assert_allclose(plain - mapped, 700.0, atol=0.1)
+
+
+def test_a_retuned_body_takes_the_robots_own_pressures(everything: Stage, config: Config) -> None:
+    policy, surrogate, calibration = everything.inputs
+    raised = replace(calibration, weights=calibration.weights | {"bias": np.full((2, 3), 700.0)})
+    course = Course.free("three", surrogate.sample_tip[:3])
+
+    def sent(given: Calibration, retuned: bool) -> dict[str, np.ndarray]:
+        """Return what the controllers send at the first target."""
+        plant = Plant(everything.body, replace(chain_of(everything.robot, []), retuned=retuned))
+        task, space = task_of(policy, 3, 0.8), Workspace(surrogate)
+        models = Models(everything.robot, replace(policy, retuned=retuned), space, task, given, plant)
+        made = prepare(models, config.planning, config.pace, course)
+        found = controllers(models, config.planning, config.pace, course, made)
+        return {name: found[name].pressure(course.position[0], 0) for name in ("policy", "feedforward", "planned")}
+
+    for retuned, apart_pa in ((True, 0.0), (False, 700.0)):
+        plain, mapped = sent(calibration, retuned), sent(raised, retuned)
+        for name in plain:
+            np.testing.assert_allclose(plain[name] - mapped[name], apart_pa, atol=0.1, err_msg=name)
 
 
 def test_each_session_differs_and_stays_within_the_limits(tripod: Robot, config: Config) -> None:
