@@ -1,5 +1,6 @@
 """How fast the tip can follow: amplitude over frequency, measured, and as the simulator with its effects predicts."""
 
+import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -12,7 +13,9 @@ from softrl.recordings.program import limited, record
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
+log = logging.getLogger(__name__)
 KNEE = 1.0 / np.sqrt(2.0)  # -3 dB
+OFF_SHARE = 0.01  # of a sweep's duration: by more its tones were others than the ones that are fitted
 
 
 @dataclass(frozen=True)
@@ -131,8 +134,22 @@ def measure(driver: Driver, robot: Robot, settings: Bandwidth) -> tuple[Recordin
         recording = record(driver, robot, time, pressure, "bandwidth", "bandwidth")
     if recording.position is None:
         raise ConfigError("the bandwidth needs a tip position, which this robot does not report")
+    _warn_of_other_tones(time, recording.time)
     began = recording.time[0] - settings.dt_s
     return recording, response(settings, recording.time - began, recording.position)
+
+
+def _warn_of_other_tones(planned: np.ndarray, recorded: np.ndarray) -> None:
+    """Tell of a sweep that took longer or shorter than meant, its times (steps,) s and (samples,) s.
+
+    It does not end the session: what follows the sweep does not depend on it.
+    """
+    meant_s, took_s = float(np.ptp(planned)), float(np.ptp(recorded))
+    if abs(took_s - meant_s) > OFF_SHARE * meant_s:
+        log.warning(
+            "the sweep took %.2f s, not %.2f s: its tones were others than meant and the measured bandwidth is wrong; raise "
+            "stage.bandwidth.dt_s, or find out what holds the commands up", took_s, meant_s,
+        )  # fmt: skip
 
 
 def predict(robot: Robot, plant: Plant, settings: Bandwidth) -> dict[str, Response]:

@@ -9,6 +9,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from softrl.core.config import build
+from softrl.core.driver import Sample
 from softrl.core.errors import ConfigError, DriverError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import NullTracker
@@ -36,6 +37,21 @@ def test_a_slow_valve_has_the_bandwidth_of_its_time_constant(tripod: Robot, body
     low, high = 0.5 / (2 * np.pi * 0.16), 1.4 / (2 * np.pi * 0.16)
     assert low < measured.knee_hz < high, "the valve's, lowered by the body's"
     assert predicted["without_lag"].knee_hz > 1.5 * measured.knee_hz
+
+
+def test_a_sweep_that_takes_longer_than_meant_is_told(
+    tripod: Robot, body: Simulator, silence: Noise, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Stretching(BenchDriver):
+        def advance(self, dt_s: float) -> list[Sample]:
+            return super().advance(self.share * dt_s)
+
+    driver, told = Stretching(tripod, body, silence), {}
+    for driver.share in (1.0, 1.1):
+        caplog.clear()
+        measure(driver, tripod, TONES)
+        told[driver.share] = "the measured bandwidth is wrong" in caplog.text
+    assert told == {1.0: False, 1.1: True}
 
 
 def test_the_sweep_keeps_the_limits(tripod: Robot) -> None:

@@ -12,11 +12,12 @@ import pytest
 
 from softrl.core.errors import ConfigError, DriverError
 from softrl.core.simulator import Simulator
+from softrl.effects.chain import chain_of
 from softrl.robots.robot import Robot
 from softrl.sim2real.drivers.ports import SerialDriver, UdpDriver
 from softrl.sim2real.drivers.protocol import PRESSURE_PA, Decoder, Flag, Frame, Kind, State, Welcome, counts
-from softrl.sim2real.drivers.regulator import WiredRig
-from softrl.sim2real.drivers.rig import Noise
+from softrl.sim2real.drivers.regulator import Regulator, WiredRig
+from softrl.sim2real.drivers.rig import Hardware, Noise
 from softrl.sim2real.drivers.transport import SerialTransport, Transport, UdpTransport
 from tests.sim2real.line import LEVEL, Line, Spoil, driver_on, silent
 
@@ -29,6 +30,28 @@ def test_a_clean_line_loses_nothing(line: Line, tripod: Robot) -> None:
     clock = np.array([sample.time_s for sample in driver.samples])
     np.testing.assert_allclose(np.diff(clock), 0.01, atol=1e-9)
     assert not driver.samples[-1].commanded.any() and driver.dropped == 0
+
+
+class SlowLine(Line):
+    """A line whose samples are far enough apart that a caller in the same process is prompt."""
+
+    def receive(self) -> bytes:
+        time.sleep(0.01)
+        return super().receive()
+
+
+@pytest.mark.parametrize("rate_hz", [20.0, 30.0])
+def test_a_program_takes_as_long_as_it_says_though_samples_are_seldom(
+    tripod: Robot, body: Simulator, silence: Noise, rate_hz: float
+) -> None:
+    line = SlowLine(Regulator(Hardware(body, chain_of(tripod, []), silence, rate_hz, rate_hz, 0.08), 0))
+    with driver_on(line, tripod, link_timeout_s=5.0) as driver:
+        began_s = driver.samples[-1].time_s
+        for _ in range(100):
+            driver.command(LEVEL)
+            driver.advance(0.01)
+        took_s = driver.samples[-1].time_s - began_s
+    assert took_s == pytest.approx(1.0, abs=2.0 / rate_hz)
 
 
 def spoilers(rng: np.random.Generator) -> dict[str, Spoil]:

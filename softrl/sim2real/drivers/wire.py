@@ -121,7 +121,7 @@ class WireDriver:
     def advance(self, dt_s: float) -> list[Sample]:
         """Wait until ``dt_s`` has passed on the device's clock and return the samples that arrived.
 
-        Time that the caller took since the last call is part of it; a caller who took longer is not caught up with.
+        Time that the caller took since the last call is part of it; a caller who took a sample longer is not caught up with.
 
         Raises
         ------
@@ -132,7 +132,7 @@ class WireDriver:
         with self._fresh:
             before = self._returned
             self._until_s += dt_s
-            if self._until_s <= self._clock_s:
+            if self._until_s <= self._clock_s - self._setpoint_period_s:  # a prompt one may be asked between two samples
                 self._until_s = self._clock_s + dt_s
             half_s = 0.5 * self._setpoint_period_s
             while self._clock_s < self._until_s - half_s:
