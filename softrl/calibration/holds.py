@@ -44,21 +44,21 @@ class Holds:
 
 def record_holds(
     driver: Driver, robot: Robot, runs: int, holds: int, hold_s: float, dt_s: float, rng: np.random.Generator,
-    again: bool = False,
+    again: bool = False, recordings: list[Recording] | None = None,
 ) -> RecordingSet:  # fmt: skip
     """Return ``runs`` recordings of ``holds`` random constant pressures each, made on the robot behind ``driver``.
 
-    With ``again`` one more follows, ``AGAIN``: the pressures of the first in another order.
+    With ``again`` one more follows, ``AGAIN``: the pressures of the first in another order, if its tips were seen. Each run is
+    added to ``recordings`` as it comes, so that a caller has those before a fault.
     """
-    recordings = []
+    recordings = [] if recordings is None else recordings
     with driver:
         for run in range(runs):
             time, pressure = random_steps(robot, holds, hold_s, dt_s, rng)
             recordings.append(record(driver, robot, time, pressure, f"holds_{run + 1}", "calibration"))
-        if again:
-            first = recordings[0]
-            rows = [last for _, last in _constant_stretches(first, 0.5 * hold_s)]
-            levels = rng.permutation(first.pressure_cmd[rows])
+        rows = [last for _, last in _constant_stretches(recordings[0], 0.5 * hold_s)]
+        if again and rows:
+            levels = rng.permutation(recordings[0].pressure_cmd[rows])
             recordings.append(record(driver, robot, *steps_and_holds(robot, levels, hold_s, dt_s), AGAIN, "calibration"))
     return RecordingSet(robot.name, tuple(recordings), {"program": f"{holds} random holds of {hold_s:g} s a run"})
 

@@ -22,8 +22,9 @@ from softrl.core.errors import ConfigError, RecordingError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
 from softrl.effects.chain import EffectChain, Plant
+from softrl.recordings.keep import keeping
 from softrl.recordings.marked import DISTURBED, OUTSIDE, without
-from softrl.recordings.recording import RecordingSet
+from softrl.recordings.recording import Recording, RecordingSet
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
@@ -117,14 +118,27 @@ def run(
     """
     rng = np.random.default_rng(config.seed)
     material = _fit_material(config, tracker) if config.material_curve else {}
-    if recordings is None:
+    plant = Plant(simulator, effects)
+    if recordings is not None:
+        return _calibrated(config, plant, recordings, material, rng, tracker)
+    made: list[Recording] = []
+    with keeping(made, driver, robot, tracker):  # whatever is wrong with a session is found out while its recordings are kept
         recordings = record_holds(
-            driver, robot, config.runs, config.holds_per_run, config.hold_s, config.dt_s, rng, config.visit_again
+            driver, robot, config.runs, config.holds_per_run, config.hold_s, config.dt_s, rng, config.visit_again, made
         )
+        calibration = _calibrated(config, plant, recordings, material, rng, tracker)
+    return calibration
+
+
+def _calibrated(
+    config: Config, plant: Plant, recordings: RecordingSet, material: dict[str, object], rng: np.random.Generator,
+    tracker: Tracker,
+) -> Calibration:  # fmt: skip
+    """Return f_RS of the holds in ``recordings``, trained and reported, beside the material's law."""
+    simulator, robot = plant.simulator, plant.chain.robot
     recordings = _fit_for_training(recordings)
     drift_max_m = 1e-3 * config.drift_max_mm
     every = settled_holds(recordings, config.hold_min_s, config.average_s, drift_max_m, loaded_from_n(robot))
-    plant = Plant(simulator, effects)
     rest = _resting(config, plant, every)
     holds, rest, pressure_sim = _invert(config, plant, recordings, every, rest)
     inverted_by = "reduced model" if has_exact_inverse(simulator, robot) else "simulator"
@@ -134,7 +148,7 @@ def run(
     heldout = split_holds(holds, config.heldout_share, rng)
     ensemble = _train(config, holds.pressure[~heldout], pressure_sim[~heldout])
     calibration = _assemble(plant, ensemble, holds, pressure_sim, heldout, material, inverted_by, every.position)
-    for _ in range(REFINEMENTS if effects.effects else 0):
+    for _ in range(REFINEMENTS if plant.chain.effects else 0):
         pressure_sim = _refined(config, plant, recordings, holds, rest, calibration)
         ensemble = _train(config, holds.pressure[~heldout], pressure_sim[~heldout])
         calibration = _assemble(plant, ensemble, holds, pressure_sim, heldout, material, inverted_by, every.position)

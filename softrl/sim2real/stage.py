@@ -14,6 +14,7 @@ from softrl.core.progress import progress
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
 from softrl.effects.chain import EffectChain, Plant
+from softrl.recordings.keep import keeping
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.rl.workspace import Workspace
 from softrl.robots.robot import Robot
@@ -23,7 +24,6 @@ from softrl.sim2real.course import courses, task_of
 from softrl.sim2real.disturbance import Breakable, Disturbance
 from softrl.sim2real.figures import draw_bandwidth, draw_recovery, draw_rollouts, draw_session
 from softrl.sim2real.identification import Identification, record_sessions
-from softrl.sim2real.keep import keeping
 from softrl.sim2real.planning import Planning
 from softrl.sim2real.report import report_bandwidth, report_recovery, report_rollouts
 from softrl.sim2real.rollout import Pace, Rollout

@@ -30,10 +30,11 @@ class FakeDriver:
     noise_m: float = 0.0
     connected: bool = False
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(3))
+    samples: list[Sample] = field(default_factory=list)
 
     def __enter__(self) -> Self:
         self.state, self.time_s, self.connected = self.body.reset(), 0.0, True
-        self.sent = np.zeros(self.chambers)
+        self.sent, self.samples = np.zeros(self.chambers), []
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -49,7 +50,8 @@ class FakeDriver:
         self.time_s += dt_s
         position, quaternion = self.body.observe(self.state)
         position = position + self.noise_m * self.rng.standard_normal(3)
-        return [Sample(self.time_s, self.sent, self.sent, position, quaternion, np.zeros(3))]
+        self.samples.append(Sample(self.time_s, self.sent, self.sent, position, quaternion, np.zeros(3)))
+        return self.samples[-1:]
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,7 @@
 """The stage on a robot whose pressures are known to be off: it finds them, and the simulator then meets the robot."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,8 @@ from softrl.calibration.kinematics import rotation_vector
 from softrl.calibration.pressure_map import PressureMap
 from softrl.calibration.replay import replay, replay_errors
 from softrl.calibration.stage import Config, run
-from softrl.core.driver import Driver
-from softrl.core.errors import ConfigError, RecordingError
+from softrl.core.driver import Driver, Sample
+from softrl.core.errors import ConfigError, DriverError, RecordingError
 from softrl.core.tracking import NullTracker
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.viscoelasticity import Viscoelasticity
@@ -145,6 +146,51 @@ def test_the_first_run_is_visited_again_in_another_order(driver: Driver, robot: 
     assert [r.name for r in made.recordings[2:]] == [AGAIN]
     visited = [set(map(tuple, settled_holds(RecordingSet("x", (r,)), 0.5, 0.2, 1.0).pressure)) for r in (first, last)]
     assert visited[0] == visited[1] and not np.array_equal(first.pressure_cmd, last.pressure_cmd)
+
+
+class Folder(NullTracker):
+    """Keeps texts."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.texts: dict[str, str] = {}
+
+    def text(self, name: str, content: str) -> None:
+        self.texts[name] = content
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, DriverError])
+def test_what_was_recorded_before_a_session_broke_off_is_kept(
+    driver: Driver, robot: Robot, body: PccSimulator, tmp_path: Path, error: type[BaseException]
+) -> None:
+    advance, tracker, c = driver.advance, Folder(), config()
+    one_run_s = len(random_steps(robot, c.holds_per_run, c.hold_s, c.dt_s, np.random.default_rng(0))[0]) * c.dt_s
+
+    def broken(dt_s: float) -> list[Sample]:
+        if driver.time_s > 1.5 * one_run_s:  # type: ignore[attr-defined]
+            raise error("cable")
+        return advance(dt_s)
+
+    driver.advance = broken  # type: ignore[method-assign]
+    with pytest.raises(error, match="cable"):
+        run(c, robot, body, chain_of(robot, ()), driver, None, tracker=tracker)
+    for name, text in tracker.texts.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    kept = RecordingSet.read(tmp_path / "interrupted", {}).recordings
+    assert [r.name for r in kept] == ["holds_1", "interrupted"]
+    assert np.ptp(np.hstack([r.time for r in kept])) == pytest.approx(1.5 * one_run_s, rel=0.05)
+    assert kept[1].time[0] > kept[0].time[-1], "nothing is kept twice"
+
+
+def test_a_camera_that_never_sees_the_tip_is_told_and_its_recordings_are_kept(
+    driver: Driver, robot: Robot, body: PccSimulator
+) -> None:
+    advance, tracker = driver.advance, Folder()
+    driver.advance = lambda dt_s: [replace(s, position=np.full(3, np.nan)) for s in advance(dt_s)]  # type: ignore[method-assign]
+    with pytest.raises(RecordingError, match="hold 0 settled holds with tip positions"):
+        run(config(visit_again=True), robot, body, chain_of(robot, ()), driver, None, tracker=tracker)
+    assert "interrupted/holds_1.csv" in tracker.texts
 
 
 def test_moving_rows_are_those_soon_after_a_change() -> None:

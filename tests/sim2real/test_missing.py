@@ -16,13 +16,13 @@ from softrl.core.errors import ArtifactError, DriverError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import NullTracker
 from softrl.effects.chain import chain_of
+from softrl.recordings.keep import keeping
 from softrl.recordings.program import recording_of
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.robots.robot import Robot
 from softrl.sim2real import stage
 from softrl.sim2real.course import Course
 from softrl.sim2real.drivers.rig import Noise
-from softrl.sim2real.keep import keeping
 from softrl.sim2real.rollout import Pace, Rollout, follow
 from tests.sim2real.conftest import BenchDriver
 

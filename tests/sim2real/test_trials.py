@@ -15,6 +15,7 @@ from softrl.core.simulator import Simulator
 from softrl.core.tracking import NullTracker
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.lag import Lag
+from softrl.recordings.keep import keeping
 from softrl.recordings.program import recording_of
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.robots.robot import Robot
@@ -22,7 +23,6 @@ from softrl.sim2real.bandwidth import Bandwidth, measure, predict, sweep
 from softrl.sim2real.course import Course
 from softrl.sim2real.disturbance import Disturbance, recovery
 from softrl.sim2real.drivers.rig import Hardware, Noise, Rig, sample_of
-from softrl.sim2real.keep import keeping
 from softrl.sim2real.rollout import Rollout
 from tests.sim2real.conftest import CONF, BenchDriver
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from softrl.core.driver import Driver
+from softrl.core.driver import Driver, Sample
 from softrl.core.errors import DriverError
 from softrl.core.tracking import Tracker
 from softrl.recordings.program import recording_of
@@ -18,6 +18,11 @@ from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
 FOLDER = "interrupted"
+# channel of a recording -> the same in a sample
+REPORTED = {
+    "pressure_cmd": "commanded", "pressure_meas": "pressure", "position": "position", "quaternion": "quaternion",
+    "tip_force": "tip_force",
+}  # fmt: skip
 
 
 @contextmanager
@@ -36,23 +41,34 @@ def keeping(recordings: Sequence[Recording], driver: Driver, robot: Robot, track
 
 def _begun(recordings: Sequence[Recording], driver: Driver, robot: Robot) -> list[Recording]:
     """Return the run that the driver was in, unless it was finished or had hardly begun."""
-    samples = list(driver.samples)
-    if len(samples) < 2:
+    samples, last = list(driver.samples), None
+    for run in recordings:
+        if _holds(samples, run):  # finished since the driver was entered: it is kept already
+            samples, last = [s for s in samples if s.time_s > run.time[-1]], run.pressure_cmd[-1]
+    if len(samples) < 2 or (last is not None and _ends(samples, last)):
         return []
     try:
-        begun = recording_of(samples, robot, FOLDER, FOLDER)
+        return [recording_of(samples, robot, FOLDER, FOLDER)]
     except DriverError as error:
         log.warning("%s: that run is not kept", error)
         return []
-    return [] if recordings and _finished(begun, recordings[-1]) else [begun]
 
 
-def _finished(begun: Recording, last: Recording) -> bool:
-    """Return whether ``begun`` is the run ``last``, which has all its samples but those of its venting."""
-    channels = dict(begun.channels())
-    return all(
-        name in channels and np.array_equal(channels[name][: len(values)], values) for name, values in last.channels()
+def _holds(samples: list[Sample], run: Recording) -> bool:
+    """Return whether all that ``run`` tells is among ``samples``."""
+    by_time = {sample.time_s: sample for sample in samples}
+    rows = [by_time[time_s] for time_s in run.time.tolist() if time_s in by_time]
+    return len(rows) == len(run.time) and all(
+        np.array_equal(np.stack([getattr(row, REPORTED[name]) for row in rows]), values)
+        for name, values in run.channels()
+        if name in REPORTED
     )
+
+
+def _ends(samples: list[Sample], last: np.ndarray) -> bool:
+    """Return whether ``samples`` go on with a run's ``last`` command (chambers,) Pa until they are vented, and no further."""
+    commanded = np.stack([sample.commanded for sample in samples])
+    return bool(((commanded == last).all(axis=1) | (commanded == 0.0).all(axis=1)).all())
 
 
 def _store(recordings: list[Recording], robot: Robot, tracker: Tracker) -> None:
