@@ -3,6 +3,7 @@
 import logging
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -60,6 +61,13 @@ class SensorNoise:
 
 
 @dataclass(frozen=True)
+class Usual(Identification):
+    """The program of an identification as this stage's configuration names it."""
+
+    key: ClassVar[str] = "stage.usual"
+
+
+@dataclass(frozen=True)
 class Config:
     """What to tell apart, and within what.
 
@@ -87,7 +95,7 @@ class Config:
     tuned_factor: float
     sensing: SensorNoise
     effort: Effort
-    usual: Identification
+    usual: Usual
     out: str | None
     seed: int
 

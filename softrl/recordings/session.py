@@ -1,6 +1,7 @@
 """The program that a session of identification runs by default."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -26,6 +27,8 @@ class Identification:
     staircase_levels, staircase_repeats, staircase_period_s : rising maxima, each repeated: shows softening
     """
 
+    key: ClassVar[str] = "stage.identification"  # where it stands in the configuration
+
     sessions: int
     dt_s: float
     rest_s: float
@@ -43,7 +46,7 @@ class Identification:
     def __post_init__(self) -> None:
         if self.sessions < 2:
             raise ConfigError(
-                f"stage.identification.sessions={self.sessions}; expected 2 or more, so that one can be held out"
+                f"{self.key}.sessions={self.sessions}; expected 2 or more, so that one can be held out"
             )
         positive = (
             "dt_s", "step_count", "step_hold_s", "multisine_s", "triangle_cycles", "staircase_levels",
@@ -51,28 +54,28 @@ class Identification:
         )  # fmt: skip
         for name in positive:
             if getattr(self, name) <= 0:
-                raise ConfigError(f"stage.identification.{name}={getattr(self, name):g} must be positive")
+                raise ConfigError(f"{self.key}.{name}={getattr(self, name):g} must be positive")
         if self.rest_s < 0:
-            raise ConfigError(f"stage.identification.rest_s={self.rest_s:g} must not be negative")
+            raise ConfigError(f"{self.key}.rest_s={self.rest_s:g} must not be negative")
         self._require_triangles()
         self._require_multisine()
 
     def _require_triangles(self) -> None:
         """Refuse periods at which a triangle would have no sample off zero, and be missing without a word."""
         if not self.triangle_periods_s:
-            raise ConfigError("stage.identification.triangle_periods_s=[] is empty; expected one period or more")
+            raise ConfigError(f"{self.key}.triangle_periods_s=[] is empty; expected one period or more")
         shortest_s = {"triangle_periods_s": min(self.triangle_periods_s), "staircase_period_s": self.staircase_period_s}
         for name, period_s in shortest_s.items():
             if round(period_s / self.dt_s) < 2:
                 raise ConfigError(
-                    f"stage.identification.{name}: {period_s:g} s is too short; expected two commands a triangle or more, "
+                    f"{self.key}.{name}: {period_s:g} s is too short; expected two commands a triangle or more, "
                     f"{2.0 * self.dt_s:g} s at dt_s={self.dt_s:g}"
                 )
 
     def _require_multisine(self) -> None:
         """Refuse tones that cannot be drawn, or would be others once they are sampled."""
         low_hz, high_hz = self.multisine_band_hz
-        said = f"stage.identification.multisine_band_hz={list(self.multisine_band_hz)}"
+        said = f"{self.key}.multisine_band_hz={list(self.multisine_band_hz)}"
         if not 0.0 < low_hz <= high_hz:
             raise ConfigError(f"{said}; expected a lowest tone above 0 Hz, and a highest one that is not below it")
         if high_hz >= 0.5 / self.dt_s:
@@ -82,12 +85,12 @@ class Identification:
             )
         if self.multisine_s * high_hz < 1.0:
             raise ConfigError(
-                f"stage.identification.multisine_s={self.multisine_s:g} is too short; expected one period of the highest "
+                f"{self.key}.multisine_s={self.multisine_s:g} is too short; expected one period of the highest "
                 f"tone or more, {1.0 / high_hz:g} s"
             )
         if not 0.0 < self.multisine_share <= 1.0:
             raise ConfigError(
-                f"stage.identification.multisine_share={self.multisine_share:g}; expected a share of the pressure range, above 0 "
+                f"{self.key}.multisine_share={self.multisine_share:g}; expected a share of the pressure range, above 0 "
                 "and at most 1"
             )
 

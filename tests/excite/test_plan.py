@@ -226,7 +226,8 @@ def test_normal_of_a_truth_is_its_gap_to_the_rival() -> None:
 @pytest.mark.parametrize(
     ("changed", "told"),
     [({"effort": {"repeats": 0}}, "effort.repeats=0; expected 1 or more"),
-     ({"sensing": {"pressure_kpa": 0.0}}, "pressure_kpa=0.0; expected positive numbers, or null")],
+     ({"sensing": {"pressure_kpa": 0.0}}, "pressure_kpa=0.0; expected positive numbers, or null"),
+     ({"usual": {"multisine_share": 1.1}}, r"stage\.usual\.multisine_share=1.1; expected a share")],
 )  # fmt: skip
 def test_what_no_search_can_work_with_is_refused_at_once(changed: dict[str, Any], told: str) -> None:
     with pytest.raises(ConfigError, match=told):
