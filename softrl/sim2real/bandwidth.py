@@ -153,12 +153,16 @@ def _warn_of_other_tones(planned: np.ndarray, recorded: np.ndarray) -> None:
 
 
 def predict(robot: Robot, plant: Plant, settings: Bandwidth) -> dict[str, Response]:
-    """Return what the simulator says: with all its effects, and without each of them (``without_<effect>``)."""
+    """Return what the simulator says: with all its effects, and without those of each name (``without_<effect>``).
+
+    Effects of one name are one thing that acts in several places, as the lag of each chamber's valve.
+    """
     time, pressure = sweep(robot, settings)
 
     def of(chain: EffectChain) -> Response:
         return response(settings, time, Plant(plant.simulator, chain).simulate(time, pressure).position)
 
     effects = plant.chain.effects
-    less = {e.name(): EffectChain(robot, tuple(other for other in effects if other is not e)) for e in effects}
+    names = dict.fromkeys(effect.name() for effect in effects)
+    less = {name: EffectChain(robot, tuple(other for other in effects if other.name() != name)) for name in names}
     return {"predicted": of(plant.chain)} | {f"without_{name}": of(chain) for name, chain in less.items()}

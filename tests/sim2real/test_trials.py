@@ -39,6 +39,15 @@ def test_a_slow_valve_has_the_bandwidth_of_its_time_constant(tripod: Robot, body
     assert predicted["without_lag"].knee_hz > 1.5 * measured.knee_hz
 
 
+def test_effects_of_one_name_are_left_out_together_whatever_their_order(tripod: Robot, body: Simulator) -> None:
+    lags = [Lag(0.16, 0.16, chamber=0), Lag(0.08, 0.08, chamber=1)]
+    without = predict(tripod, Plant(body, chain_of(tripod, [])), TONES)["predicted"]
+    for order in (lags, lags[::-1]):
+        found = predict(tripod, Plant(body, chain_of(tripod, order)), TONES)
+        assert found["predicted"].knee_hz < 0.7 * without.knee_hz
+        np.testing.assert_allclose(found["without_lag"].ratio, without.ratio)
+
+
 def test_a_sweep_that_takes_longer_than_meant_is_told(
     tripod: Robot, body: Simulator, silence: Noise, caplog: pytest.LogCaptureFixture
 ) -> None:
