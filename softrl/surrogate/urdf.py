@@ -4,7 +4,8 @@ import numpy as np
 
 from softrl.surrogate.dimensions import Dimensions
 
-HINGE_MASS_KG = 1e-3  # the two hinges of a gap need a link between them; its mass is part of the total
+HINGE_MASS_KG = 1e-3  # the two hinges of a gap need links of their own, whose mass is part of the total
+HINGE_SHARE = 0.2  # of a gap's mass, at most: that of a light robot is in its planes as well
 EFFORT, VELOCITY = 1e4, 1e2
 
 
@@ -20,21 +21,22 @@ def write_urdf(
     """
     d = dimensions
     gaps = len(d.plane_height)
-    share = mass / gaps - 2.0 * HINGE_MASS_KG
+    hinge_mass = min(HINGE_MASS_KG, HINGE_SHARE * mass / gaps)
+    share = mass / gaps - 2.0 * hinge_mass
     pitch = float(np.diff(d.plane_height, prepend=0.0).mean())
     parts = [_link("base", share, d.plane_radius[0], d.joint_height[0] * 0.5, 0.25 * d.joint_height[0])]
     parent, below = "base", 0.0
     for k in range(gaps):
         hinge, plane = d.joint_height[k], d.plane_height[k]
         parts += [
-            _hinge(f"hinge_x_{k}"), _hinge(f"hinge_y_{k}"),
+            _hinge(f"hinge_x_{k}", hinge_mass), _hinge(f"hinge_y_{k}", hinge_mass),
             _link(f"plane_{k}", share, d.plane_radius[k], 0.2 * pitch, 0.0),
             _joint(f"theta_x_{k}", "revolute", parent, f"hinge_x_{k}", hinge - below, "1 0 0", joint_low[0], joint_high[0]),
             _joint(f"theta_y_{k}", "revolute", f"hinge_x_{k}", f"hinge_y_{k}", 0.0, "0 1 0", joint_low[1], joint_high[1]),
             _joint(f"slide_{k}", "prismatic", f"hinge_y_{k}", f"plane_{k}", plane - hinge, "0 0 1", joint_low[2], joint_high[2]),
         ]  # fmt: skip
         parent, below = f"plane_{k}", plane
-    parts += [_tip(tip_radius), f'<joint name="tip_mount" type="fixed"><origin xyz="0 0 {d.tip_height - below:.9g}"/>'
+    parts += [_tip(tip_radius, hinge_mass), f'<joint name="tip_mount" type="fixed"><origin xyz="0 0 {d.tip_height - below:.9g}"/>'
               f'<parent link="{parent}"/><child link="tip"/></joint>']  # fmt: skip
     return f'<?xml version="1.0"?>\n<robot name="{name}">\n' + "\n".join(parts) + "\n</robot>\n"
 
@@ -50,17 +52,17 @@ def _link(name: str, mass: float, radius: float, thickness: float, centre: float
     )
 
 
-def _hinge(name: str) -> str:
+def _hinge(name: str, mass: float) -> str:
     # as a ball of 10 mm radius
-    inertia = 0.4 * HINGE_MASS_KG * 0.01**2
-    return f'<link name="{name}"><inertial><mass value="{HINGE_MASS_KG:.9g}"/>{_inertia(inertia, inertia)}</inertial></link>'
+    inertia = 0.4 * mass * 0.01**2
+    return f'<link name="{name}"><inertial><mass value="{mass:.9g}"/>{_inertia(inertia, inertia)}</inertial></link>'
 
 
-def _tip(radius: float) -> str:
-    inertia = 0.4 * HINGE_MASS_KG * 0.01**2
+def _tip(radius: float, mass: float) -> str:
+    inertia = 0.4 * mass * 0.01**2
     ball = f'<geometry><sphere radius="{radius:.9g}"/></geometry>'
     return (
-        f'<link name="tip"><inertial><mass value="{HINGE_MASS_KG:.9g}"/>{_inertia(inertia, inertia)}</inertial>'
+        f'<link name="tip"><inertial><mass value="{mass:.9g}"/>{_inertia(inertia, inertia)}</inertial>'
         f"<visual>{ball}</visual><collision>{ball}</collision></link>"
     )
 

@@ -1,6 +1,7 @@
 """The surrogate as a body: the simulator contract, and rest where f_SP says."""
 
 import pickle
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -8,8 +9,10 @@ import pytest
 from softrl.artifacts.surrogate import Surrogate
 from softrl.core.errors import ArtifactError, ConfigError, SolverError
 from softrl.robots.robot import Robot
+from softrl.surrogate.dimensions import dimensions_of
 from softrl.surrogate.simulator import SurrogateSimulator
 from softrl.surrogate.twin import Twin
+from softrl.surrogate.urdf import write_urdf
 
 DT_S = 0.02
 
@@ -53,6 +56,16 @@ def test_misuse_is_refused(simulator: SurrogateSimulator, robot: Robot) -> None:
         replace(simulator, robot=replace(robot, name="other"))
     with pytest.raises(ConfigError, match="body and load"):
         simulator.step(simulator.reset(), np.zeros(3), DT_S, body=[object()])  # type: ignore[list-item]
+
+
+@pytest.mark.parametrize("mass_kg", [0.006, 0.012, 0.04, 1.1])
+def test_the_links_of_a_light_robot_weigh_what_it_weighs(robot: Robot, mass_kg: float) -> None:
+    chain = dimensions_of(robot, None, robot.length_m, 6)
+    urdf = ElementTree.fromstring(write_urdf("light", chain, mass_kg, -np.ones(3), np.ones(3), 0.005))
+    mass = {link.attrib["name"]: float(link.find("inertial/mass").attrib["value"]) for link in urdf.iter("link")}
+    assert min(mass.values()) > 0.0
+    assert sum(mass.values()) - mass["base"] - mass["tip"] == pytest.approx(mass_kg)
+    assert mass["tip"] < 0.04 * mass_kg
 
 
 def test_jumps_settle(simulator: SurrogateSimulator) -> None:
