@@ -42,7 +42,7 @@ class Inverted(NamedTuple):
 
 
 class PressureToJoints:
-    """f_SP (eq. 14) and its inverse; both clip nothing but what lies outside the range of motion or of pressures."""
+    """f_SP (eq. 14) and its inverse, whose pressures are within the sampled range; f_SP goes on beyond it by its slope."""
 
     def __init__(self, surrogate: Surrogate) -> None:
         s = surrogate
@@ -53,9 +53,19 @@ class PressureToJoints:
         self.tables = tables_of(surrogate)
 
     def joints(self, pressure: np.ndarray) -> np.ndarray:
-        """Return theta (B, 3) rad, rad, m under ``pressure`` (B, n) Pa; pressures beyond the sampled range are clipped."""
-        scaled = np.clip(self._pressure.scale(np.asarray(pressure, dtype=float)), self._low, self._high)
-        return self._joints.unscale(network(self._forward, scaled))
+        """Return theta (B, 3) rad, rad, m under ``pressure`` (B, n) Pa.
+
+        Notes
+        -----
+        Beyond the sampled range f_SP goes on from the nearest pressures within it, by its slope there (to first order): a
+        softer body or one whose valves give too much bends further, and what the network would say there is arbitrary.
+        """
+        scaled = np.atleast_2d(self._pressure.scale(np.asarray(pressure, dtype=float)))
+        within = np.clip(scaled, self._low, self._high)
+        answer = network(self._forward, within)
+        if not np.array_equal(within, scaled):
+            answer = answer + _beyond(within, scaled - within, self.tables.forward)
+        return self._joints.unscale(answer)
 
     def pressure(self, theta: np.ndarray) -> np.ndarray:
         """Return the pressures (B, n) Pa within the sampled range whose joints come nearest to ``theta`` (B, 3)."""
@@ -142,6 +152,16 @@ def evaluate(net: Network, inputs: np.ndarray, slope: bool) -> tuple[np.ndarray,
         now = after
     result += now
     return result[0], result[1:]
+
+
+@nb.njit(cache=True)
+def _beyond(within: np.ndarray, left: np.ndarray, net: Network) -> np.ndarray:
+    """Return what the slopes at ``within`` (B, n) add to the outputs (B, k) over the rest of the way, ``left`` (B, n)."""
+    added = np.zeros((len(within), net.skip.shape[1]))
+    for b in range(len(within)):
+        if np.any(left[b] != 0.0):
+            added[b] = left[b] @ evaluate(net, within[b], True)[1]
+    return added
 
 
 @nb.njit(cache=True)

@@ -47,6 +47,14 @@ def test_a_stiffer_body_bends_less(simulator: SurrogateSimulator) -> None:
     np.testing.assert_allclose(stiff.joint_targets(pressure), simulator.joint_targets(0.5 * pressure))
 
 
+def test_a_softer_body_bends_further_than_the_sampled_pressures_do(robot: Robot, simulator: SurrogateSimulator) -> None:
+    """The joints of the lumped body are nearly in proportion to the pressure, whatever its size."""
+    soft, pressure = simulator.with_parameters(youngs_modulus_scale=0.75), np.array([[robot.pressure_max_pa, 0.0, 0.0]])
+    rest, full = (simulator.joint_targets(share * pressure) for share in (0.0, 1.0))
+    further = np.linalg.norm(soft.joint_targets(pressure) - rest) / np.linalg.norm(full - rest)
+    assert further == pytest.approx(1.0 / 0.75, rel=0.1), f"{further:.2f} times as far"
+
+
 def test_misuse_is_refused(simulator: SurrogateSimulator, robot: Robot) -> None:
     from dataclasses import replace
 

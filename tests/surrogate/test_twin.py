@@ -179,6 +179,18 @@ def test_the_compiled_network_is_the_network_and_its_slope_the_derivative(surrog
             np.testing.assert_allclose(slope[j], (ends[0] - ends[1]) / 2e-6, atol=1e-8)
 
 
+def test_beyond_the_sampled_pressures_the_map_goes_on_as_it_was_going(surrogate: Surrogate) -> None:
+    maps, low, high = PressureToJoints(surrogate), surrogate.pressure_low, surrogate.pressure_high
+    edge = np.array([high[0], 0.5 * (low[1] + high[1]), low[2]])
+    out, across = np.array([1e3, 0.0, -2e3]), np.array([0.0, 500.0, 0.0])
+    inward = maps.joints(edge) - maps.joints(edge - 1e-3 * out)
+    np.testing.assert_allclose(maps.joints(edge + out) - maps.joints(edge), 1e3 * inward, rtol=1e-3, atol=1e-9)
+    np.testing.assert_allclose(maps.joints(edge + 1e-9 * out), maps.joints(edge), atol=1e-9)
+    both = maps.joints(np.stack([edge + out, edge + across, edge + out + across]))
+    np.testing.assert_array_equal(both[1], maps.joints(edge + across)[0], "pressures in range are the network's alone")
+    np.testing.assert_allclose(both[2], maps.joints(edge + out + across)[0], atol=1e-12)
+
+
 def test_joints_out_of_reach_get_the_nearest_and_say_so(surrogate: Surrogate) -> None:
     maps = PressureToJoints(surrogate)
     inside = maps.joints(np.random.default_rng(1).uniform(surrogate.pressure_low, surrogate.pressure_high, (20, 3)))
