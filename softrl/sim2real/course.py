@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from softrl.artifacts.policy import Policy
-from softrl.core.config import build
+from softrl.core.config import build, constructor_hints
 from softrl.core.errors import ArtifactError
 from softrl.rl.tasks.contact import ContactTask
 from softrl.rl.tasks.force import Force
@@ -76,8 +76,11 @@ def task_of(policy: Policy, shape_steps: int, radius_share: float) -> Task:
     """Return the task that a policy was trained for, with the size of a rollout."""
     if policy.task_name not in TASKS:
         raise ArtifactError(f"the policy was trained for task={policy.task_name}; expected one of {', '.join(TASKS)}")
-    numbers = policy.task | {"lap_steps": shape_steps, "radius_share": radius_share}
-    made: Task = build(numbers, TASKS[policy.task_name], "policy.task")
+    kind = TASKS[policy.task_name]
+    # policies on a slope from before carry a gain that never did anything there
+    idle = {"feedback_gain"} - set(constructor_hints(kind))
+    numbers = {key: value for key, value in policy.task.items() if key not in idle}
+    made: Task = build(numbers | {"lap_steps": shape_steps, "radius_share": radius_share}, kind, "policy.task")
     return made
 
 

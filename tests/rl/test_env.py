@@ -135,6 +135,12 @@ def test_a_hidden_force_moves_tips_and_the_expert_takes_its_share_back(space: Wo
     np.testing.assert_allclose(left, (1.0 - gain) * np.linalg.norm(blind, axis=-1), rtol=0.15)
 
 
+@pytest.mark.parametrize("name", ["force", "hybrid"])
+def test_on_a_slope_a_gain_that_would_do_nothing_is_refused(name: str) -> None:
+    with pytest.raises(ConfigError, match=r"task\.feedback_gain=0\.5 is an unknown key"):
+        task_of(name, feedback_gain=0.5)
+
+
 def test_a_rough_slope_is_met_anew_and_the_same_in_every_evaluation(space: Workspace) -> None:
     known, rough = (task_of("hybrid", lap_steps=20, roughness_m=r, friction_spread=s) for r, s in ((0.0, 0.0), (5e-4, 1.0)))
     goals = known.evaluation_goals("circle", space)

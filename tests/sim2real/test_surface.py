@@ -8,12 +8,14 @@ import pytest
 from softrl.artifacts.calibration import Calibration
 from softrl.artifacts.policy import Policy
 from softrl.artifacts.surrogate import Surrogate
+from softrl.core.errors import ConfigError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import NullTracker
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.effect import FORCE, FORCE_SLOPE, LOAD_PORT_ROWS, TIP
 from softrl.rl.workspace import Workspace
 from softrl.robots.robot import Robot
+from softrl.sim2real.course import task_of
 from softrl.sim2real.drivers.rig import Hardware, Noise, Rig, sample_of
 from softrl.sim2real.stage import Config, run
 from softrl.sim2real.surface import Surface, force_on_tip
@@ -82,6 +84,13 @@ def test_the_rig_feels_what_the_model_of_the_surface_says(tripod: Robot, body: S
 
 
 @pytest.mark.slow
+def test_a_policy_on_a_slope_may_carry_the_gain_that_did_nothing_there(policy: Policy) -> None:
+    now = replace(policy, task_name="hybrid", task=task_numbers("hybrid"))
+    assert task_of(replace(now, task=now.task | {"feedback_gain": 0.8}), 20, 0.5) == task_of(now, 20, 0.5)
+    with pytest.raises(ConfigError, match="unknown key"):
+        task_of(replace(now, task=now.task | {"other_gain": 0.8}), 20, 0.5)
+
+
 def test_a_task_on_a_slope_runs_and_feedback_mends_the_force(
     tripod: Robot, body: Simulator, silence: Noise, surrogate: Surrogate, policy: Policy, calibration: Calibration,
     config: Config,

@@ -39,7 +39,8 @@ class Task(ABC):
     Attributes
     ----------
     alpha : weight of position against force in the reward
-    horizon : targets that the controller sees, the one to reach next first
+    horizon : targets that the controller sees, the one to reach next first; one that learns in a simulator in motion sees
+        ``stage.motion.horizon`` of them instead
     episode_steps : steps of a training episode;  lap_steps : targets on a closed curve
     step_s : time between two targets
     radius_share : size of the evaluation curves in the largest that the tip can reach
@@ -47,8 +48,6 @@ class Task(ABC):
     position_scale_m, force_scale_n : errors at which the steep half of the reward falls to 1/e
     disturbance_n : a training episode has a hidden force on the tip of up to this along each axis, so that the controller
         learns to answer to where the tip is; evaluation is with and without
-    feedback_gain : share of the tip's last deviation from the model that the model-based expert takes back in a step;
-        below 1, since a robot that lags deviates on its way as well
     """
 
     name: ClassVar[str]
@@ -64,7 +63,6 @@ class Task(ABC):
     position_scale_m: float
     force_scale_n: float
     disturbance_n: float
-    feedback_gain: float
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.alpha <= 1.0:
@@ -73,8 +71,6 @@ class Task(ABC):
             raise ConfigError(f"task.radius_share={self.radius_share:g}; expected a share above 0 and at most 1")
         if self.disturbance_n < 0.0:
             raise ConfigError(f"task.disturbance_n={self.disturbance_n:g} must not be negative")
-        if not 0.0 <= self.feedback_gain <= 1.0:
-            raise ConfigError(f"task.feedback_gain={self.feedback_gain:g}; expected a share between 0 and 1")
         if self.lap_steps < 3:
             raise ConfigError(f"task.lap_steps={self.lap_steps}; expected 3 or more targets on a closed curve")
         for key in (
@@ -133,20 +129,13 @@ class Task(ABC):
         """Return the commands (B, 3) that a model-based controller gives for targets (B, 3) m and forces (B,) N."""
         return space.twin.joints_for_tip(position)
 
+    @abstractmethod
     def answer(self, seen: Seen, space: Workspace) -> np.ndarray:
-        """Return what the expert commands (B, 3) when it sees where the tip is.
+        """Return what the expert commands (B, 3) when it sees where the tip is."""
 
-        Notes
-        -----
-        What the tip deviates from the model under the command that acts is taken as an offset that stays, and aimed
-        against by ``feedback_gain``. In a world that is the model this is the plain inverse.
-        """
-        deviation = seen.tip - space.twin.tip(seen.theta)
-        return self.expert(seen.position - self.feedback_gain * deviation, seen.force, space)
-
+    @abstractmethod
     def seen_by_expert(self) -> np.ndarray:
         """Return the columns of an observation that the expert's answer depends on."""
-        return np.array([*TIP_SEEN, *THETA_SEEN, *TARGET_SEEN[:3]])
 
     def record(self) -> dict[str, Any]:
         """Return the task's numbers as plain values."""

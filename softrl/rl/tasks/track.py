@@ -5,17 +5,31 @@ from typing import ClassVar
 
 import numpy as np
 
+from softrl.core.errors import ConfigError
 from softrl.rl.tasks.curves import CURVES
-from softrl.rl.tasks.task import Goals, Task
+from softrl.rl.tasks.task import TARGET_SEEN, THETA_SEEN, TIP_SEEN, Goals, Seen, Task
 from softrl.rl.workspace import Workspace
 
 
 @dataclass(frozen=True)
 class Track(Task):
-    """Tip position along closed curves; nothing is touched, so that the force part of the reward is full."""
+    """Tip position along closed curves; nothing is touched, so that the force part of the reward is full.
+
+    Attributes
+    ----------
+    feedback_gain : share of the tip's last deviation from the model that the model-based expert takes back in a step;
+        below 1, since a robot that lags deviates on its way as well
+    """
 
     name: ClassVar[str] = "track"
     curves: ClassVar[tuple[str, ...]] = tuple(CURVES)
+
+    feedback_gain: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0.0 <= self.feedback_gain <= 1.0:
+            raise ConfigError(f"task.feedback_gain={self.feedback_gain:g}; expected a share between 0 and 1")
 
     def evaluation_goals(self, curve: str, space: Workspace) -> Goals:
         """Return circle, star or the 3-D figure-eight about the workspace's centre."""
@@ -28,6 +42,21 @@ class Track(Task):
         share = np.stack([random_waves(self, space.surrogate.chambers, rng) for _ in range(count)])
         tip = space.tip_at_share(share.reshape(-1, share.shape[-1])).reshape(count, self.lap_steps, 3)
         return Goals(tip, np.zeros(tip.shape[:2]))
+
+    def answer(self, seen: Seen, space: Workspace) -> np.ndarray:
+        """Return what the expert commands (B, 3) when it sees where the tip is.
+
+        Notes
+        -----
+        What the tip deviates from the model under the command that acts is taken as an offset that stays, and aimed
+        against by ``feedback_gain``. In a world that is the model this is the plain inverse.
+        """
+        deviation = seen.tip - space.twin.tip(seen.theta)
+        return self.expert(seen.position - self.feedback_gain * deviation, seen.force, space)
+
+    def seen_by_expert(self) -> np.ndarray:
+        """Return the columns of an observation that the expert's answer depends on."""
+        return np.array([*TIP_SEEN, *THETA_SEEN, *TARGET_SEEN[:3]])
 
 
 def random_waves(task: Task, channels: int, rng: np.random.Generator) -> np.ndarray:
