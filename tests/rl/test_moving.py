@@ -1,5 +1,6 @@
 """Training in motion: a run goes where its route says, the expert knows the plant, a clone learns from it."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from softrl.effects.effect import Effect
 from softrl.effects.lag import Lag
 from softrl.effects.viscoelasticity import Viscoelasticity
 from softrl.pcc.simulator import PccSimulator
+from softrl.rl import stage
+from softrl.rl.actor import Actor
 from softrl.rl.evaluate import Controller, expert, lap_all, static_expert
 from softrl.rl.inversion import Route
 from softrl.rl.moving import MovingBatch, cornered
@@ -143,6 +146,18 @@ def test_a_seed_gives_the_same_episodes(robot: Robot, body: PccSimulator, space:
             rows.append(env.step_wait()[0])
         runs.append(np.stack(rows))
     np.testing.assert_array_equal(*runs)
+
+
+@pytest.mark.parametrize(("effects", "retuned"), [((), False), ((), True), (HIDDEN, False)])
+def test_a_policy_tells_whether_the_body_that_it_learnt_on_was_corrected(
+    robot: Robot, body: PccSimulator, space: Workspace, task: Task, effects: tuple[Effect, ...], retuned: bool
+) -> None:
+    chain = replace(chain_of(robot, effects), retuned=retuned)
+    goals = task.training_goals(1, space, np.random.default_rng(0))
+    batch = batch_of(task, space, goals, 1, route_of(robot, body, *effects))
+    actor = Actor({"weight_0": np.zeros((3, batch.observation_size)), "bias_0": np.zeros(3)}, "tanh", "clip")
+    made = stage._policy(robot, task, agent_of("bc"), batch, actor, {}, chain)
+    assert made.corrected == (retuned or bool(effects))
 
 
 @pytest.mark.slow
