@@ -4,7 +4,8 @@ from functools import cached_property
 
 import numpy as np
 
-ROUNDED = 1e-4  # of a bin: rows at its very edge belong to the bin that begins there, however their times are rounded
+SELDOM = 0.5  # of a bin: rows farther apart than this would fall two into one and none into the next by their times' rounding
+ROUNDED = 1e-4  # of a bin: such rows at its very edge belong to the bin that begins there
 
 
 class Bins:
@@ -18,7 +19,8 @@ class Bins:
 
     def __init__(self, time: np.ndarray, first: int, bin_s: float):
         self._first = first
-        place = ((time[first:] - time[0]) / bin_s + ROUNDED).astype(int)
+        rounded = ROUNDED if np.median(np.diff(time)) > SELDOM * bin_s else 0.0
+        place = ((time[first:] - time[0]) / bin_s + rounded).astype(int)
         self.places, self.number = np.unique(place, return_inverse=True)
 
     def __len__(self) -> int:
