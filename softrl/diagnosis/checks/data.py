@@ -161,7 +161,7 @@ def prepare(
         shown,
         training,
         heldout,
-        dated(tuple(part for run in apart for part in parts[run.name]), (*training, *heldout)),
+        _dated(tuple(part for run in apart for part in parts[run.name]), (*training, *heldout)),
         all(r.pressure_meas is not None for r in whole),
         _orientation_trusted(usable, shown, robot),
         floor.noise,
@@ -178,7 +178,7 @@ def prepare(
     )
 
 
-def dated(outside: tuple[Recording, ...], known: Sequence[Recording]) -> tuple[Recording, ...]:
+def _dated(outside: tuple[Recording, ...], known: Sequence[Recording]) -> tuple[Recording, ...]:
     """Return the runs ``outside``, those of sessions without ``known`` ones as of the known session before them, or the first."""
     sessions = sessions_in_order(known)
     found = []
