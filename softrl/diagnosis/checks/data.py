@@ -136,7 +136,8 @@ def prepare(
     usable = tuple(r for r in usable if not marked & {r.name, r.session})
     parts, mended = mend_all([*usable, *apart], found)
     intact = tuple(run for run in usable if parts[run.name])
-    shown = tuple(run for run in found.runs if run.name in {run.name for run in intact})
+    names = {run.name for run in intact}
+    shown = tuple(told for told in found.runs if told.name in names)
     whole = [part for run in intact for part in parts[run.name]]
     any_marked = bool(marked | named(recordings, DISTURBED))
     reason = _refuse(usable, found, robot, channel, any_marked) or torn(usable, intact, whole, found, robot)

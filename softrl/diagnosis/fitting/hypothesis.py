@@ -69,6 +69,11 @@ class Choice(NamedTuple):
         return "before the gauge" if self.before_gauge else "behind the gauge" if self.behind_gauge else ""
 
     @property
+    def pinned_widths(self) -> tuple[str, ...]:
+        """What of its gate is pinned: how long that takes to open, whatever the law."""
+        return tuple(name for name in self.pinned if name in WIDTHS.values())
+
+    @property
     def site(self) -> str:
         """Where along the pipeline it acts."""
         return "valve" if self.before_gauge else "chamber" if self.behind_gauge else effect_class(self.name).site

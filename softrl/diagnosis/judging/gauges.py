@@ -13,7 +13,6 @@ from softrl.diagnosis.judging.another_body import does_as_well
 from softrl.diagnosis.judging.examine import Finding, switched
 from softrl.diagnosis.judging.leftover import heldout_residual
 from softrl.diagnosis.judging.parts import punctual
-from softrl.effects.gate import WIDTHS
 
 log = logging.getLogger(__name__)
 SPAN, GAUGE, SLOW = "gain", "pressure_sensor", "gauge_lag"
@@ -127,7 +126,10 @@ def _told(valve: Finding, why: str) -> Finding:
 
 def _misreading(valve: Finding, doubted: Sequence[Choice], search: Search) -> Finding | None:
     """Return the finding with gauges that misread in the place of the ``doubted`` factors, fitted again."""
-    swapped = {choice: choice._replace(name=GAUGE, pinned=(*_widths(choice), "offset"), before_gauge=False) for choice in doubted}
+    swapped = {
+        choice: choice._replace(name=GAUGE, pinned=(*choice.pinned_widths, "offset"), before_gauge=False)
+        for choice in doubted
+    }
     final, problem, judge = valve.final, valve.part.problem, valve.judge
     effects = tuple(swapped.get(choice, choice) for choice in final.hypothesis.effects)
     task = Hypothesis(effects, final.hypothesis.tuned), [_point(final, swapped)]
@@ -139,11 +141,6 @@ def _misreading(valve: Finding, doubted: Sequence[Choice], search: Search) -> Fi
         after = heldout_residual(judge, trial)
         return replace(valve, final=trial, named=named, rivals=rivals, residual_after=after)
     return None
-
-
-def _widths(choice: Choice) -> tuple[str, ...]:
-    """Return which widths of gates ``choice`` has pinned: the gate stays, whatever the law."""
-    return tuple(name for name in choice.pinned if name in WIDTHS.values())
 
 
 def _point(final: Trial, swapped: dict[Choice, Choice]) -> np.ndarray:

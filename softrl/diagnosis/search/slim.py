@@ -74,8 +74,8 @@ def _contained(trial: Trial, choice: Choice) -> list[tuple[Hypothesis, np.ndarra
     shared = [value for name, value in values.items() if name not in (*law.essence, *GATES, *WIDTHS.values())]
     if not law.contains or not shared or law.contains in trial.hypothesis.names:
         return []
-    widths = tuple(name for name in choice.pinned if name in WIDTHS.values())
-    less, place = choice._replace(name=law.contains, pinned=widths), trial.hypothesis.effects.index(choice)
+    less = choice._replace(name=law.contains, pinned=choice.pinned_widths)
+    place = trial.hypothesis.effects.index(choice)
     begin = [axis.scaled(values.get(axis.name, shared[0])) for axis in effect_axes(less)]
     point = np.insert(np.delete(trial.fit.point, columns), columns[0], begin)
     effects = tuple(less if effect == choice else effect for effect in trial.hypothesis.effects)

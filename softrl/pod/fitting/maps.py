@@ -94,8 +94,7 @@ def trust(
         for degree, names in by_degree.items():
             goal = np.concatenate([targets[name] for name in names], axis=2)
             found = equations(seen, goal, weight * trusted, degree, through_origin).solve(LEAST_RIDGE)
-            left = (seen.design(degree) @ found.T - goal) ** 2
-            for part in np.split(left, np.cumsum([targets[name].shape[2] for name in names])[:-1], axis=2):
+            for part in _apart((seen.design(degree) @ found.T - goal) ** 2, targets, names):
                 squares = part.mean(axis=(1, 2))
                 odd += squares / max(float(np.median(squares)), TINY) / len(targets)
         trusted = 1.0 / (1.0 + odd / USUAL**2)
@@ -119,11 +118,15 @@ def best_forms(
         names = [name for name in targets if degree <= degree_max[name]]
         goal = np.concatenate([targets[name] for name in names], axis=2)
         for ridge, squares in zip(ridges, _squares(seen, goal, weight, fold, degree, through_origin, ridges), strict=True):
-            edges = np.cumsum([targets[name].shape[2] for name in names])[:-1]
-            for name, part in zip(names, np.split(squares[judged], edges, axis=2), strict=True):
+            for name, part in zip(names, _apart(squares[judged], targets, names), strict=True):
                 form = Form(degree, ridge, float(np.average(part.mean(axis=(1, 2)), weights=weight[judged])))
                 best[name] = min(best.get(name, form), form, key=lambda tried: tried.error)
     return best
+
+
+def _apart(values: np.ndarray, targets: Mapping[str, np.ndarray], names: Sequence[str]) -> list[np.ndarray]:
+    """Return ``values`` (S, 1 + k, columns) of the maps ``names``, fitted at once, map by map."""
+    return np.split(values, np.cumsum([targets[name].shape[2] for name in names])[:-1], axis=2)
 
 
 def _squares(
