@@ -1,6 +1,5 @@
 """A chamber that gives way in the middle of a run."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -8,9 +7,6 @@ import numpy as np
 
 from softrl.core.compiled import standing_as
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
-from softrl.recordings.recording import Recording
-
-ONSETS = (0.2, 0.4, 0.6, 0.8)  # shares of the time that its clock goes on
 
 
 @standing_as(SIGNAL_KERNEL)
@@ -45,8 +41,3 @@ class Failure(Effect):
     loss: float = parameter("1", 0.0, 1.0, 0.0, typical=0.4)
     onset_s: float = parameter("s", 0.0, 3.6e4, 5.0, typical=5.0, scale=60.0)
     chamber: int = -1
-
-    @classmethod
-    def seen_in(cls, runs: Sequence[Recording], longest_s: float) -> list[dict[str, float]]:
-        """Return onsets spread over the time: from one that is far too early no slope leads to the right one."""
-        return [{"onset_s": share * longest_s} for share in ONSETS]

@@ -7,13 +7,23 @@ import pytest
 
 from softrl.core.tracking import NullTracker
 from softrl.diagnosis.fitting.choices import that_last
-from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, Space
+from softrl.diagnosis.fitting.hypothesis import Choice, Gate, Hypothesis, Space
+from softrl.diagnosis.fitting.intervals import intervals
+from softrl.diagnosis.fitting.problem import Problem
+from softrl.diagnosis.fitting.trial import axes_of, fit_trials
+from softrl.diagnosis.search.look import bases_of
+from softrl.diagnosis.search.moment import at_its_moment
+from softrl.diagnosis.search.moves import fit_leads
+from softrl.diagnosis.search.onset import PIECES, onsets
+from softrl.diagnosis.search.rank import rank
 from softrl.diagnosis.stage import run
+from softrl.effects.chain import Plant, chain_of
 from softrl.effects.drift import Drift
 from softrl.effects.effect import Effect
 from softrl.effects.failure import Failure
 from softrl.effects.frame import Frame
 from softrl.effects.leak import Leak
+from softrl.effects.replay import replay
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.gone import in_order
 from softrl.recordings.recording import Recording, RecordingSet
@@ -129,3 +139,70 @@ def test_where_no_fit_sees_when_it_began_the_held_out_run_dates_it(
     assert told["low"] < 49.0 and told["high"] > 71.0, "fits say no more than between which of their runs"
     assert any("held-out runs date it" in line for line in found.sentences)
     assert found.errors_mm["heldout"]["corrected"] < 1.3 * found.errors_mm["heldout"]["noise_floor"]
+
+
+def failed(
+    body: PccSimulator, lasting: str, sessions: tuple[str, ...], share: float, noise_m: float = 0.0
+) -> tuple[Problem, float]:
+    """Return two days, without noise but what is asked for, with a chamber that fails after a share of the time, and when."""
+    blank = in_order(days(body, Failure(0.0, 0.0), until="ever").recordings)
+    clock, mine = ("", "session", "ever").index(lasting), [one for one in blank if not sessions or one.session in sessions]
+    onset_s = share * max(one.gone_s[clock] + float(np.ptp(one.time)) for one in mine)
+    found, rng = [], np.random.default_rng(0)
+    for one in blank:
+        failure = Failure(0.4, onset_s, chamber=1, begun_s=one.gone_s[clock])
+        moved = replay(Plant(body, chain_of(body.robot, (failure,) if one in mine else ())), one, 0.01).position
+        assert moved is not None
+        found.append(replace(one, position=moved + noise_m * rng.standard_normal(moved.shape)))
+    return Problem(body.robot, body, tuple(found), configured().numerics, "motion", "command", False, False), onset_s
+
+
+FORMS = [("", ()), ("ever", ()), ("session", ("first",))]
+
+
+@pytest.mark.parametrize(("lasting", "sessions"), FORMS)
+@pytest.mark.parametrize("share", [0.1, 0.35, 0.9])
+def test_where_something_begins_is_seen_before_anything_is_fitted(
+    body: PccSimulator, lasting: str, sessions: tuple[str, ...], share: float
+) -> None:
+    """Beside retuned parameters that hide some of it; the moment told is within a piece of the true one."""
+    problem, onset_s = failed(body, lasting, sessions, share)
+    bare, search = Hypothesis((), tuple(body.parameters)), configured().search
+    retuned = fit_trials(problem, None, [(bare, [np.zeros(len(bare.tuned))])], search)[0]
+    choice = Choice("failure", 1, lasting=lasting, sessions=sessions)
+    found = onsets(problem, bases_of(problem, retuned), [choice, Choice("drift")], search)
+    assert list(found) == [choice]
+    nearest = min(abs(values["onset_s"] - onset_s) for values in found[choice])
+    assert nearest < 1.5 * onset_s / share / PIECES, (found, onset_s)
+
+
+@pytest.mark.parametrize(("lasting", "sessions"), FORMS[1:])
+@pytest.mark.parametrize("first_s", [10.0, 14.0, 30.0])
+def test_no_run_is_asked_when_something_began_in_another(
+    body: PccSimulator, lasting: str, sessions: tuple[str, ...], first_s: float
+) -> None:
+    """A law that leaves noise in every run leaves no more where one is left out, though that alone tells the moment."""
+    problem, onset_s = failed(body, lasting, sessions, first_s / 75.0 / (2.0 if lasting == "ever" else 1.0), noise_m=1e-4)
+    bare, config = Hypothesis((), tuple(body.parameters)), configured()
+    retuned = fit_trials(problem, None, [(bare, [np.zeros(len(bare.tuned))])], config.search)[0]
+    choice = Choice("failure", 1, lasting=lasting, sessions=sessions)
+    lead = rank(problem, retuned, [choice], config.search)[0]
+    assert lead.gain > 0.99
+    trial = at_its_moment(problem, fit_leads(problem, retuned, [lead], config.search)[0], config.search)
+    axis, column = axes_of(trial, choice)["onset_s"]
+    right = trial.fit.point.copy()
+    right[column] = axis.scaled(onset_s)
+    assert trial.fit.cost < 1.2 * 0.5 * problem.residual(trial.hypothesis, right).squares.sum()
+    told = {found.name: found for found in intervals(problem, trial, config.thresholds) if found.owner == choice.label()}
+    assert told["loss"].low < 0.4 < told["loss"].high and told["loss"].high - told["loss"].low < 0.02, told
+
+
+def test_one_run_tells_when_something_began_and_all_that_follow_how_a_drift_did(body: PccSimulator) -> None:
+    for choice, once in (
+        (Choice("failure", 1, lasting="ever"), ["onset_s"]),
+        (Choice("leak", 1, gate=Gate("since_s", 5.0), lasting="ever"), ["over_s", "since_s"]),
+        (Choice("failure", 1), []),
+        (Choice("drift", lasting="ever"), []),
+    ):
+        space = Space(Hypothesis((choice,), tuple(body.parameters)), body, 4.0)
+        assert sorted(axis.name for axis, one in zip(space.axes, space.told_once, strict=True) if one) == once

@@ -4,8 +4,7 @@ from functools import cached_property
 
 import numpy as np
 
-SELDOM = 0.5  # of a bin: rows farther apart than this would fall two into one and none into the next by their times' rounding
-ROUNDED = 1e-4  # of a bin: such rows at its very edge belong to the bin that begins there
+ROUNDED = 1e-4  # of a bin: a row at its very edge belongs to the bin that begins there, however its time is rounded
 
 
 class Bins:
@@ -19,8 +18,7 @@ class Bins:
 
     def __init__(self, time: np.ndarray, first: int, bin_s: float):
         self._first = first
-        rounded = ROUNDED if np.median(np.diff(time)) > SELDOM * bin_s else 0.0
-        place = ((time[first:] - time[0]) / bin_s + rounded).astype(int)
+        place = ((time[first:] - time[0]) / bin_s + ROUNDED).astype(int)
         self.places, self.number = np.unique(place, return_inverse=True)
 
     def __len__(self) -> int:

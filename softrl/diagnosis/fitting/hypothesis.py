@@ -184,6 +184,12 @@ class Space:
         ends = np.array([sorted((a.scaled(a.low), a.scaled(a.high))) for a in self.axes]).reshape(-1, 2)
         return ends[:, 0], ends[:, 1]
 
+    @cached_property
+    def told_once(self) -> np.ndarray:
+        """Which parameters (p,) one run alone tells: when, and how suddenly, something began that lasts."""
+        effects = [_begins_once(choice, axis) for choice in self.hypothesis.effects for axis in effect_axes(choice)]
+        return np.array(effects + [False] * len(self.hypothesis.tuned), dtype=bool)
+
     @property
     def begins(self) -> list[np.ndarray]:
         """Scaled points (p,) at which a search without effects begins: a log may be late by nothing or by all it can.
@@ -261,6 +267,12 @@ def build_effect(choice: Choice, values: Sequence[float], begun_s: float = 0.0) 
     named = pinned_values(choice) | dict(zip((f.name for f in free_fields(choice)), values, strict=True))
     fixed: dict[str, Any] = {"chamber": choice.chamber} if has_chamber(choice.name) else {}
     return cls(**named, **fixed, begun_s=begun_s, before_gauge=choice.before_gauge, behind_gauge=choice.behind_gauge)
+
+
+def _begins_once(choice: Choice, axis: Axis) -> bool:
+    """Return whether ``axis`` says when an effect that lasts began; of a drift all that follows tells that, too."""
+    sudden = choice.gate is not None or bool(effect_class(choice.name).onset_of)
+    return bool(choice.lasting) and sudden and axis.name in (*MOMENTS, *WIDTHS.values())
 
 
 def pinned_values(choice: Choice) -> dict[str, float]:

@@ -113,7 +113,8 @@ def _reach(problem: Problem, jacobian: np.ndarray, residual: np.ndarray, thresho
     spread = np.sqrt(np.diag(sandwich(jacobian, residual, np.repeat(blocks, rows))))
     freedom = max(int(blocks.max()) + 1 - len(spread), 1)
     folds = np.repeat(problem.folds, rows)
-    apart = np.where(_of_one_fold(jacobian, folds), 0.0, jackknife(jacobian, residual, folds))
+    once = _of_one_fold(jacobian, folds)  # no other fold moves it, nor by it what these tell
+    apart = np.where(once, 0.0, jackknife(np.where(once, 0.0, jacobian), residual, folds))
     reach = half_width(spread, freedom, apart, int(problem.folds.max()), thresholds.confidence)
     return np.asarray(np.hypot(reach, _form_error(jacobian, residual)))
 

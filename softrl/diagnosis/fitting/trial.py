@@ -182,16 +182,25 @@ def squares_left_out(
 
     To first order where that changes little. Where a run seems to be predicted much worse without it, the fit is moved
     on truly, since behind a curve that is nearly vertical a straight line leads anywhere; or, if not ``truly``, that run is
-    given the benefit of the doubt.
+    given the benefit of the doubt. The moment at which something began that lasts is held: no run but that in which it did
+    tells it, and none to come asks for it.
     """
-    folds, bins = fitting.folds, len(fitting.run_of_bin)
+    folds, bins, free = fitting.folds, len(fitting.run_of_bin), ~fitting.space(hypothesis).told_once
     rows = len(fit.residual) // bins
     of_row = np.repeat(folds, rows)
+    whole, low, high = fit.point, low[free], high[free]
+    fit = fit._replace(point=whole[free], jacobian=fit.jacobian[:, free])
+
+    def residual(point: np.ndarray) -> np.ndarray:
+        moved = whole.copy()
+        moved[free] = point
+        return fitting.residual(hypothesis, moved).flat
+
     error = left_out(fit.jacobian, fit.residual, of_row, low - fit.point, high - fit.point)
     grown = np.bincount(of_row, error**2 - fit.residual**2)
     for fold in np.flatnonzero(grown > FAR_SHARE * 2.0 * fit.cost):
         mine = of_row == fold
-        moved = moved_on(lambda u: fitting.residual(hypothesis, u).flat, fit, ~mine, low, high) if truly else fit.residual
+        moved = moved_on(residual, fit, ~mine, low, high) if truly else fit.residual
         error[mine] = moved[mine]
     return np.asarray(np.sum(error.reshape(bins, rows) ** 2, axis=1))
 

@@ -1,17 +1,19 @@
-"""From which moment on an effect may act for good: a hose that came loose, a camera that was knocked, and stayed so."""
+"""From which moment on an effect may act, as far as straight lines tell: a hose that came loose, a camera that was knocked."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from softrl.diagnosis.fitting.choices import may_be_gated
-from softrl.diagnosis.fitting.hypothesis import Choice, Gate
+from softrl.diagnosis.fitting.hypothesis import LASTING, Choice, Gate
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.fitting.trial import Search, Trial, parallel
 from softrl.diagnosis.search.look import Base, bases_of
 from softrl.diagnosis.search.partly import pieces_of
+from softrl.effects.library import effect_class
 
-PIECES = 48  # into which the time of all runs is cut
+PIECES = 48  # into which the time that a clock goes on is cut
 LIKELY = 6  # effects that are looked at further, the first by what straight lines tell
 
 
@@ -25,29 +27,57 @@ def for_good(fitting: Problem, current: Trial, choices: Sequence[Choice], search
         return []
     fitting = fitting.rough_about(current.hypothesis, current.fit.point)
     base = bases_of(fitting, current)[0]
-    moments = _moments(fitting)
-    ends = np.linspace(moments[0], moments[-1], PIECES + 1)[1:-1]
-    piece = np.searchsorted(ends, moments, side="right")
-    jobs = [(fitting, base, choice, piece) for choice in able]
-    found = parallel(_best_onset, jobs, search.workers)
-    best = sorted(zip(able, found, strict=True), key=lambda pair: -pair[1][1])[:LIKELY]
+    gone = moments(fitting, "ever")
+    found = parallel(_best_onset, [(fitting, base, choice, gone) for choice in able], search.workers)
+    best = sorted(zip(able, found, strict=True), key=lambda pair: -pair[1].saved)[:LIKELY]
     return [
-        choice._replace(gate=Gate("since_s", float(ends[first - 1])), lasting="ever")
-        for choice, (first, saved) in best
-        if saved > 0.0
+        choice._replace(gate=Gate("since_s", onset.moment_s), lasting="ever") for choice, onset in best if onset.saved > 0.0
     ]
 
 
-def _moments(fitting: Problem) -> np.ndarray:
-    """Return about when each bin (bins,) was recorded, s, all runs one after another."""
-    begins = [fitting.numerics.bin_s * bins.places for bins in fitting.bins]
-    return np.concatenate([run.gone_s[-1] + within for run, within in zip(fitting.runs, begins, strict=True)])
+def onsets(
+    fitting: Problem, bases: Sequence[Base], choices: Sequence[Choice], search: Search
+) -> dict[Choice, list[dict[str, float]]]:
+    """Return when, s by its own clock, each of ``choices`` that is another effect from its onset on seems to begin.
+
+    That is seen from every base; a fit that begins far too early does not come to the right moment.
+    """
+    begun = [choice for choice in choices if effect_class(choice.name).onset_of]
+    pairs = [(choice, base) for choice in begun for base in bases]
+    jobs = [(fitting, base, _always(c), moments(fitting, c.lasting, c.sessions)) for c, base in pairs]
+    found: dict[Choice, list[dict[str, float]]] = {}
+    for (choice, _), onset in zip(pairs, parallel(_best_onset, jobs, search.workers), strict=True):
+        found.setdefault(choice, []).append({"onset_s": onset.moment_s})
+    return found
 
 
-def _best_onset(fitting: Problem, base: Base, choice: Choice, piece: np.ndarray) -> tuple[int, float]:
-    """Return the piece from which on the effect seems to save most, never the first, and how much."""
-    pieces = pieces_of(fitting, base, choice, piece)
-    numbers = np.arange(len(pieces.slope))
+def _always(choice: Choice) -> Choice:
+    """Return what ``choice`` is after its onset."""
+    return choice._replace(name=effect_class(choice.name).onset_of, pinned=(), gate=None, sessions=(), lasting="")
+
+
+def moments(fitting: Problem, lasting: str, sessions: Collection[str] = ()) -> np.ndarray:
+    """Return about when each bin (bins,) was recorded, s by the clock of what is ``lasting``; never outside its ``sessions``."""
+    clock = ("", *LASTING).index(lasting)
+    within = [fitting.numerics.bin_s * bins.places for bins in fitting.bins]
+    acts = [not sessions or run.session in sessions for run in fitting.runs]
+    gone = [run.gone_s[clock] if may else -np.inf for run, may in zip(fitting.runs, acts, strict=True)]
+    return np.concatenate([begun + bins for begun, bins in zip(gone, within, strict=True)])
+
+
+class _Onset(NamedTuple):
+    """A moment, s, and what of the squared error an effect seems to save that acts from then on."""
+
+    moment_s: float
+    saved: float
+
+
+def _best_onset(fitting: Problem, base: Base, choice: Choice, gone: np.ndarray) -> _Onset:
+    """Return the moment from which on the effect, which acts everywhere, seems to save most; never the beginning."""
+    acts = gone[np.isfinite(gone)]
+    ends = np.linspace(acts.min(), acts.max(), PIECES + 1)[1:-1]
+    pieces = pieces_of(fitting, base, choice, np.searchsorted(ends, gone, side="right"))
+    numbers = np.arange(PIECES)
     saved = [pieces.saved(numbers >= first) for first in numbers[1:]]
     best = int(np.argmax(saved))
-    return best + 1, float(saved[best])
+    return _Onset(float(ends[best]), float(saved[best]))

@@ -1,6 +1,6 @@
 """Every effect of the library fitted roughly beside a trial, so that only the promising ones are fitted in full."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ from softrl.diagnosis.search.look import (
     is_bent,
     look_at,
 )
+from softrl.diagnosis.search.onset import onsets
 from softrl.diagnosis.search.periods import likely
 from softrl.effects.library import effect_class
 
@@ -69,7 +70,8 @@ def rank(fitting: Problem, current: Trial, choices: Sequence[Choice], search: Se
     bases = bases_of(fitting, current)
     choices = likely(fitting, bases[0], choices)
     for_all = [choice for choice in choices if choice.chamber < 0]
-    tasks = [(c, starts(c, seen.get((c.name, c.lasting), ()))) for c in for_all]
+    begun = onsets(fitting, bases, for_all, search)
+    tasks = [(c, starts(c, [*seen.get((c.name, c.lasting), ()), *begun.get(c, ())])) for c in for_all]
     all_over = _leads(fitting, bases, tasks, Best(0.0, np.inf), search, set(seen))
     leads = all_over.leads
     shapes = {form_of(lead.choice): lead.point[: len(effect_axes(lead.choice))] for lead in leads}
@@ -77,14 +79,15 @@ def rank(fitting: Problem, current: Trial, choices: Sequence[Choice], search: Se
     promising = {form_of(lead.choice) for lead in leads if lead.gain >= max(least, 0.0)}
     anyhow = (None, "since_s")
     alone = [c for c in choices if c.chamber >= 0 and ((c.gate and c.gate.field) in anyhow or form_of(c) in promising)]
-    tasks = [(c, [_plain(c, shapes.get(form_of(c))), *_begins_alone(c, seen)]) for c in alone]
+    begun = onsets(fitting, bases, alone, search)
+    tasks = [(c, [_plain(c, shapes.get(form_of(c))), *_begins_alone(c, begun.get(c, ()))]) for c in alone]
     leads = leads + _leads(fitting, bases, tasks, all_over.best, search).leads
     return sorted(leads, key=lambda lead: -lead.gain)
 
 
-def _begins_alone(choice: Choice, seen: Mapping[tuple[str, str], Sequence[dict[str, float]]]) -> list[np.ndarray]:
-    """Return where one chamber's fit begins beside the shape of all: where something lasts each may have its own onset."""
-    return starts(choice, seen.get((choice.name, choice.lasting), ())) if choice.lasting else starts(choice)[:1]
+def _begins_alone(choice: Choice, begun: Sequence[dict[str, float]]) -> list[np.ndarray]:
+    """Return where one chamber's fit begins beside the shape of all: where it seems to have ``begun``, for one."""
+    return starts(choice, begun) if choice.lasting or begun else starts(choice)[:1]
 
 
 def form_of(choice: Choice) -> tuple[str, tuple[str, ...], str, str, tuple[str, ...]]:
