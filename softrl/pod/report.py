@@ -118,7 +118,7 @@ def report_speed(model: ReducedModel, snapshots: Snapshots, rng: np.random.Gener
     run_kernel(*(part.copy() for part in still), dt, load[:1], *run[:3], position[:1], quaternion[:1])
     moving = [part.copy() for part in still]
     began = time.process_time()
-    failed, farthest = run_kernel(*moving, dt, load, *run)
+    failed, farthest, _ = run_kernel(*moving, dt, load, *run)
     tracker.metric("rom_steps_per_s", SPEED_STEPS / (time.process_time() - began))
     tracker.metric("rom_steps_failed", failed)
     tracker.metric("reach_of_samples", farthest)

@@ -70,7 +70,7 @@ def static_points(tables: Tables, loads: np.ndarray) -> tuple[np.ndarray, np.nda
         )
         again = y.copy()
         still = np.zeros(r), STILL.copy(), np.zeros(r)
-        missed, _ = run_kernel(again, *still, QUASI_STATIC_S, load[None].copy(), tables, NO_HOOKS, path[:0], *EMPTY)
+        missed, *_ = run_kernel(again, *still, QUASI_STATIC_S, load[None].copy(), tables, NO_HOOKS, path[:0], *EMPTY)
         found[s], failed[s] = again, missed > 0 or not np.isfinite(again).all()
     return found, failed
 
@@ -88,7 +88,7 @@ def tip_poses(
     points = coordinate @ tables.inverse.T
     warn_beyond(model, reach(points), "tip's poses")
     for k, y in enumerate(points):
-        tip_pose(y, STILL[0], tables, values, point, position[k], quaternion[k])
+        tip_pose(y, STILL[0], tables.gravity, tables, values, point, position[k], quaternion[k])
     return position, quaternion
 
 
@@ -141,7 +141,7 @@ def roll_poses(
     failed, farthest = 0, 0.0
     for b in range(batch):
         moving = first[b].copy(), rate[b].copy(), STILL.copy(), np.zeros(r)
-        missed, far = run_kernel(*moving, dt_s, held[b], tables, NO_HOOKS, path[b], position, quaternion[b])
+        missed, far, _ = run_kernel(*moving, dt_s, held[b], tables, NO_HOOKS, path[b], position, quaternion[b])
         failed, farthest = failed + missed, max(farthest, far)
     _check(path, failed, farthest, model, dt_s)
     return Rolled(path @ model.frame.T, quaternion)

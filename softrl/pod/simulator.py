@@ -30,11 +30,13 @@ class RomState(NamedTuple):
     """Coordinates z (n + 3,), chambers' volumes then tip relative to stress-free rest, m^3 and m; their velocity.
 
     ``inner`` (2, 6) is how far the body's inside gives beyond what weight makes it give, and its rate, see ``pod.step.inside``.
+    ``gravity`` m/s^2 is that which acted last, as effects may have turned it: by it the tip turns.
     """
 
     coordinates: np.ndarray
     velocity: np.ndarray
     inner: np.ndarray
+    gravity: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -139,11 +141,11 @@ class RomSimulator:
         poses: int,
         failed_share: float = FAILED_SHARE,
         what: str = "motion",
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Advance what moves in place; return ``poses`` positions (., 3) and quaternions (., 4)."""
+    ) -> tuple[np.ndarray, np.ndarray, tuple[float, ...]]:
+        """Advance what moves in place; return ``poses`` positions (., 3) and quaternions (., 4), and the gravity felt last."""
         position, quaternion = np.empty((poses, 3)), np.empty((poses, 4))
         path = np.empty((0, len(y)))
-        failed, farthest = run_kernel(
+        failed, farthest, felt = run_kernel(
             y, velocity, inner, rest, dt_s, load, self._tables, hooks, path, position, quaternion
         )
         if failed > failed_share * len(load) or not np.isfinite(y).all():
@@ -152,7 +154,7 @@ class RomSimulator:
                 "try a smaller dt_s, pressures within the snapshots' range, or weaker effects"
             )
         warn_beyond(self.reduced_model, farthest, what)
-        return position, quaternion
+        return position, quaternion, felt
 
     def _loads(self, pressure: np.ndarray, tip_force: np.ndarray | None) -> np.ndarray:
         """Return the loads (steps, n + 3) Pa and N."""
@@ -167,12 +169,12 @@ class RomSimulator:
     def equilibrium(self, pressure: np.ndarray) -> RomState:
         """Return the state at rest under ``pressure`` (n,) Pa and weight."""
         z = self.reduced_model.frame @ self._equilibrium(NO_HOOKS, np.asarray(pressure, dtype=float))
-        return RomState(z, np.zeros_like(z), STILL.copy())
+        return RomState(z, np.zeros_like(z), STILL.copy(), self.robot.gravity_m_s2)
 
     def reset(self, rng: np.random.Generator | None = None) -> RomState:
         """Return the state at rest under zero pressure and weight; ``rng`` is unused."""
         z = self.reduced_model.frame @ self._rest
-        return RomState(z, np.zeros_like(z), STILL.copy())
+        return RomState(z, np.zeros_like(z), STILL.copy(), self.robot.gravity_m_s2)
 
     def step(
         self,
@@ -193,17 +195,18 @@ class RomSimulator:
         inner = state.inner.copy()
         held = self._loads(pressure, tip_force)
         hooks = pack(body), pack(load)
-        self._run(y, velocity, inner, self._rest, float(dt_s), held, hooks, 0)
+        _, _, felt = self._run(y, velocity, inner, self._rest, float(dt_s), held, hooks, 0)
         unpack(hooks[0], body)
         unpack(hooks[1], load)
-        return RomState(*(tables.frame @ part for part in (y, velocity)), inner)
+        return RomState(*(tables.frame @ part for part in (y, velocity)), inner, felt)
 
     def observe(self, state: RomState) -> tuple[np.ndarray, np.ndarray]:
         """Return tip position (3,) m and quaternion (4,) w x y z."""
         tables = self._tables
         position, quaternion = np.empty(3), np.empty(4)
         values, point = np.empty(len(tables.parent)), np.empty(len(tables.frame))
-        tip_pose(tables.inverse @ state.coordinates, state.inner[0], tables, values, point, position, quaternion)
+        y, felt = tables.inverse @ state.coordinates, np.array(state.gravity, dtype=float)
+        tip_pose(y, state.inner[0], felt, tables, values, point, position, quaternion)
         return position, quaternion
 
     def simulate(
@@ -222,5 +225,5 @@ class RomSimulator:
         rest = self._equilibrium(hooks) if load else self._rest
         held = self._loads(pressure, tip_force)
         moving = rest.copy(), np.zeros(len(rest)), STILL.copy()
-        position, quaternion = self._run(*moving, rest, float(time[1] - time[0]), held, hooks, len(held))
+        position, quaternion, _ = self._run(*moving, rest, float(time[1] - time[0]), held, hooks, len(held))
         return Motion(np.asarray(time, dtype=float), position, quaternion, held[:, : self.robot.chambers].copy())

@@ -89,7 +89,7 @@ def test_an_unforced_body_never_gains_energy(body: Body, dt_s: float) -> None:
     for _ in range(200):
         state = [(model.frame @ part)[None] for part in (y, velocity)]
         energy.append(mechanical_energy(model, *state, None, inner[None], dt_s)[0])
-        failed, _ = run_kernel(
+        failed, *_ = run_kernel(
             y,
             velocity,
             inner,

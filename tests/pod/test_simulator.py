@@ -195,6 +195,21 @@ def test_tilted_gravity_is_another_gravity(tripod: Body) -> None:
     np.testing.assert_allclose(by_hook.position, turned.simulate(time, pressure).position, atol=1e-8)
 
 
+def test_tilted_gravity_turns_the_tip_as_another_gravity(tripod: Body) -> None:
+    robot, _, model = tripod
+    tilted, spin = np.array([3.0, 1.0, -9.0]), np.zeros((9, 1))
+    spin[[0, 4, 5], 0] = 0.01, 0.02, -0.01  # rad s^2/m
+    body = RomSimulator(robot, dataclasses.replace(model, give_rotation=spin), 1.0, 1.0, 1.0)
+    turned = dataclasses.replace(body, robot=dataclasses.replace(robot, gravity_m_s2=tuple(tilted)))
+    time, pressure = program(robot, 20)
+    by_hook, meant = body.simulate(time, pressure, None, (), [hook(tilt_kernel, *tilted)]), turned.simulate(time, pressure)
+    np.testing.assert_allclose(by_hook.quaternion, meant.quaternion, atol=1e-7)
+    assert np.abs(meant.quaternion - body.simulate(time, pressure).quaternion).max() > 1e-2
+    state = body.step(body.reset(), pressure, DT_S, load=[hook(tilt_kernel, *tilted)])
+    after = turned.step(body.reset(), pressure, DT_S)
+    np.testing.assert_allclose(body.observe(state)[1], turned.observe(after)[1], atol=1e-7)
+
+
 def test_leaving_the_samples_is_reported(tripod: Body, caplog: pytest.LogCaptureFixture) -> None:
     robot, _, model = tripod
     reach._reported.clear()

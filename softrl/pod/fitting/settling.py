@@ -46,7 +46,7 @@ def settles(model: ReducedModel, loads: np.ndarray, thrown: bool) -> bool:
     for load, point in zip(loads, points, strict=True):
         for tables, steps, step in stages:
             held = np.tile(load, (steps, 1))
-            failed, _ = run_kernel(*state, step, held, tables, NO_HOOKS, held[:0], *EMPTY)
+            failed, *_ = run_kernel(*state, step, held, tables, NO_HOOKS, held[:0], *EMPTY)
         # a step of the flight may fail: what counts is where it comes to rest
         if failed > 0 or not np.linalg.norm(((state[0] - point) @ model.frame.T)[-3:]) < least:
             return False

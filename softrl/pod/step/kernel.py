@@ -7,6 +7,7 @@ import numba as nb
 import numpy as np
 
 from softrl.core.compiled import borrowing, summing
+from softrl.effects.effect import GRAVITY
 from softrl.pod.step.inertia import (
     add_inertia,
     fill_amplitudes,
@@ -169,7 +170,7 @@ def run_kernel(
     path: np.ndarray,
     position: np.ndarray,
     quaternion: np.ndarray,
-) -> tuple[int, float]:
+) -> tuple[int, float, tuple[float, float, float]]:
     """Advance ``y``, ``velocity`` (r,) and ``inner`` (2, 6) by implicit Euler over ``load`` (steps, r) Pa and N.
 
     The amplitudes are taken where the step's first iteration leads, viscosity half way there, see ``inertia.py`` and
@@ -187,6 +188,7 @@ def run_kernel(
     -------
     failed : number of steps that did not converge
     farthest : largest ``|y|``; above 1 the model has no samples
+    felt : m/s^2, the gravity that acted in the last step, which effects may turn
     """
     r, n = len(y), len(y) - 3
     work = make_room(tables)
@@ -197,6 +199,8 @@ def run_kernel(
     course = make_course(r, len(tables.amplitudes), ())
     held = (np.empty((r, r)), np.zeros((r, r)), np.zeros(r), make_inside(r, ()), course)
     ports, bare = make_ports(n), np.empty(r)
+    felt = ports.load[GRAVITY]
+    felt[:] = tables.gravity
     with_effects = len(hooks[0].kernels) + len(hooks[1].kernels) > 0
     close, failed = CLOSE if with_effects else NEAR, 0
     if with_effects:
@@ -246,5 +250,5 @@ def run_kernel(
         if len(path) > 0:
             path[step] = y
         if len(position) > 0:
-            tip_pose(y, inner[0], tables, values, point, position[step], quaternion[step])
-    return failed, farthest
+            tip_pose(y, inner[0], felt, tables, values, point, position[step], quaternion[step])
+    return failed, farthest, (felt[0], felt[1], felt[2])

@@ -23,6 +23,7 @@ def _spun(coefficients: np.ndarray, values: np.ndarray, degrees: np.ndarray, bey
 def tip_pose(
     y: np.ndarray,
     gives: np.ndarray,
+    felt: np.ndarray,
     tables: Any,
     values: np.ndarray,
     point: np.ndarray,
@@ -31,7 +32,8 @@ def tip_pose(
 ) -> None:
     """Fill the tip's position (3,) m and quaternion (4,) w x y z at ``y``.
 
-    ``gives`` (6,) is how far the inside gives beyond what weight makes it give.
+    ``gives`` (6,) is how far the inside gives beyond what weight makes it give, and ``felt`` (3,) m/s^2 the gravity that acts:
+    an effect may have turned it.
     """
     n, r = len(y) - 3, len(y)
     beyond = max(to_ball(y, point) - 1.0, 0.0)
@@ -54,6 +56,10 @@ def tip_pose(
     turn = (0.0, 0.0, 0.0)
     for k in range(3):
         angle = 0.5 * polynomial(tables.turn[k], few)
+        for axis in range(3):
+            tilt = felt[axis] - tables.gravity[axis]
+            if tilt != 0.0:
+                angle += 0.5 * tilt * polynomial(tables.turn_by_gravity[axis, k], few)
         for j in range(SHAPES):
             angle += 0.5 * polynomial(tables.inner_rotation[k * SHAPES + j], few) * gives[j]
         given += angle * angle

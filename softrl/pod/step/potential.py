@@ -30,6 +30,7 @@ class Tables(NamedTuple):
     stiffness_root : (pairs, k) entries of S, and stiffness_factor : (r, r) L, of viscosity ``L S'S L'``, see ``pod.step.chord``
     weight : (3, r, k) N/(m/s^2) m, mass times the gradient of the centre of mass by y
     rotation : (3, k) rad, rotation vector of the tip;  turn : (3, k) rad, what weight and layers turn it further, as a spin
+    turn_by_gravity : (3, 3, k) rad per m/s^2 along each axis, what weight does of ``turn``
     inner_give : (21, k);  inner_rotation : (18, k);  inner_root, drag_root : (6 r + 21, k), see ``ReducedModel``
     rest_volume : (n,) m^3;  rest_tip : (3,) m
     rest_slope : (n,) Pa, pressure per relative volume of one chamber at rest, other volumes held and tip free
@@ -53,6 +54,7 @@ class Tables(NamedTuple):
     weight: np.ndarray
     rotation: np.ndarray
     turn: np.ndarray
+    turn_by_gravity: np.ndarray
     inner_give: np.ndarray
     inner_root: np.ndarray
     drag_root: np.ndarray

@@ -40,14 +40,15 @@ def tables_of(
     give, give_rotation = (mass_scale * more) ** 0.5 * model.give, more * model.give_rotation
     pressed = np.einsum("j,ijk->ik", gravity, give.reshape(3, 3, -1))
     drop, settling = mass * gravity @ centre_of_mass, 0.5 * sum_of_squares(r, pressed)
-    turn = sum_of(turned, np.einsum("j,ijk->ik", gravity, give_rotation.reshape(3, 3, -1)))
+    by_axis = give_rotation.reshape(3, 3, -1).transpose(1, 0, 2)
+    turn = sum_of(turned, np.einsum("j,jik->ik", gravity, by_axis))
     potential = sum_of(np.zeros(count(r, 2)), sum_of(youngs_modulus_scale * energy, -sum_of(drop, settling)))
     degree = degree_of(r, len(potential))
     gradient, hessian = basis(r, degree).derivative(potential), basis(r, degree).hessian(potential)
     by_gravity = model.stiffness_root_by_gravity
     weighed = np.einsum("j,jik->ik", more * gravity, by_gravity.reshape(3, -1, by_gravity.shape[1]))
     stiffness_root = sum_of(model.stiffness_root, weighed)
-    maps = (gradient, weight, model.rotation, turn, stiffness_root, *(getattr(model, name) for name in MAPS))
+    maps = (gradient, weight, model.rotation, turn, by_axis, stiffness_root, *(getattr(model, name) for name in MAPS))
     full = basis(r, max(degree_of(r, table.shape[-1]) for table in maps if table.shape[-1]))
     inverse = np.linalg.inv(model.frame)
     quadratic = youngs_modulus_scale * hessian_at_rest(energy, r)
@@ -72,6 +73,7 @@ def tables_of(
                 mass * weight.transpose(1, 0, 2),
                 model.rotation,
                 turn,
+                by_axis,
                 youngs_modulus_scale**0.5 * model.inner_give,
                 model.inner_root,
                 model.drag_root,
