@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from softrl.artifacts.mesh import Mesh
+from softrl.artifacts.mesh import BASE, Mesh
 from softrl.core.errors import ConfigError
 from softrl.core.tracking import Tracker
 from softrl.mesh.cavity import Cavities, cavities_of, find_cavities
@@ -23,6 +23,7 @@ from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
 SAMPLE, GENERATE = "sample", "generate"
+ASIDE = 0.05  # of the body's width: so far beside the z axis its base may stand
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,7 @@ def run(config: Config, robot: Robot, *, tracker: Tracker) -> Mesh:
     check_slivers(solid, config.min_dihedral_deg, name)
     mesh = _assemble(regions, robot, solid, cavities, name)
     mesh.validate()
+    _warn_aside(mesh, name)
     _report(mesh, solid, regions, config.min_dihedral_deg, robot, tracker)
     return mesh
 
@@ -116,6 +118,16 @@ def _assemble(regions: Regions, robot: Robot, solid: Tetrahedra, cavities: Cavit
         cavity_of_triangle=cavities.chamber,
         robot_name=robot.name,
     )
+
+
+def _warn_aside(mesh: Mesh, name: str) -> None:
+    """Warn of a body that stands beside the z axis, which is that of the chambers' angles and of their symmetries."""
+    at = mesh.points[mesh.node_region == BASE, :2].mean(axis=0)
+    if np.linalg.norm(at) > ASIDE * np.ptp(mesh.points[:, :2], axis=0).max():
+        log.warning(
+            "%s has the centre of its base at x = %.1f, y = %.1f mm; expected it on the z axis, about which the robot's chambers "
+            "are told: move the mesh there, unless the body is meant to stand aside", name, *(1e3 * at),
+        )  # fmt: skip
 
 
 def _report(

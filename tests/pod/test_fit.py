@@ -18,9 +18,10 @@ from softrl.pod.fitting.settling import equilibria_of
 from softrl.pod.report import mass_errors, motions, orientation_errors, statics
 from softrl.pod.step.tables import tables_of
 from softrl.robots.robot import Robot
+from tests.pod import synthetic
 from tests.pod.conftest import SETTINGS
 from tests.pod.mechanics import mechanical_energy
-from tests.pod.synthetic import law_of, synthetic_snapshots
+from tests.pod.synthetic import Law, law_of, synthetic_snapshots
 
 Body = tuple[Robot, Snapshots, ReducedModel]
 
@@ -59,6 +60,28 @@ def test_amplitudes_know_all_of_the_mass(body: Body) -> None:
     assert np.abs(mass_errors(model, unseen)).max() < 1e-4
     few = replace(model, amplitudes=model.amplitudes[-model.order :])
     assert np.abs(mass_errors(few, unseen)).max() > 0.1
+
+
+class Lopsided(Law):
+    """A body whose mass follows the tip farther along x than along y, unlike its chambers."""
+
+    def centre_of_mass(self, z: np.ndarray) -> np.ndarray:
+        return super().centre_of_mass(z) * np.array([1.6, 1.0, 1.0])
+
+
+def test_a_body_without_the_symmetry_of_its_chambers_has_no_images(
+    tripod: Body, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    robot, _, model = tripod
+    settings = replace(SETTINGS, image_weights=(0.1, 1.0))
+    monkeypatch.setattr(synthetic, "law_of", lambda robot: Lopsided(robot.chamber_direction))
+    seen = synthetic_snapshots(robot, 40, seed=3, trajectories=0)
+    unseen = equilibria(synthetic_snapshots(robot, 20, seed=11, trajectories=0))
+    model = replace(model, **fit_maps(settings, robot, equilibria(seen), model.frame, np.arange(40) % 2))
+    assert np.abs(mass_errors(model, unseen)).max() < 1e-3
+    nearest = np.linalg.norm(seen.loads / np.abs(seen.loads).max(axis=0), axis=1).argmin()
+    assert np.abs(mass_errors(model, equilibria(seen).rows([nearest]))).max() < 1e-5
+    assert "robot.chamber_angle_deg" in caplog.text and "without images" in caplog.text
 
 
 def test_viscosity_is_that_under_the_weight(tripod: Body) -> None:

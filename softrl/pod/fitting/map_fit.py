@@ -8,13 +8,14 @@ import numpy as np
 from softrl.pod.fitting.equilibria import Answers, Equilibria, slopes_of
 from softrl.pod.fitting.maps import Seen, best_forms, equations, symmetric_roots, trust
 from softrl.pod.fitting.settings import FitSettings
-from softrl.pod.fitting.symmetry import reflected, weight_to_trust
+from softrl.pod.fitting.symmetry import lopsided, reflected, weight_to_trust
 from softrl.robots.robot import Robot
-from softrl.robots.symmetry import images_of, symmetries
+from softrl.robots.symmetry import Symmetry, images_of, symmetries
 
 log = logging.getLogger(__name__)
 ROUND_OFF = 1e-9  # of what is largest
 RIDGES = (1e-10, 1e-8, 1e-7, 1e-6, 1e-5)  # tried for every map
+LOPSIDED = 0.1  # of the mass at rest: a mesh that is merely unstructured has some per cent
 
 
 ALIKE = (  # maps that are fitted together: in turn those that vanish at rest and the others, with slopes and without
@@ -32,9 +33,11 @@ def fit_maps(
     """Return the coefficients of all maps besides the energy; each weighs the samples' images as they deserve.
 
     A map is fitted to its values at the equilibria and, where that is known, to how it changes under the largest load of
-    each kind. Equilibria that no polynomial follows count for little, see ``trust``.
+    each kind. Equilibria that no polynomial follows count for little, see ``trust``. Images by a symmetry that the body
+    plainly lacks are those of another body: they are left out.
     """
-    images = images_of(robot)
+    images = _images_of(robot, samples, frame)
+    weights = settings.image_weights if images else (0.0,)
     everything = reflected(samples, [*symmetries(robot.chamber_direction)[:1], *images])
     largest = np.abs(everything.load).max(axis=0)
     modes = modes_of(everything, largest, settings.amplitudes_max)
@@ -52,7 +55,7 @@ def fit_maps(
         degrees, at_origin = {name: _degree_max(name, settings) for name in names}, names in AT_REST
         parts = {
             weight: _part(weight, seen, {name: goals[name] for name in names}, len(fold))
-            for weight in settings.image_weights_of(robot)
+            for weight in weights
         }
         trusted = trust(*parts[max(parts)], degrees, at_origin)
         parts = {weight: (here, values, each * trusted[: len(each)]) for weight, (here, values, each) in parts.items()}
@@ -65,8 +68,23 @@ def fit_maps(
             form, (here, values, each) = forms[image][name], parts[image]
             maps[name] = equations(here, values[name], each, form.degree, at_origin).solve(form.ridge)
             log.debug("%s of degree %d, ridge %g, images of weight %g", name, form.degree, form.ridge, image)
-    maps["amplitudes"] = _with_rest(maps["amplitudes"], goals["amplitudes"], seen, frame.T @ everything.answers["mass"] @ frame)
+    mass = frame.T @ samples.answers["mass"] @ frame
+    maps["amplitudes"] = _with_rest(maps["amplitudes"], goals["amplitudes"][own], seen.rows(own), mass)
     return maps
+
+
+def _images_of(robot: Robot, samples: Equilibria, frame: np.ndarray) -> list[Symmetry]:
+    """Return the robot's symmetries besides the identity, but for those that the body plainly lacks."""
+    images = images_of(robot)
+    shares = [lopsided(samples, image, frame) for image in images]
+    if max(shares, default=0.0) > LOPSIDED:
+        log.warning(
+            "robot %s: a symmetry of its chambers' layout changes the body's mass at rest by more than %.0f %%: its maps are fitted "
+            "without images of the samples by such symmetries; if the body is meant to have them, put the centre of its base at "
+            "x = y = 0 and check robot.chamber_angle_deg, else run stage=fem with more equilibria",
+            robot.name, 100.0 * LOPSIDED,
+        )  # fmt: skip
+    return [image for image, share in zip(images, shares, strict=True) if share <= LOPSIDED]
 
 
 def modes_of(samples: Equilibria, largest: np.ndarray, most: int) -> np.ndarray:
@@ -87,13 +105,12 @@ def modes_of(samples: Equilibria, largest: np.ndarray, most: int) -> np.ndarray:
 def _with_rest(coefficients: np.ndarray, goal: np.ndarray, seen: Seen, mass: np.ndarray) -> np.ndarray:
     """Return the amplitudes (k + r, monomials) with r more, linear ones: what k of them leave of ``mass`` (S, r, r) near rest.
 
-    ``goal`` (S, 1 + n + 3, k) are the amplitudes and their changes along the moves that are ``seen``. So the mass is
-    exact at rest.
+    ``goal`` (S, 1 + n + 3, k) are the amplitudes and their changes along the moves that are ``seen``, of the body's own samples:
+    so the mass is exact at rest, on this mesh.
     """
-    away = np.linalg.norm(seen.points, axis=1)
-    near = away < 1.01 * away.min()  # a sample and its images
-    lead = np.linalg.solve(seen.moves[near].transpose(0, 2, 1), goal[near, 1:])  # (S, r, k)
-    rest = symmetric_roots((mass[near] - lead @ lead.transpose(0, 2, 1)).mean(axis=0)[None])[0]
+    near = [int(np.linalg.norm(seen.points, axis=1).argmin())]
+    lead = np.linalg.solve(seen.moves[near].transpose(0, 2, 1), goal[near, 1:])  # (1, r, k)
+    rest = symmetric_roots(mass[near] - lead @ lead.transpose(0, 2, 1))[0]
     linear = np.zeros((len(rest), coefficients.shape[1]))
     linear[:, 1 : 1 + len(rest)] = rest
     return np.concatenate([coefficients, linear])

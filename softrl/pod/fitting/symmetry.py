@@ -6,6 +6,7 @@ from softrl.fem.moments import turned
 from softrl.pod.fitting.equilibria import AXES, Equilibria, twice
 from softrl.robots.symmetry import Symmetry
 
+ROUND_OFF = 1e-9  # of what is largest
 ALIKE = 1.5  # times the least error: weights of images that do about as well
 
 
@@ -16,6 +17,24 @@ def reflected(samples: Equilibria, operations: list[Symmetry]) -> Equilibria:
     parts = ([getattr(image, name) for image in images] for name in ("answers", "slopes"))
     joined = ({n: np.concatenate([part[n] for part in of]) for n in of[0]} for of in parts)
     return Equilibria(*arrays, *joined, samples.moment_gram)
+
+
+def lopsided(samples: Equilibria, operation: Symmetry, frame: np.ndarray) -> float:
+    """Return how far the mass at rest is from that of its image under ``operation``, as a share of itself.
+
+    It is that of the motion that moments know, of the sample nearest to rest, in coordinates y with ``z = frame y``: it tells
+    a body beside the z axis from one on it, too.
+    """
+    nearest = np.linalg.norm(np.linalg.solve(frame, samples.coordinate.T), axis=0).argmin()
+    own = samples.rows(np.array([nearest]))
+    metric = np.linalg.pinv(samples.moment_gram, rcond=ROUND_OFF, hermitian=True)
+    masses = []
+    for seen in (own, _image(own, operation)):
+        slopes = seen.slopes["moments"][0]
+        per_load = np.linalg.solve(frame, seen.compliance[0]).T
+        moments = np.linalg.solve(per_load, slopes.reshape(len(slopes), -1)).reshape(slopes.shape)
+        masses.append(np.einsum("ixd,xy,jyd->ij", moments, metric, moments, optimize=True))
+    return float(np.linalg.norm(masses[1] - masses[0]) / np.linalg.norm(masses[0]))
 
 
 def weight_to_trust(errors: dict[float, float]) -> float:
