@@ -40,4 +40,4 @@ class AreaGrowth(Effect):
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (growth, largest pressure Pa, chamber)."""
         growth, chamber = super().pack(robot)
-        return np.array([growth, robot.pressure_max_pa, chamber])
+        return np.array([growth, robot.largest_pa, chamber])

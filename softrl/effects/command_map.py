@@ -72,6 +72,6 @@ class CommandMap(Effect):
             raise ConfigError(f"effect command_map knows {CHAMBERS} chambers; robot {robot.name} has {robot.chambers}")
         values = super().pack(robot)[:-1]
         first = CHAMBERS * CHAMBERS
-        values[first : first + CHAMBERS] *= robot.pressure_max_pa
-        values[first + CHAMBERS :] /= robot.pressure_max_pa
+        values[first : first + CHAMBERS] *= robot.largest_pa
+        values[first + CHAMBERS :] /= robot.largest_pa
         return np.append(values, robot.lowest_pa)

@@ -77,4 +77,4 @@ class Deadband(Effect):
 
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (band Pa, share of it at which valves close, rate of filling Pa/s, chamber)."""
-        return super().pack(robot) * [robot.pressure_max_pa, 1.0, robot.pressure_max_pa, 1.0]
+        return super().pack(robot) * [robot.largest_pa, 1.0, robot.largest_pa, 1.0]

@@ -88,7 +88,8 @@ def parameter(
     log : search on a logarithmic scale (only where low > 0)
     scale : a change that is plain to see, where it is not what leads from ``neutral`` to ``typical``
     default : the value where none is given; must be given if this is missing
-    of : of what of the robot's it is a share: "pressure" (the largest), "length" or "mass"; or empty
+    of : of what of the robot's it is a share: "pressure" (the largest in size), "ceiling" (the highest), "length" or "mass"; or
+        empty
     """
     metadata = {"unit": unit, "low": low, "high": high, "neutral": neutral, "typical": typical, "log": log, "of": of}
     metadata["scale"] = scale or abs(typical - neutral) or 0.1 * (high - low)

@@ -61,5 +61,5 @@ class FlowLimit(Effect):
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (rise Pa/s, time constant s, lag s, lowest pressure Pa, chamber)."""
         rise, vent_s, lag_s, chamber = super().pack(robot)
-        rise_pa_per_s = rise * robot.pressure_max_pa if rise < UNLIMITED_PER_S else np.inf
+        rise_pa_per_s = rise * robot.largest_pa if rise < UNLIMITED_PER_S else np.inf
         return np.array([rise_pa_per_s, vent_s, lag_s, robot.lowest_pa, chamber])

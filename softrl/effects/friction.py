@@ -46,4 +46,4 @@ class Friction(Effect):
 
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (dry Pa, loaded, chamber)."""
-        return super().pack(robot) * [robot.pressure_max_pa, 1.0, 1.0]
+        return super().pack(robot) * [robot.largest_pa, 1.0, 1.0]

@@ -124,8 +124,8 @@ def hook_of(effect: Effect, robot: Robot, before_s: float = 0.0, temperature: np
         state[effect.clock] = effect.begun_s - before_s
     if not effect.gated:
         return Hook(kernel, parameters, state)
-    above = effect.above_share * robot.pressure_max_pa if effect.above_share > EVERYWHERE else -np.inf
-    behind = np.array([above, BAND * robot.pressure_max_pa, effect.since_s, effect.over_s, 0.0])
+    above = effect.above_share * robot.largest_pa if effect.above_share > EVERYWHERE else -np.inf
+    behind = np.array([above, BAND * robot.largest_pa, effect.since_s, effect.over_s, 0.0])
     behind[-1:].view(np.int64)[0] = address_of(kernel)
     gate = gated_flow if effect.stores else KERNELS.get(effect.site, gated_signal)
     return Hook(gate, np.r_[parameters, behind], np.r_[state, effect.begun_s - before_s])

@@ -59,4 +59,4 @@ class Hysteresis(Effect):
 
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (height Pa, yield strain, chamber)."""
-        return super().pack(robot) * [robot.pressure_max_pa, 1.0, 1.0]
+        return super().pack(robot) * [robot.largest_pa, 1.0, 1.0]

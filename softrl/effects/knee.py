@@ -48,4 +48,4 @@ class Knee(Effect):
 
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (slope, threshold Pa, chamber)."""
-        return super().pack(robot) * [1.0, robot.pressure_max_pa, 1.0]
+        return super().pack(robot) * [1.0, robot.largest_pa, 1.0]

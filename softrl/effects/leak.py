@@ -57,4 +57,4 @@ class Leak(Effect):
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (leak 1/s, refill s, exponent, largest pressure Pa, chamber)."""
         own = super().pack(robot)
-        return np.array([*own[:3], robot.pressure_max_pa, own[3]])
+        return np.array([*own[:3], robot.largest_pa, own[3]])

@@ -47,4 +47,4 @@ class Offset(Effect):
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (offset Pa, lowest pressure Pa, chamber)."""
         offset, chamber = super().pack(robot)
-        return np.array([offset * robot.pressure_max_pa, robot.lowest_pa, chamber])
+        return np.array([offset * robot.largest_pa, robot.lowest_pa, chamber])

@@ -89,6 +89,6 @@ class Orifice(Effect):
     def pack(self, robot: Robot) -> np.ndarray:
         """Return the time constants of filling and venting, s, and the chamber."""
         fill_s, vent_s, chamber = super().pack(robot)
-        way = robot.pressure_max_pa / (robot.pressure_max_pa + ATMOSPHERE_PA) / _WAY
+        way = robot.largest_pa / (robot.largest_pa + ATMOSPHERE_PA) / _WAY
         full = max(way - 1.0, 0.0) + math.acos(1.0 - min(way, 1.0))  # time constants until the largest pressure is filled
         return np.array([fill_s / full, vent_s / full, chamber])

@@ -83,4 +83,4 @@ class PiRegulator(Effect):
         """Return (lag s, integral time s, largest rate Pa/s, chamber)."""
         lag_s, integral_s, rate, chamber = super().pack(robot)
         integral_s = integral_s if integral_s < UNLIMITED else np.inf
-        return np.array([lag_s, integral_s, rate * robot.pressure_max_pa if rate < UNLIMITED else np.inf, chamber])
+        return np.array([lag_s, integral_s, rate * robot.largest_pa if rate < UNLIMITED else np.inf, chamber])

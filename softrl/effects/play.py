@@ -67,7 +67,7 @@ class Play(Effect):
 
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (height Pa, yield strain, spread, chamber)."""
-        return super().pack(robot) * [robot.pressure_max_pa, 1.0, 1.0, 1.0]
+        return super().pack(robot) * [robot.largest_pa, 1.0, 1.0, 1.0]
 
     def reset(self, robot: Robot) -> np.ndarray:
         """Return how far every element is drawn, of each chamber: not at all."""

@@ -55,7 +55,7 @@ class PressurePlay(Effect):
 
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (share, half-width Pa, spread, chamber)."""
-        return super().pack(robot) * [1.0, robot.pressure_max_pa, 1.0, 1.0]
+        return super().pack(robot) * [1.0, robot.largest_pa, 1.0, 1.0]
 
     def reset(self, robot: Robot) -> np.ndarray:
         """Return what follows the pressure without having moved yet, of every element."""

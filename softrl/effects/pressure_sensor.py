@@ -40,11 +40,11 @@ class PressureSensor(Effect):
 
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (gain, offset Pa, chamber)."""
-        return super().pack(robot) * [1.0, robot.pressure_max_pa, 1.0]
+        return super().pack(robot) * [1.0, robot.largest_pa, 1.0]
 
     def undo(self, robot: Robot, reported: np.ndarray, share: np.ndarray, dt_s: float) -> np.ndarray:
         """Return the pressures (steps, chambers) Pa that the gauge saw where it ``reported`` these."""
         seen = np.array(reported, dtype=float)
         mine = slice(None) if self.chamber < 0 else slice(self.chamber, self.chamber + 1)
-        seen[:, mine] = (seen[:, mine] - share * self.offset * robot.pressure_max_pa) / (1.0 + share * (self.gain - 1.0))
+        seen[:, mine] = (seen[:, mine] - share * self.offset * robot.largest_pa) / (1.0 + share * (self.gain - 1.0))
         return seen

@@ -55,5 +55,5 @@ class RateLimit(Effect):
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (rise Pa/s, fall Pa/s, lag s, chamber)."""
         rise, fall, lag_s, chamber = super().pack(robot)
-        rates = [rate * robot.pressure_max_pa if rate < UNLIMITED_PER_S else np.inf for rate in (rise, fall)]
+        rates = [rate * robot.largest_pa if rate < UNLIMITED_PER_S else np.inf for rate in (rise, fall)]
         return np.array([*rates, lag_s, chamber])

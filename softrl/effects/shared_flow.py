@@ -55,4 +55,4 @@ class SharedFlow(Effect):
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (rise Pa/s, chamber)."""
         rise, chamber = super().pack(robot)
-        return np.array([rise * robot.pressure_max_pa if rise < UNLIMITED_PER_S else np.inf, chamber])
+        return np.array([rise * robot.largest_pa if rise < UNLIMITED_PER_S else np.inf, chamber])

@@ -62,4 +62,4 @@ class StrainSoftening(Effect):
 
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (softness 1/Pa, residual, chamber)."""
-        return super().pack(robot) / [robot.pressure_max_pa, 1.0, 1.0]
+        return super().pack(robot) / [robot.largest_pa, 1.0, 1.0]

@@ -23,7 +23,7 @@ def supply_limit_kernel(parameters: np.ndarray, state: np.ndarray, value: np.nda
 class SupplyLimit(Effect):
     """Ceiling and floor of the supplied pressure, as shares of the robot's largest and smallest pressure.
 
-    A robot without suction (``pressure_min_pa >= 0``) has no floor.
+    A robot without suction (``pressure_min_pa >= 0``) has no floor, one with nothing else (``pressure_max_pa <= 0``) no ceiling.
 
     Notes
     -----
@@ -35,13 +35,13 @@ class SupplyLimit(Effect):
     kernel: ClassVar = supply_limit_kernel
     above_own: ClassVar[bool] = True
 
-    ceiling: float = parameter("1", 0.1, 1.0, 1.0, typical=0.6, of="pressure")
+    ceiling: float = parameter("1", 0.1, 1.0, 1.0, typical=0.6, of="ceiling")
     floor: float = parameter("1", 0.0, 1.0, 1.0, typical=0.6)
     chamber: int = -1
 
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (ceiling Pa, floor Pa, chamber); a share of 1 clips nothing."""
         ceiling, floor, chamber = super().pack(robot)
-        high = ceiling * robot.pressure_max_pa if ceiling < 1.0 else np.inf
+        high = ceiling * robot.pressure_max_pa if ceiling < 1.0 and robot.pressure_max_pa > 0.0 else np.inf
         low = floor * robot.pressure_min_pa if floor < 1.0 and robot.pressure_min_pa < 0.0 else -np.inf
         return np.array([high, low, chamber])

@@ -73,6 +73,11 @@ class Robot:
         return len(self.chamber_angle_deg)
 
     @property
+    def largest_pa(self) -> float:
+        """Gauge pressure largest in size, of suction or above the room's: what shares of a pressure are shares of."""
+        return max(abs(self.pressure_min_pa), abs(self.pressure_max_pa))
+
+    @property
     def lowest_pa(self) -> float:
         """Gauge pressure below which nothing gets a chamber: that of its suction, or of the room."""
         return min(self.pressure_min_pa, 0.0)

@@ -36,6 +36,8 @@ def test_a_gate_begins_where_it_is_told_and_how_suddenly_is_free() -> None:
     assert [axis.name for axis in effect_axes(held)][-2:] == ["exponent", "since_s"]
     assert build_effect(held, [0.1, 3.0, 1.0, 15.0]).over_s == 1.0
     assert not [form for form in gated(Choice("drift"), 30.0, 0.8) if form.gate and form.gate.field == "since_s"]
+    fields = [{form.gate.field for form in gated(Choice("gain"), 30.0, highest) if form.gate} for highest in (0.8, 0.0, -0.2)]
+    assert fields == [{"since_s", "above_share"}, {"since_s"}, {"since_s"}], "under suction no pressure is above another"
 
 
 def test_a_gate_without_influence_is_dropped() -> None:

@@ -290,3 +290,16 @@ def test_stepping_with_hooks_is_simulating(name: str) -> None:
     for row in pressure:
         state = body.step(state, row, 0.01, body=on_body, load=on_load)
     np.testing.assert_allclose(body.observe(state)[0], motion.position[-1], atol=1e-5 if loaded else 1e-8)
+
+
+@pytest.mark.parametrize("highest", [0.0, -1e3])
+def test_a_robot_under_suction_alone_has_every_effect_in_shares_of_its_suction(highest: float) -> None:
+    vacuum = dataclasses.replace(simulator().robot, pressure_min_pa=-5e3, pressure_max_pa=highest)
+    both = dataclasses.replace(vacuum, pressure_max_pa=5e3)
+    for name in ACTING:
+        if name != "supply_limit":  # its ceiling is of the highest pressure: here there is none
+            np.testing.assert_array_equal(typical(name).pack(vacuum), typical(name).pack(both), err_msg=name)
+    assert library.effect_class("supply_limit")(ceiling=0.6, floor=0.5).pack(vacuum).tolist() == [np.inf, -2.5e3, -1.0]
+    late = library.effect_class("gain")(gain=0.5, since_s=1.0, over_s=0.1)
+    seen = SignalFilter(chain_of(vacuum, [late]), "valve", "chamber").advance(np.full((200, 3), -4e3), 0.01)
+    np.testing.assert_allclose(seen[[50, 150]], np.tile([[-4e3], [-2e3]], 3))

@@ -115,7 +115,7 @@ def test_own_volume_mesh_gives_the_same_artifact(sample, configure, robot, tmp_p
 def test_a_body_beside_the_z_axis_is_told(sample, configure, robot, tmp_path, caplog) -> None:
     path, other = tmp_path / "own.vtu", dataclasses.replace(robot, length_m=0.9 * robot.length_m)  # no tripod: ends, no ribs
     for aside, told in ((0.002, False), (0.03, True)):
-        meshio.write(path, meshio.Mesh(sample.points + [aside, 0.0, 0.0], [("tetra", sample.tetrahedra)]))
+        meshio.write(path, meshio.Mesh(sample.points + np.array([aside, 0.0, 0.0]), [("tetra", sample.tetrahedra)]))
         run(configure(f"source={path}", "unit_m=1.0"), other, tracker=NullTracker())
         assert ("expected it on the z axis" in caplog.text) == told
 

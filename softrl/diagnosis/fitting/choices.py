@@ -139,9 +139,10 @@ def gated(choice: Choice, duration_s: float, highest_share: float) -> list[Choic
     Parameters
     ----------
     duration_s : of the runs
-    highest_share : pressure that they reach, as a share of the robot's largest
+    highest_share : pressure that they reach, as a share of the robot's largest; under suction alone none is above another
     """
     begins = BEGINS if choice.chamber < 0 else BEGIN_ALONE
     whole = {"since_s": duration_s, "above_share": highest_share}
-    gates = [Gate(field, share * whole[field]) for field in may_be_gated(choice) for share in begins]
+    able = [field for field in may_be_gated(choice) if whole[field] > 0.0]
+    gates = [Gate(field, share * whole[field]) for field in able for share in begins]
     return [choice._replace(gate=gate) for gate in gates]

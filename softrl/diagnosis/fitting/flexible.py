@@ -79,7 +79,7 @@ def pressures(problem: Problem, number: int) -> np.ndarray:
     """Return the driving pressures (bins, chambers) of a run, in shares of the robot's largest."""
     run = problem.runs[number]
     acting = run.pressure_meas if problem.drive == "measured" and run.pressure_meas is not None else run.pressure_cmd
-    return problem.binned(number, acting) / problem.robot.pressure_max_pa
+    return problem.binned(number, acting) / problem.robot.largest_pa
 
 
 def _in_time(problem: Problem, number: int) -> tuple[np.ndarray, np.ndarray]:

@@ -243,7 +243,7 @@ class Problem:
         """Return whether nothing acts at the beginning of ``run``, nor did before."""
         first = run.pressure_cmd[0] if run.pressure_meas is None else run.pressure_meas[0]
         past = np.abs([first, self.before.get(run.name, first)]).max()
-        return bool(past <= AT_REST_SHARE * self.robot.pressure_max_pa)
+        return bool(past <= AT_REST_SHARE * self.robot.largest_pa)
 
     @cached_property
     def _rows_apart(self) -> dict[str, float]:

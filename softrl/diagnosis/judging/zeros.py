@@ -15,7 +15,7 @@ def told_of_zeros(valve: Finding) -> list[str]:
     runs = {run.name: run for run in (*valve.part.problem.runs, *valve.judge.problem.runs)}
     made = supplied(list(runs.values()), valve)
     zeros = np.stack([bias(run.pressure_meas - to.pressure_meas) for run, to in zip(runs.values(), made, strict=True)])
-    least = LEAST_SHARE * valve.part.problem.robot.pressure_max_pa
+    least = LEAST_SHARE * valve.part.problem.robot.largest_pa
     return [told for c, mine in enumerate(1e-3 * zeros.T) if (told := _told(f"The gauge of chamber {c + 1}", mine, 1e-3 * least))]
 
 

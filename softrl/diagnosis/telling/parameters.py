@@ -15,7 +15,12 @@ WORDS = {
 }
 MOST_DIGITS = 6
 SUDDEN_S = 0.1  # what begins within this time is told to begin at once
-SHARES = {"pressure": ("pressure_max_pa", 1e-3, "kPa"), "length": ("length_m", 1e3, "mm"), "mass": ("mass_kg", 1e3, "g")}
+SHARES = {
+    "pressure": ("largest_pa", 1e-3, "kPa"),
+    "ceiling": ("pressure_max_pa", 1e-3, "kPa"),
+    "length": ("length_m", 1e3, "mm"),
+    "mass": ("mass_kg", 1e3, "g"),
+}
 
 
 def effect_sentence(effect: dict[str, Any], robot: Robot) -> str:

@@ -79,8 +79,8 @@ def _images_of(robot: Robot, samples: Equilibria, frame: np.ndarray) -> list[Sym
     shares = [lopsided(samples, image, frame) for image in images]
     if max(shares, default=0.0) > LOPSIDED:
         log.warning(
-            "robot %s: a symmetry of its chambers' layout changes the body's mass at rest by more than %.0f %%: its maps are fitted "
-            "without images of the samples by such symmetries; if the body is meant to have them, put the centre of its base at "
+            "robot %s: a symmetry of its chambers' layout changes the body's mass at rest by more than %.0f %%: its maps are "
+            "fitted without images of the samples by such symmetries; if the body is meant to have them, put the centre of its base at "
             "x = y = 0 and check robot.chamber_angle_deg, else run stage=fem with more equilibria",
             robot.name, 100.0 * LOPSIDED,
         )  # fmt: skip
