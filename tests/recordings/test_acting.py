@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softrl.core.errors import RecordingError
-from softrl.recordings.acting import ACTS, FROM, UNTIL, is_known
+from softrl.recordings.acting import ACTS, FROM, UNTIL, is_known, until_rows
 from softrl.recordings.read import read
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.write import write
@@ -79,3 +79,39 @@ def test_a_gauge_that_shows_steps_before_they_act_is_believed(
     assert is_known(found) is known
     assert told in caplog.text if told else not caplog.text
     np.testing.assert_allclose(found.recordings[0].pressure_cmd[20], command[20 - later])
+
+
+def held(kind: str, hold: int, rng: np.random.Generator) -> np.ndarray:
+    """Return commands (rows,) Pa, each held for ``hold`` rows."""
+    k = np.arange(120)
+    levels = {
+        "sine": 0.5 - 0.5 * np.cos(2.0 * np.pi * k / 40.0),
+        "stairs": (k % 9) / 8.0,
+        "there and back": 1.0 - np.abs((k % 16) / 8.0 - 1.0),
+        "squares": k % 2.0,
+        "random": rng.uniform(0.0, 1.0, len(k)),
+    }
+    return np.repeat(1e5 * levels[kind], hold)
+
+
+@pytest.mark.parametrize("said", [UNTIL, FROM, None])
+@pytest.mark.parametrize(("hold", "period_s"), [(3, 0.5), (5, 0.02), (10, 0.02)])
+@pytest.mark.parametrize("kind", ["sine", "stairs", "there and back", "squares", "random"])
+def test_gauges_behind_slow_valves_shift_no_rows(said: str | None, hold: int, period_s: float, kind: str) -> None:
+    """What a gauge still does of the step before is no answer to the next one; a row that is late shows all the same."""
+    rng = np.random.default_rng(4)
+    acts = held(kind, hold, rng)
+    time, late = period_s * np.arange(1, len(acts) + 1), np.r_[acts[:1], acts[:-1]]
+    told = np.r_[acts[1:], acts[-1:]] if said == FROM else acts
+    for lag_rows in (0.5, 1.0, 2.0, 5.0, 15.0):
+        seen, past = np.zeros(len(acts)), 0.0
+        for k, wanted in enumerate(acts):
+            seen[k] = past = wanted + (past - wanted) * np.exp(-1.0 / lag_rows)
+        seen += rng.normal(0.0, 300.0, len(seen))
+        true, wrong = (
+            until_rows(RecordingSet("robot", (Recording("a", "s", time, written[:, None], seen[:, None]),), {ACTS: said}))
+            for written in (told, late)
+        )
+        assert np.array_equal(true.recordings[0].pressure_cmd[1:-1, 0], acts[1:-1]) and is_known(true) is (said is not None)
+        if lag_rows <= 2.0 and period_s * hold >= 0.2:
+            assert np.array_equal(wrong.recordings[0].pressure_cmd[1:-1, 0], acts[1:-1]) and not is_known(wrong)
