@@ -219,11 +219,11 @@ def _reported(
 def bend_angle(robot: Robot, quaternion: np.ndarray) -> np.ndarray:
     """Return the angle (steps,) rad between the tip's axis and the base's z axis.
 
-    For a robot with one chamber it has a sign: positive where the chamber's pressure bends the tip.
+    Where all chambers lie on one line it has a sign: positive where pressure in chamber 1 bends the tip.
     """
     w, x, y, z = quaternion.T
     tangent = np.stack([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)], axis=1)
-    if robot.chambers == 1:
+    if robot.bends_in_a_plane:
         return np.arctan2(-tangent[:, :2] @ robot.chamber_direction[0], tangent[:, 2])
     return np.arctan2(np.hypot(tangent[:, 0], tangent[:, 1]), tangent[:, 2])
 

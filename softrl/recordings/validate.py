@@ -17,6 +17,7 @@ SLOWEST_PERIOD_S = 5.0  # a slower median sampling period means that time is in 
 FASTEST_PERIOD_S = 5e-5  # and so does a faster one: nothing that air moves is recorded at 20 kHz
 HOTTEST_C = 200.0  # no elastomer stands more: kelvin, or another quantity
 LARGEST_BEND_RAD = 6.0 * np.pi  # a backbone that is coiled three times round
+SIGNED_SHARE, SIGNED_ROWS = 0.1, 0.01  # so far below 0, of the largest angle, in so many rows: it has a sign, no noise
 
 
 def require_values(path: Path, header: list[str], table: np.ndarray, columns: Columns, robot: Robot | None) -> None:
@@ -30,6 +31,8 @@ def require_values(path: Path, header: list[str], table: np.ndarray, columns: Co
         _require_size(path, header, table, columns, "tip_force", "N", UNIT_RATIO * robot.tip_force_max_n)
         for marker in columns.markers:
             _require_size(path, header, table, columns, marker, "m", REACH_LENGTHS * robot.length_m)
+        if robot.output == "bend_angle" and not robot.bends_in_a_plane:
+            _require_unsigned(path, header, table, columns, robot)
     _require_size(path, header, table, columns, "bend_angle", "rad", LARGEST_BEND_RAD)
     _require_size(path, header, table, columns, "temperature", "degree Celsius", HOTTEST_C)
 
@@ -143,6 +146,19 @@ def _require_size(
             raise RecordingError(
                 f"{path}, line {_line(row)}, column '{header[number]}': {table[row, number]:g} is "
                 f"{size[row]:g} {unit}; expected at most {largest:g} {unit}; is the column in another unit?"
+            )
+
+
+def _require_unsigned(path: Path, header: list[str], table: np.ndarray, columns: Columns, robot: Robot) -> None:
+    """Refuse bend angles below zero, but for noise, of a robot that bends in many planes."""
+    for number, _ in columns.channels.get("bend_angle", {}).values():
+        angle = table[:, number]
+        if np.quantile(angle, SIGNED_ROWS) < -SIGNED_SHARE * np.abs(angle).max():
+            row = int(np.argmin(angle))
+            raise RecordingError(
+                f"{path}, line {_line(row)}, column '{header[number]}': {angle[row]:g} is negative; expected 0 or more: the "
+                f"chambers of robot {robot.name} bend it in more than one plane, where the angle of tip and base has no sign; "
+                "record the tip's position, or correct robot.chamber_angle_deg"
             )
 
 

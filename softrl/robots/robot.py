@@ -8,6 +8,7 @@ from softrl.core.errors import ConfigError
 
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 OUTPUTS = ("tip_position", "tip_pose", "bend_angle")
+ON_A_LINE = 1e-6  # sine of the angle between directions that are opposite or equal
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class Robot:
     slew_pa_per_s : fastest change of a commanded pressure
     tip_force_max_n : load that the tip is made for
     axis : direction of the backbone at rest in the base frame, one of +x -x +y -y +z -z
-    output : what the sensors report of the motion: tip_position, tip_pose or bend_angle
+    output : what the sensors report of the motion: tip_position, tip_pose or bend_angle, see ``bends_in_a_plane``
     command : name of the command channels in recordings ("pressure", or another such as "pump_pwm")
     command_to_pa : Pa per unit of the command channel (1 for pressure)
     gravity_m_s2 : (3,) in the base frame
@@ -76,6 +77,12 @@ class Robot:
     def largest_pa(self) -> float:
         """Gauge pressure largest in size, of suction or above the room's: what shares of a pressure are shares of."""
         return max(abs(self.pressure_min_pa), abs(self.pressure_max_pa))
+
+    @property
+    def bends_in_a_plane(self) -> bool:
+        """Whether all chambers lie on one line through the backbone: a bend angle then has a sign, that of chamber 1."""
+        x, y = self.chamber_direction.T
+        return bool(np.abs(x * y[0] - y * x[0]).max() < ON_A_LINE)
 
     @property
     def lowest_pa(self) -> float:

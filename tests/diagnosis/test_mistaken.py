@@ -107,3 +107,32 @@ def test_motion_in_one_plane_is_no_mirror_image(body: PccSimulator, recorded: tu
     plant = Plant(body, chain_of(body.robot, HIDDEN))
     alone = [replay(plant, replace(r, pressure_cmd=r.pressure_cmd * [1.0, 0.0, 0.0]), 0.01) for r in recorded]
     assert told(body, tuple(moved(run, lambda tip: columns(tip, [1, 0, 2])) for run in alone)) is None
+
+
+@pytest.fixture(scope="module")
+def bent(body: PccSimulator) -> tuple[PccSimulator, tuple[Recording, ...]]:
+    """Return a finger of two opposite chambers, and what an angle sensor shows of it, with something hidden."""
+    robot = replace(body.robot, chamber_angle_deg=(0.0, 180.0), output="bend_angle")
+    finger = PccSimulator(robot, 0.8, 0.0, 1.0, 1.0, 0.05, 1.0)
+    return finger, made(finger, HIDDEN, sessions=2).recordings
+
+
+@pytest.mark.parametrize(
+    ("spoil", "evidence"),
+    [
+        (lambda angle, session: angle, None),
+        (lambda angle, session: 0.5 * angle + 0.3, None),
+        (lambda angle, session: -angle, "the angle falls where pressure bends the tip"),
+        (lambda angle, session: 0.2 - 0.5 * angle, "the angle falls where pressure bends the tip"),
+        (lambda angle, session: np.abs(angle), "the angle has no sign"),
+        (lambda angle, session: angle if session == 0 else -angle, "falls where pressure bends the tip"),
+    ],
+)
+def test_an_angle_of_the_other_sign_is_told(
+    bent: tuple[PccSimulator, tuple[Recording, ...]], spoil: Callable[[np.ndarray, int], np.ndarray], evidence: str | None
+) -> None:
+    finger, runs = bent
+    first = runs[0].session
+    spoilt = [replace(run, bend_angle=spoil(np.asarray(run.bend_angle), int(run.session != first))) for run in runs]
+    said = told(finger, tuple(spoilt))
+    assert said is None if evidence is None else said is not None and evidence in said

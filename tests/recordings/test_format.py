@@ -1,5 +1,6 @@
 """Laws of the recording format: what is written is read back, and bad files are refused in one clear line."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -114,6 +115,23 @@ def test_other_command_is_scaled(tmp_path: Path) -> None:
     np.testing.assert_allclose(run.time, [0.0, 0.03])
     np.testing.assert_allclose(run.pressure_cmd, [[0.0], [100.0 * finger.command_to_pa]])
     np.testing.assert_allclose(run.bend_angle, [0.0, np.pi / 2])
+
+
+@pytest.mark.parametrize(
+    ("angles", "lowest_deg", "refused"), [((90, 270), -30, True), ((0, 180), -30, False), ((90, 270), -1, False)]
+)
+def test_an_angle_has_a_sign_only_where_chambers_lie_on_a_line(
+    tmp_path: Path, angles: tuple[float, ...], lowest_deg: float, refused: bool
+) -> None:
+    robot = replace(robot_named("tripod"), chamber_angle_deg=(0.0, *angles), output="bend_angle")
+    (tmp_path / "dataset.yaml").write_text("robot: tripod\n")
+    rows = "".join(f"{0.01 * k},{k % 9},0,0,{lowest_deg + k}\n" for k in range(100))
+    (tmp_path / "a.csv").write_text("time_s,p1_cmd_kpa,p2_cmd_kpa,p3_cmd_kpa,bend_angle_deg\n" + rows)
+    if not refused:
+        assert np.degrees(read(tmp_path, robot).recordings[0].bend_angle).min() == pytest.approx(lowest_deg)
+        return
+    with pytest.raises(RecordingError, match=r"a.csv, line 2, column 'bend_angle_deg': -30 is negative; .* has no sign"):
+        read(tmp_path, robot)
 
 
 GOOD = "time_s,p1_cmd_kpa,p2_cmd_kpa,p3_cmd_kpa,tip_x_mm,tip_y_mm,tip_z_mm\n"

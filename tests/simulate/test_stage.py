@@ -116,6 +116,18 @@ def test_bend_angle_is_the_tips_turn() -> None:
         np.testing.assert_allclose(bend_angle(finger.robot, quaternion[None]), [angle], atol=1e-12)
 
 
+@pytest.mark.parametrize("angles", [(0.0, 180.0), (180.0, 0.0), (60.0, 240.0)])
+def test_the_angle_of_opposite_chambers_has_the_sign_of_the_first(angles: tuple[float, float]) -> None:
+    """Each chamber alone bends the tip by as much as the other, the first one to the positive side."""
+    robot = replace(simulator("tripod").robot, chamber_angle_deg=angles, output="bend_angle")
+    body = PccSimulator(robot, 0.8, 0.0, 1.0, 1.0, 0.05, 1.0)
+    time = 0.01 * np.arange(1, 301)
+    first, second = (Recording("a", "s", time, np.tile(row, (300, 1))) for row in ([2e4, 0.0], [0.0, 2e4]))
+    ends = [replay(Plant(body, chain_of(robot, [])), run, 0.01).bend_angle[-1] for run in (first, second)]
+    assert ends[0] > 0.1
+    np.testing.assert_allclose(ends[1], -ends[0], rtol=1e-6)
+
+
 def test_stage_writes_a_dataset_like_its_input(tmp_path: Path) -> None:
     body = simulator("tripod")
     chain = chain_of(body.robot, [Lag(0.2, 0.3)])

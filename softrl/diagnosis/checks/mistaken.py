@@ -19,6 +19,7 @@ EXPLAINED = 0.5  # share of the sideways motion that a mirror image must explain
 MIRROR_GAIN = 0.3  # by which it must explain more than the motion itself, in every turn of the frame
 LEAD_S = 0.1  # an effect that comes earlier than its cause by less may be a matter of clocks and filters
 LONGEST_S = 2.0  # leads and delays that are compared
+OPPOSED = 0.7  # correlation of a bend angle with the other way of the simulated one, or with its size: its sign is wrong, or lost
 LEAD_GAIN = 0.7  # a lead must leave less than this share of what the best delay leaves
 
 
@@ -33,7 +34,7 @@ def mistaken(runs: Sequence[Recording], simulated: Sequence[Recording], robot: R
     """
     told = _exchanged(runs, robot) or _unlike(runs, robot)
     told = told or _rescaled(runs, simulated, robot) or _early(runs, simulated, robot)
-    return told or _mirrored(runs, simulated, robot)
+    return told or _mirrored(runs, simulated, robot) or _opposed(runs, simulated, robot)
 
 
 def _exchanged(runs: Sequence[Recording], robot: Robot) -> str | None:
@@ -134,6 +135,30 @@ def _mirrored(runs: Sequence[Recording], simulated: Sequence[Recording], robot: 
                 f"{where}: the tip moves as the mirror image of what the pressures bring about ({image:.0%} of its "
                 f"sideways motion, against {itself:.0%} unmirrored): columns of two chambers or of the tip are "
                 "exchanged, or a sign is wrong"
+            )
+    return None
+
+
+def _opposed(runs: Sequence[Recording], simulated: Sequence[Recording], robot: Robot) -> str | None:
+    """Return where the bend angle falls while pressures raise it, or has no sign though pressures bend the tip both ways."""
+    if robot.output != "bend_angle":
+        return None
+    driven = MIN_SHARE * float(np.std(np.concatenate([_motion(made, robot) for made in simulated])))
+    for where in ("", *dict.fromkeys(run.session for run in runs)):
+        pairs = [(run, made) for run, made in zip(runs, simulated, strict=True) if where in ("", run.session)]
+        seen, made = (np.concatenate([_motion(run, robot)[:, 0] for run in side]) for side in zip(*pairs, strict=True))
+        if np.std(made) < driven:
+            continue
+        alike, place = _correlation(seen, made), f"session {where}: " if where else ""
+        if alike < -OPPOSED:
+            return (
+                f"{place}the angle falls where pressure bends the tip (correlation {alike:.2f} with what is simulated): expected "
+                "positive there; change its sign, or robot.chamber_angle_deg"
+            )
+        if _correlation(seen, np.abs(made)) > max(OPPOSED, alike + MIRROR_GAIN):
+            return (
+                f"{place}the angle has no sign, though pressures bend the tip both ways: expected positive where pressure in "
+                "chamber 1 bends it, and negative the other way"
             )
     return None
 
