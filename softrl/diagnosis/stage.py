@@ -195,7 +195,7 @@ def _diagnosed(
     whole = _whole(config, robot, simulator, data, numerics)
     apart = _contradiction(whole, found)
     if apart:
-        return cannot_tell(Refusal(data.check, apart), robot.name, type(simulator).__name__), None
+        return cannot_tell(Refusal(data.check, apart, data.mended), robot.name, type(simulator).__name__), None
 
     def examined(problem: Problem, known: list[Finding]) -> list[Finding]:
         return _examine(config, problem, data, found, known)
@@ -291,7 +291,8 @@ def _locate(finding: Finding) -> list[Any]:
 
 def _report(diagnosis: Diagnosis, evidence: Evidence | None, tracker: Tracker) -> None:
     if evidence is None:
-        log.warning("%s", diagnosis.sentences[0])
+        for line in (diagnosis.sentences[0], *diagnosis.data["warnings"]):
+            log.warning("%s", line)
         tracker.text("report.html", page(diagnosis, {}))
         return
     for split, values in diagnosis.errors_mm.items():

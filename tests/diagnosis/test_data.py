@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from softrl.core.tracking import NullTracker
 from softrl.diagnosis.checks.data import Data, Refusal, prepare, within
 from softrl.diagnosis.checks.gaps import rows
+from softrl.diagnosis.stage import run
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.recording import Recording
-from tests.diagnosis.conftest import made
+from tests.diagnosis.conftest import configured, made
 
 
 def resting(name: str, length_s: float) -> Recording:
@@ -114,3 +116,18 @@ def test_gauges_that_are_all_dead_are_left_out(noise_pa: float, body: PccSimulat
     scaled = [replace(run, pressure_meas=1e-3 * np.asarray(run.pressure_meas)) for run in whole.recordings]
     refused = prepare(replace(whole, recordings=tuple(scaled)), body.robot, 0.34, 0)
     assert isinstance(refused, Refusal) and "a wrong unit" in refused.reason
+
+
+def test_what_cannot_tell_says_why_runs_were_left_out(body: PccSimulator, caplog: pytest.LogCaptureFixture) -> None:
+    """The same file twice, and a run of two seconds: one run is left, and it is told where the others went."""
+    whole = made(body, sessions=2)
+    first, second = whole.recordings
+    copy, short = replace(first, name="b"), rows(second, second.time < second.time[0] + 2.0)
+    for recordings in ((first, copy, short), (first, copy, replace(second, pressure_cmd=np.zeros_like(second.pressure_cmd)))):
+        caplog.clear()
+        told = run(configured(), body.robot, replace(whole, recordings=recordings), body, tracker=NullTracker())
+        assert told.verdict == "unknown" and told.sentences[0].startswith("Cannot tell")
+        lines = [line for line in told.data["warnings"] if "left out" in line]
+        assert any(line.startswith("b: measured the same as") for line in lines)
+        assert any(line.startswith(f"{short.name}: 2 s") for line in lines) == (recordings[-1] is short)
+        assert all(line in caplog.text for line in lines)

@@ -111,10 +111,11 @@ class Data:
 
 
 class Refusal(NamedTuple):
-    """Why nothing can be told."""
+    """Why nothing can be told, and what was ``mended`` before, a sentence each: runs that were left out may be the reason."""
 
     check: DataCheck
     reason: str
+    mended: tuple[str, ...] = ()
 
 
 def prepare(
@@ -134,7 +135,8 @@ def prepare(
     marked = named(recordings, OUTSIDE)
     apart = tuple(r for r in usable if marked & {r.name, r.session})
     usable = tuple(r for r in usable if not marked & {r.name, r.session})
-    parts, mended = mend_all([*usable, *apart], found)
+    parts, bridged = mend_all([*usable, *apart], found)
+    mended = (*_too_short(recordings), *copies, *dead, *spiked, *bridged)
     intact = tuple(run for run in usable if parts[run.name])
     names = {run.name for run in intact}
     shown = tuple(told for told in found.runs if told.name in names)
@@ -143,11 +145,12 @@ def prepare(
     reason = _refuse(usable, found, robot, channel, any_marked) or torn(usable, intact, whole, found, robot)
     reason = reason or unusable(whole, robot)
     if reason:
-        return Refusal(found, reason)
+        return Refusal(found, reason, mended)
     moving = tuple(run for run in intact if np.ptp(run.pressure_cmd, axis=0).any())
     still = [run for run in intact if not np.ptp(run.pressure_cmd, axis=0).any()]
     if len(moving) < 2:
-        return Refusal(found, f"commands change in {len(moving)} of {len(intact)} runs only; a held-out error needs two")
+        told = f"commands change in {len(moving)} of {len(intact)} runs only; a held-out error needs two"
+        return Refusal(found, told, mended)
     sides = hold_out(replace(recordings, recordings=moving), heldout_share, seed, few_sessions)
     training, heldout = (tuple(part for run in side.recordings for part in parts[run.name]) for side in sides)
     training += tuple(part for run in still for part in parts[run.name])  # which would judge nothing
@@ -156,7 +159,7 @@ def prepare(
     if travel < MIN_SIGNAL * floor.noise:
         said = f"the motion ({1e3 * travel:.3g} mm rms) hardly exceeds its noise ({1e3 * floor.noise:.3g} mm)"
         slow = "rows are slow, and commands do not foretell the motion: check their columns and command_acts, or record faster"
-        return Refusal(found, f"{said}; {slow if floor.at_most else 'drive harder'}")
+        return Refusal(found, f"{said}; {slow if floor.at_most else 'drive harder'}", mended)
     return Data(
         replace(found, excited=driven(whole, robot)),
         shown,
@@ -173,7 +176,7 @@ def prepare(
         now_after(recordings.recordings)._replace(session=sessions_in_order((*training, *heldout))[-1]),
         floor.rounding,
         pressure_floor.rounding,
-        (*_too_short(recordings), *copies, *dead, *spiked, *mended),
+        mended,
         is_known(recordings),
         floor.at_most,
     )

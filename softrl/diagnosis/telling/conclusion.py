@@ -91,7 +91,7 @@ def cannot_tell(refusal: Refusal, robot_name: str, simulator_name: str) -> Diagn
         errors_deg={},
         unexplained={"cannot_tell": refusal.reason},
         next_experiment=None,
-        data={"warnings": list(refusal.check.warnings)},
+        data={"warnings": [*refusal.check.warnings, *refusal.mended]},
     )
 
 
