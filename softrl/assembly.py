@@ -33,6 +33,11 @@ log = logging.getLogger(__name__)
 # parameters of a stage that are built from the configuration group of the same name
 OBJECTS = ("simulator", "task", "agent", "driver", "bench")
 NOMINAL = "none"  # tag of what was made on a simulator without effects
+# what to do instead, where a stage that takes no effects is about them
+INSTEAD = {
+    "diagnosis": "it looks for all effects itself, beside the nominal simulator; stage.candidates=[..] names those to consider",
+    "excite": "stage.hypotheses=[..] lists what to tell apart, inputs.diagnosis=run:<id> plans for what a diagnosis left open",
+}
 
 
 class Assembly:
@@ -52,12 +57,14 @@ class Assembly:
         self.inputs: dict[str, str] = {}
         self.used: dict[str, Any] = {"stage": cfg["stage"], "robot": cfg["robot"]}
         self.modules: list[str] = []
+        self._takes_effects = False
         self._loaded: dict[str, Artifact] = {}
 
     def arguments(self, run: Any) -> dict[str, Any]:
         """Return the keyword arguments of ``run``, less ``config`` and ``tracker``."""
         self.modules.append(run.__module__)
         hints = typing.get_type_hints(run)
+        self._takes_effects = _takes_effects(run)
         names = [name for name in inspect.signature(run).parameters if name not in ("config", "tracker")]
         return {name: self._argument(name, hints[name]) for name in names}
 
@@ -72,6 +79,15 @@ class Assembly:
             if source != "latest" and name not in self.inputs:
                 taken = ", ".join(self.inputs) or "none"
                 log.warning("inputs.%s=%s plays no part in stage=%s, whose inputs are: %s", name, source, stage, taken)
+
+    def refuse_unused_effects(self, stage: str, run: Any) -> None:
+        """Raise ``ConfigError`` if effects are chosen, and ``run`` takes none."""
+        if self._effects and not _takes_effects(run):
+            chosen = ",".join(self._effects)
+            raise ConfigError(
+                f"effect={chosen if len(self._effects) == 1 else f'[{chosen}]'} plays no part in stage={stage}; leave it out"
+                + (f": {INSTEAD[stage]}" if stage in INSTEAD else "")
+            )
 
     def _argument(self, name: str, hint: Any) -> Any:
         kind, optional = _without_none(hint)
@@ -103,7 +119,8 @@ class Assembly:
         if TARGET not in node:  # several, by name
             return {key: build_target(value, f"{name}.{key}", self._fill) for key, value in node.items()}
         made = build_target(node, name, self._fill)
-        return self._corrected(made) if name == "simulator" and "identified" in self._effects else made
+        corrected = name == "simulator" and self._takes_effects and "identified" in self._effects
+        return self._corrected(made) if corrected else made
 
     @property
     def _effects(self) -> Any:
@@ -291,6 +308,10 @@ def output_kinds(run: Any) -> list[type[Artifact]]:
     if isinstance(returned, type) and issubclass(returned, Artifact):
         return [returned]
     return list(typing.get_type_hints(returned).values())
+
+
+def _takes_effects(run: Any) -> bool:
+    return EffectChain in typing.get_type_hints(run).values()
 
 
 def _without(tags: dict[str, str], key: str) -> dict[str, str]:

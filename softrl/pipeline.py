@@ -126,6 +126,8 @@ def _prepare(stage: str, cfg: Mapping[str, Any], made: Mapping[str, str] | None)
     module = importlib.import_module(f"softrl.{stage}.stage")
     assembly = Assembly(store, cfg, dict(made or {}))
     config = configuration.build(cfg["stage"], module.Config, "stage")
+    if made is None:  # of several stages each takes what it can
+        assembly.refuse_unused_effects(stage, module.run)
     writes_itself = hasattr(module, "write_out")  # a dataset, and nothing else
     out = None if writes_itself or not cfg["out"] else _own_folder(cfg["out"])
     write_out = functools.partial(module.write_out, config, assembly.robot) if writes_itself else None

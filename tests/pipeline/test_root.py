@@ -1,5 +1,6 @@
 """The keys at the root: what is out of range or unknown is refused in one line; policies are found by their task."""
 
+import importlib
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,8 +12,10 @@ from softrl.artifacts.diagnosis import Diagnosis
 from softrl.artifacts.policy import Policy
 from softrl.assembly import NOMINAL, Assembly, _corrected_by
 from softrl.core.errors import ArtifactError, ConfigError
+from softrl.core.simulator import Simulator
+from softrl.effects.chain import EffectChain
 from softrl.loop import _compose
-from softrl.pipeline import _own_folder
+from softrl.pipeline import EXTRA, STAGES, _own_folder
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
 
@@ -89,6 +92,33 @@ def test_a_body_that_was_retuned_counts_as_corrected_without_any_effect(tuned: d
     assembly = Assembly(SimpleNamespace(), composed("stage=sim2real", "effect=identified"), {})
     assembly._artifact = lambda kind: SimpleNamespace(corrections=list, simulator_parameters=tuned)
     assert not assembly._chain().effects and assembly._chain().corrected == corrected
+
+
+@pytest.mark.parametrize("stage", STAGES + EXTRA)
+def test_effects_are_refused_by_the_stages_that_take_none(stage: str) -> None:
+    assembly = Assembly(SimpleNamespace(), composed(f"stage={stage}", "effect=[lag]"), {})
+    run = importlib.import_module(f"softrl.{stage}.stage").run
+    if stage in ("calibration", "rl", "sim2real", "simulate"):
+        assembly.refuse_unused_effects(stage, run)
+    else:
+        with pytest.raises(ConfigError, match=f"effect=lag plays no part in stage={stage}; leave it out"):
+            assembly.refuse_unused_effects(stage, run)
+    Assembly(SimpleNamespace(), composed(f"stage={stage}", "effect=[]"), {}).refuse_unused_effects(stage, run)
+
+
+def test_a_correction_is_applied_whole_or_not_at_all() -> None:
+    """Among the stages of a loop are some that simulate and take no effects."""
+
+    def takes_effects(config: object, simulator: Simulator, effects: EffectChain) -> None: ...
+
+    def takes_none(config: object, simulator: Simulator) -> None: ...
+
+    words = ("stage=diagnosis", "simulator=pcc", "robot=three_chamber_segment", "effect=identified")
+    for run, mass in ((takes_effects, 1.5), (takes_none, 1.0)):
+        assembly = Assembly(SimpleNamespace(), composed(*words), {})
+        found = SimpleNamespace(corrections=list, simulator_name="PccSimulator", simulator_parameters={"mass_scale": 1.5})
+        assembly._artifact = lambda kind, found=found: found
+        assert assembly.arguments(run)["simulator"].parameters["mass_scale"] == mass
 
 
 def test_a_correction_by_an_older_library_is_refused() -> None:
