@@ -181,12 +181,12 @@ def _parts(output: Any) -> list[Artifact]:
 
 
 def _reused(store: Store, stage: str, run: Any, folder: Path) -> Outcome:
-    text = (store.folder(run, RESULT)).read_text()
-    write_text(folder / RESULT, json.dumps(json.loads(text) | {"reused": True}, indent=1))
+    result = json.loads(store.folder(run, RESULT).read_text())
+    places = {name: str(store.folder(run, name)) for name in result["artifacts"]}  # the project may have been moved since
+    write_text(folder / RESULT, json.dumps(result | {"artifacts": places, "reused": True}, indent=1))
     for name in (f"{stage}.json", "report.html"):
         if (document := store.file(run, name)) is not None:
             write_text(folder / name, document.read_text())
-    result = json.loads(text)
     return Outcome(stage, run.info.run_id, True, result["seconds"], result["metrics"], folder)
 
 

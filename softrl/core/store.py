@@ -1,9 +1,11 @@
 """MLflow as the only hand-over between stages; the one module that imports mlflow."""
 
+import contextlib
 import json
 import logging
 import os
 import socket
+import sqlite3
 import tempfile
 import time
 from dataclasses import dataclass
@@ -34,6 +36,7 @@ POINT = "softrl.point."
 BATCH = 500
 WHOLE_ID = 32  # characters
 MOST_RUNS = 10_000  # searched for the beginning of an id
+LOCKED_S = 60.0  # waited for other processes that write to the database
 
 
 @dataclass(frozen=True)
@@ -60,13 +63,19 @@ class Store:
             for name in ("alembic", "mlflow.store.db.utils"):
                 logging.getLogger(name).setLevel(logging.WARNING)
             self.client = MlflowClient(f"sqlite:///{folder / 'mlflow.db'}")
-            self.experiment = self._experiment((folder / "mlartifacts").as_uri())
+            self.experiment = self._experiment(folder)
 
-    def _experiment(self, artifact_location: str | None) -> str:
+    def _experiment(self, folder: Path | None) -> str:
+        """Return the id of the experiment, whose artifacts lie in ``folder``, or where a server has them."""
+        home = None if folder is None else (folder / "mlartifacts").as_uri()
         found = self.client.get_experiment_by_name(EXPERIMENT)
-        if found is not None:
-            return found.experiment_id
-        return self.client.create_experiment(EXPERIMENT, artifact_location=artifact_location)
+        if found is None:
+            return self.client.create_experiment(EXPERIMENT, artifact_location=home)
+        if folder is not None and found.artifact_location != home and _is_local(found.artifact_location):
+            earlier = _path(found.artifact_location).parent
+            log.info("this project was moved: its runs were kept in %s, and are in %s since", earlier, folder)
+            _follow(folder, found.experiment_id)
+        return found.experiment_id
 
     def find(self, tags: dict[str, str]) -> Run | None:
         """Return the newest finished run that carries all ``tags``."""
@@ -109,9 +118,8 @@ class Store:
 
     def folder(self, run: Run, name: str) -> Path:
         """Return a local folder with the artifact ``name`` of a run; local stores are read in place."""
-        uri = run.info.artifact_uri
-        if uri.startswith("file:") or uri.startswith("/"):
-            return Path(url2pathname(urlparse(uri).path)) / name
+        if _is_local(run.info.artifact_uri):
+            return _path(run.info.artifact_uri) / name
         cached = self._cache / run.info.run_id / name
         if not cached.exists():
             self._download(run.info.run_id, name, cached)
@@ -246,6 +254,30 @@ def write_text(path: Path, content: str) -> None:
     part = path.with_name(path.name + ".part")
     part.write_text(content)
     part.rename(path)
+
+
+def _is_local(uri: str) -> bool:
+    return uri.startswith(("file:", "/"))
+
+
+def _path(uri: str) -> Path:
+    return Path(url2pathname(urlparse(uri).path))
+
+
+def _follow(folder: Path, experiment: str) -> None:
+    """Tell the database that its project was moved to ``folder``: it holds whole paths, of the experiment and of each run.
+
+    MLflow has no call for that. Runs whose files are not here, and those that still run, stay where they are.
+    """
+    home = folder / "mlartifacts"
+    with contextlib.closing(sqlite3.connect(folder / "mlflow.db", timeout=LOCKED_S)) as opened, opened as database:
+        ended = database.execute("SELECT run_uuid FROM runs WHERE experiment_id = ? AND status != 'RUNNING'", (int(experiment),))
+        here = [run_id for (run_id,) in ended.fetchall() if (home / run_id).is_dir()]
+        places = [(f"{home.as_uri()}/{run_id}/artifacts", run_id) for run_id in here]
+        database.executemany("UPDATE runs SET artifact_uri = ? WHERE run_uuid = ?", places)
+        database.execute(
+            "UPDATE experiments SET artifact_location = ? WHERE experiment_id = ?", (home.as_uri(), int(experiment))
+        )
 
 
 def _alive(pid: int) -> bool:

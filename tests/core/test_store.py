@@ -1,12 +1,13 @@
-"""What is fetched from a tracking server is there whole or not at all."""
+"""What is fetched from a tracking server is there whole or not at all; a project may be moved, and keeps its runs."""
 
+import shutil
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from softrl.core.store import Store
+from softrl.core.store import Location, Store
 
 RUN: Any = SimpleNamespace(info=SimpleNamespace(run_id="a1", artifact_uri="mlflow-artifacts:/1/a1/artifacts"))
 
@@ -64,3 +65,30 @@ def test_two_that_fetch_at_once_do_not_meet(tmp_path: Path) -> None:
     store = store_of(Slow(breaks=0), tmp_path)
     found = store.folder(RUN, "snapshots")
     assert (found / "arrays.npz").is_file() and list(found.parent.iterdir()) == [found]
+
+
+def test_a_project_that_was_moved_keeps_its_runs_where_it_is(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    before, after = tmp_path / "my lab #1 50%", tmp_path / "moved, renamed"
+
+    def record(folder: Path, word: str) -> str:
+        with Store(Location(None, str(folder))).start(word, {"stage": "mesh"}, None) as run:
+            run.text("word.txt", word)
+        return run.id
+
+    def said(folder: Path, run_id: str) -> str:
+        store = Store(Location(None, str(folder)))
+        found = store.file(store.get(run_id), "word.txt")
+        assert found is not None and found.is_relative_to(folder)
+        store.copy(run_id, tmp_path / "copied")
+        assert (tmp_path / "copied" / "word.txt").read_text() == found.read_text()
+        return found.read_text()
+
+    old, lost = record(before, "old"), record(before, "lost")
+    shutil.move(before / "mlartifacts" / lost, tmp_path)
+    shutil.move(before, after)
+    assert said(after, old) == "old" and f"kept in {before}, and are in {after} since" in caplog.text
+    assert said(after, record(after, "new")) == "new" and not before.exists(), "the old folder does not come again"
+    store = Store(Location(None, str(after)))
+    assert store.get(lost).info.artifact_uri.startswith(before.as_uri()), "whose files were not moved stays where it was"
+    assert caplog.text.count("are in") == 1, "once is enough"
