@@ -105,7 +105,17 @@ def _plain(cfg: DictConfig) -> dict[str, Any]:
         if container[key] is not None and not isinstance(container[key], str):
             raise ConfigError(f"{key}={container[key]} is refused; expected a folder, such as {key}=./{container[key]}")
     check_inputs(container["inputs"])
-    return {key: value for key, value in container.items() if key != "hydra"}
+    return _apart({key: value for key, value in container.items() if key != "hydra"})
+
+
+def _apart(config: dict[str, Any]) -> dict[str, Any]:
+    """Return the configuration with a folder ``out`` of its own for each point of a sweep: their results would be mixed."""
+    chosen: Any = HydraConfig.get().job if HydraConfig.initialized() else {}
+    point = chosen.get("num")  # as in the name of the point's output folder
+    for node in (config, config["stage"]):
+        if point is not None and node.get("out"):
+            node["out"] = f"{node['out']}/{point}"
+    return config
 
 
 def _write_summary(finished: list[Outcome], folder: Path) -> None:

@@ -27,6 +27,7 @@ STAGES = ("mesh", "fem", "pod", "calibration", "dynamics", "surrogate", "rl", "s
 # stages beside the loop
 EXTRA = ("simulate", "bench", "excite", "proof")
 RESULT = "result.json"
+COPIED = "copied"  # in the result of a folder out=..: the files that were copied there
 
 
 @dataclass(frozen=True)
@@ -148,10 +149,28 @@ def _own_folder(out: str) -> Path:
 
 
 def _copy(store: Store, run_id: str, folder: Path | None) -> None:
-    """Copy all that a run left to the user's folder."""
-    if folder is not None:
-        store.copy(run_id, folder)
-        log.info("copied artifacts, figures and reports to %s", folder)
+    """Copy all that a run left to the user's folder, in place of what was copied there before."""
+    if folder is None:
+        return
+    _remove_copied(folder)
+    names = store.copy(run_id, folder)
+    result = json.loads((folder / RESULT).read_text())
+    write_text(folder / RESULT, json.dumps(result | {COPIED: names}, indent=1))
+    log.info("copied artifacts, figures and reports to %s", folder)
+
+
+def _remove_copied(folder: Path) -> None:
+    """Remove the files that an earlier run left in ``folder``, and subfolders that are empty then; other files stay."""
+    try:
+        earlier = json.loads((folder / RESULT).read_text())[COPIED]
+    except (FileNotFoundError, ValueError, TypeError, KeyError):  # a new folder, or a result that was not copied
+        return
+    ours = [folder / name for name in earlier if (folder / name).resolve().is_relative_to(folder.resolve())]
+    for file in ours:
+        file.unlink(missing_ok=True)
+    for parent in sorted({parent for file in ours for parent in file.parents}, reverse=True):
+        if folder in parent.parents and parent.is_dir() and not any(parent.iterdir()):
+            parent.rmdir()
 
 
 def _fingerprint(stage: str, assembly: Assembly) -> str:

@@ -8,6 +8,7 @@ import socket
 import sqlite3
 import tempfile
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -141,10 +142,15 @@ class Store:
                 if not place.exists():  # else another process was faster
                     raise
 
-    def copy(self, run_id: str, folder: Path) -> None:
-        """Copy all files of a run to ``folder``."""
+    def copy(self, run_id: str, folder: Path) -> list[str]:
+        """Copy all files of a run to ``folder``, and return their names there."""
         folder.mkdir(parents=True, exist_ok=True)
         self.client.download_artifacts(run_id, "", str(folder))
+        return list(self._names(run_id, None))
+
+    def _names(self, run_id: str, within: str | None) -> Iterator[str]:
+        for found in self.client.list_artifacts(run_id, within):
+            yield from self._names(run_id, found.path) if found.is_dir else [found.path]
 
     def add_point(self, parent: str, run_id: str, words: str) -> None:
         """Note at a sweep's parent that ``run_id``, made now or reused, is the point of the overrides ``words``."""

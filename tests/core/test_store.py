@@ -74,13 +74,14 @@ def test_a_project_that_was_moved_keeps_its_runs_where_it_is(tmp_path: Path, cap
     def record(folder: Path, word: str) -> str:
         with Store(Location(None, str(folder))).start(word, {"stage": "mesh"}, None) as run:
             run.text("word.txt", word)
+            run.text("figures/word.txt", word)
         return run.id
 
     def said(folder: Path, run_id: str) -> str:
         store = Store(Location(None, str(folder)))
         found = store.file(store.get(run_id), "word.txt")
         assert found is not None and found.is_relative_to(folder)
-        store.copy(run_id, tmp_path / "copied")
+        assert store.copy(run_id, tmp_path / "copied") == ["figures/word.txt", "word.txt"]
         assert (tmp_path / "copied" / "word.txt").read_text() == found.read_text()
         return found.read_text()
 

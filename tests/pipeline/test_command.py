@@ -114,8 +114,10 @@ def test_a_reused_run_writes_its_dataset_again(tmp_path: Path) -> None:
 
 
 def test_a_sweep_is_one_parent_with_a_child_per_point(tmp_path: Path) -> None:
-    done = softrl(tmp_path, "-m", "stage=mesh", "profile=tiny", "seed=1,2", "force=true")
+    done = softrl(tmp_path, "-m", "stage=mesh", "profile=tiny", "seed=1,2", "force=true", "out=copy")
     assert done.returncode == 0, done.stderr
+    seeds = [json.loads((tmp_path / f"copy/{k}/config.json").read_text())["seed"] for k in range(2)]
+    assert seeds == [1, 2], "each has a folder of its own"
     store = Store(Location(None, str(tmp_path)))
     runs = store.client.search_runs([store.experiment])
     assert done.stderr.count("point ") == 1 and "\nseed=1 " in done.stderr and "\nseed=2 " in done.stderr

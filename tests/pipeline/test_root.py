@@ -1,12 +1,15 @@
 """The keys at the root: what is out of range or unknown is refused in one line; policies are found by their task."""
 
 import importlib
+import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import hydra
 import pytest
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import OmegaConf
 
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.artifacts.policy import Policy
@@ -15,7 +18,7 @@ from softrl.core.errors import ArtifactError, ConfigError
 from softrl.core.simulator import Simulator
 from softrl.effects.chain import EffectChain
 from softrl.loop import _compose
-from softrl.pipeline import EXTRA, STAGES, _own_folder
+from softrl.pipeline import EXTRA, STAGES, _copy, _own_folder
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
 
@@ -148,3 +151,36 @@ def test_out_touches_no_folder_of_another_kind(tmp_path: Path) -> None:
             _own_folder(str(taken))
     (tmp_path / "result.json").write_text("{}")
     assert _own_folder(str(tmp_path)) == tmp_path and _own_folder(str(tmp_path / "new")) == tmp_path / "new"
+
+
+@pytest.mark.parametrize(("number", "mine", "datasets"), [(3, "mine/3", "made/3"), ("???", "mine", "made")])
+def test_each_point_of_a_sweep_has_a_folder_of_its_own(
+    number: object, mine: str, datasets: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(HydraConfig, "initialized", lambda: True)
+    monkeypatch.setattr(HydraConfig, "get", lambda: OmegaConf.create({"job": {"num": number}}))
+    assert composed("stage=mesh", "out=mine")["out"] == mine and composed("stage=mesh")["out"] is None
+    assert composed("stage=simulate", "out=made")["stage"]["out"] == datasets
+    assert composed("stage=excite", "stage.out=made")["stage"]["out"] == datasets
+
+
+def test_out_keeps_nothing_of_what_an_earlier_run_left_there(tmp_path: Path) -> None:
+    runs = {"a": ["figures/gain.png", "figures/map.png", "old/arrays.npz", "result.json"]}
+    runs["b"] = ["figures/map.png", "result.json"]
+
+    def copy(run_id: str, folder: Path) -> list[str]:
+        for name in runs[run_id]:
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_text(json.dumps({"run_id": run_id}))
+        return runs[run_id]
+
+    store: Any = SimpleNamespace(copy=copy)
+    _copy(store, "a", tmp_path / "out")
+    (tmp_path / "out/figures/notes.txt").write_text("mine")
+    _copy(store, "b", tmp_path / "out")
+    left = sorted(str(path.relative_to(tmp_path / "out")) for path in (tmp_path / "out").rglob("*"))
+    assert left == ["figures", "figures/map.png", "figures/notes.txt", "result.json"]
+    (tmp_path / "out/result.json").write_text('{"copied": ["../kept.txt", "result.json"]}')
+    (tmp_path / "kept.txt").write_text("mine")
+    _copy(store, "b", tmp_path / "out")
+    assert (tmp_path / "kept.txt").read_text() == "mine", "nothing outside the folder is touched"
