@@ -257,7 +257,7 @@ class OpenRun:
 def write_text(path: Path, content: str) -> None:
     """Write a file through a temporary sibling, so that no half of it is ever seen."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
     part.write_text(content)
     part.rename(path)
 

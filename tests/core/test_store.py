@@ -1,5 +1,6 @@
 """What is fetched from a tracking server is there whole or not at all; a project may be moved, and keeps its runs."""
 
+import os
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
@@ -7,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from softrl.core.store import Location, Store
+from softrl.core.store import Location, Store, write_text
 
 RUN: Any = SimpleNamespace(info=SimpleNamespace(run_id="a1", artifact_uri="mlflow-artifacts:/1/a1/artifacts"))
 
@@ -65,6 +66,20 @@ def test_two_that_fetch_at_once_do_not_meet(tmp_path: Path) -> None:
     store = store_of(Slow(breaks=0), tmp_path)
     found = store.folder(RUN, "snapshots")
     assert (found / "arrays.npz").is_file() and list(found.parent.iterdir()) == [found]
+
+
+def test_two_that_write_one_file_at_once_do_not_meet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rename = Path.rename
+
+    def slow(part: Path, target: Path) -> Path:
+        monkeypatch.setattr(Path, "rename", rename)
+        monkeypatch.setattr(os, "getpid", lambda: 1)
+        write_text(target, "another process is faster")
+        return rename(part, target)
+
+    monkeypatch.setattr(Path, "rename", slow)
+    write_text(tmp_path / "result.json", "{}")
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["{}"]
 
 
 def test_a_project_that_was_moved_keeps_its_runs_where_it_is(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
