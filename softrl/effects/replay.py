@@ -58,7 +58,7 @@ def replay(
     Returns
     -------
     Recording
-        Of the same name, session, times, commands and tip force. ``pressure_meas``, ``position``,
+        Of the same name, session, times, commands, tip force and temperature. ``pressure_meas``, ``position``,
         ``quaternion`` are simulated; ``bend_angle`` is derived from the pose if the recording has it or the
         robot reports it. Markers are left out.
 
@@ -212,7 +212,6 @@ def _reported(
         quaternion=quaternion if "quaternion" in channels else None,
         bend_angle=bend_angle(robot, quaternion) if reports_angle and quaternion is not None else None,
         markers={},
-        temperature=None,
     )
 
 

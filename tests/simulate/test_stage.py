@@ -148,6 +148,18 @@ def test_stage_writes_a_dataset_like_its_input(tmp_path: Path) -> None:
     assert tracker.metrics["recorded/tip_difference_mm"] > 1.0
 
 
+def test_a_temperature_that_drove_an_effect_is_written(tmp_path: Path) -> None:
+    body = simulator("tripod")
+    warmed = [replace(r, temperature=np.linspace(20.0, 30.0, len(r.time))) for r in commands(body.robot).recordings]
+    settings = config(out=str(tmp_path / "simulated"))
+    out = run(
+        settings, body.robot, body, chain_of(body.robot, []), RecordingSet(body.robot.name, tuple(warmed)), tracker=NullTracker()
+    )
+    write_out(settings, body.robot, out)
+    for here, there in zip(read(tmp_path / "simulated", body.robot).recordings, warmed, strict=True):
+        np.testing.assert_allclose(here.temperature, there.temperature, atol=1e-6)
+
+
 def test_noise_is_seeded_and_of_the_size_asked_for() -> None:
     body = simulator("tripod")
     chain = EffectChain(body.robot)
