@@ -97,6 +97,7 @@ class FemSimulator:
     layer_scales: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
+        self.robot.check_upright("simulator fem")
         for name in TUNABLE:
             value, may_vanish = getattr(self, name), name == "damping_scale"
             if not np.isfinite(value) or value < 0 or (value == 0 and not may_vanish):

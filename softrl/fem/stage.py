@@ -101,6 +101,7 @@ def run(
     ``failed_loads.csv`` with the reason, and left out. Finished chains and trajectories are kept under the working
     directory until the stage ends, so that a killed run goes on.
     """
+    robot.check_upright("stage=fem")
     body = Body(config, robot, mesh, material_of(config.law, config.moduli_pa, config.poisson))
     pulled = _pulled(body)
     centre = config.weight_share * pull_at_rest(build_model(body), np.array(robot.gravity_m_s2))[robot.chambers :]

@@ -14,6 +14,7 @@ from softrl.robots.robot import Robot
 log = logging.getLogger(__name__)
 UNITS_M = {"m": 1.0, "inch": 0.0254, "cm": 0.01, "mm": 0.001, "um": 1e-6}
 SIZE_FACTOR = 4.0  # a mesh this much longer or shorter than its robot is in another unit
+STANDS_SHARE = 0.05  # of its height: so far from z = 0 the lowest point of a body may be
 MERGE_SHARE = 1e-6  # corners closer than this share of the mesh's size are one node
 
 
@@ -82,6 +83,17 @@ def check_unit(points: np.ndarray, unit_m: float, robot: Robot, name: str) -> No
         f"{name} is {size * unit_m:.4g} m high with stage.unit_m={unit_m:g}, but robot {robot.name} is "
         f"{robot.length_m:g} m long (factor {ratio:.3g}); {advice}"
     )
+
+
+def check_standing(points: np.ndarray, name: str) -> None:
+    """Raise ``MeshError`` if a body with ``points`` (nodes, 3) m does not begin at z = 0, where its base is clamped."""
+    low, high = float(points[:, 2].min()), float(points[:, 2].max())
+    if abs(low) > STANDS_SHARE * (high - low):
+        advice = "turn it over, its base down" if abs(high) <= STANDS_SHARE * (high - low) else "move its base to z = 0"
+        raise MeshError(
+            f"{name} reaches from z = {1e3 * low:.1f} to {1e3 * high:.1f} mm; expected it to stand on z = 0, where it is clamped, "
+            f"and to rise along +z: {advice}"
+        )
 
 
 def _read(path: Path) -> meshio.Mesh:

@@ -13,7 +13,7 @@ from softrl.mesh.cavity import Cavities, cavities_of, find_cavities
 from softrl.mesh.figures import draw_cuts, draw_quality
 from softrl.mesh.geometry import TripodGeometry, build_tripod
 from softrl.mesh.quality import check_orientation, check_slivers, smallest_dihedral
-from softrl.mesh.reader import join_surfaces, read_mesh, read_surface
+from softrl.mesh.reader import check_standing, join_surfaces, read_mesh, read_surface
 from softrl.mesh.region import Regions, RegionSettings, layer_of_elements, tag_nodes
 from softrl.mesh.sample import read_sample
 from softrl.mesh.sector import fill
@@ -72,6 +72,7 @@ class Config:
 
 def run(config: Config, robot: Robot, *, tracker: Tracker) -> Mesh:
     """Return the robot's mesh with its regions and cavities, checked; log sizes, volumes and quality."""
+    robot.check_upright("stage=mesh")
     name = config.source if config.source in (SAMPLE, GENERATE) else Path(config.source).name
     body = _body(config, robot)
     regions = config.regions_of(body.points, robot)
@@ -100,6 +101,7 @@ def _filled(surface: Surface, config: Config, robot: Robot, name: str) -> Tetrah
 
 def _read_own(config: Config, robot: Robot) -> Tetrahedra | Surface:
     body = read_mesh(Path(config.source), config.unit_m, robot)
+    check_standing(body.points, Path(config.source).name)
     if not config.cavity_surfaces:
         return body
     outside = Surface(body.points, body.boundary()) if isinstance(body, Tetrahedra) else body

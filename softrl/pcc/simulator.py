@@ -81,10 +81,7 @@ class PccSimulator:
     retune_taper: bool = False
 
     def __post_init__(self) -> None:
-        if self.robot.axis != "+z":
-            raise ConfigError(
-                f"robot.axis={self.robot.axis}: simulator pcc needs +z; turn chambers and gravity instead"
-            )
+        self.robot.check_upright("simulator pcc")
         if self.robot.pressure_max_pa <= 0.0:
             raise ConfigError(
                 f"robot.pressure_max_pa={self.robot.pressure_max_pa:g} must be positive for simulator pcc"

@@ -67,6 +67,7 @@ class RomSimulator:
     layer_scales: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
+        self.robot.check_upright("simulator rom")
         for name in TUNABLE:
             value, least = getattr(self, name), 0.0
             if not np.isfinite(value) or value < least or (value == least and name != "damping_scale"):

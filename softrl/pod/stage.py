@@ -64,6 +64,7 @@ def run(
 
     The fit that is judged and the fit to all equilibria are two tasks: neither needs the other.
     """
+    robot.check_upright("stage=pod")
     _refuse_other(robot, snapshots)
     with one_thread():
         return _reduced(config, robot, snapshots, parallel or LOCAL, tracker)

@@ -89,6 +89,11 @@ class Robot:
         """Gauge pressure below which nothing gets a chamber: that of its suction, or of the room."""
         return min(self.pressure_min_pa, 0.0)
 
+    def check_upright(self, who: str) -> None:
+        """Raise ``ConfigError`` unless the backbone points along +z, as ``who`` takes it."""
+        if self.axis != "+z":
+            raise ConfigError(f"robot.axis={self.axis}: {who} needs +z; turn chambers and gravity instead")
+
     @property
     def chamber_direction(self) -> np.ndarray:
         """Unit vectors (chambers, 2) from the backbone to each chamber in the x-y plane."""

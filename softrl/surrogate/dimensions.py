@@ -5,7 +5,6 @@ from typing import NamedTuple
 import numpy as np
 
 from softrl.artifacts.mesh import BASE, FIRST_RIB, PLATE, Mesh
-from softrl.core.errors import ConfigError
 from softrl.robots.robot import Robot
 
 
@@ -27,8 +26,7 @@ def dimensions_of(robot: Robot, mesh: Mesh | None, tip_height: float, links: int
     One planar link per rib, the hinges of a gap half-way up the soft wall below it. The wall starts where the first rib's
     cavity starts, and the plate belongs to the last link, so that a robot of six bulges has six links and six gaps.
     """
-    if robot.axis != "+z":
-        raise ConfigError(f"robot.axis={robot.axis}: the surrogate needs +z; turn chambers and gravity instead")
+    robot.check_upright("the surrogate")
     ribs = [] if mesh is None else [r for r in np.unique(mesh.node_region) if r >= FIRST_RIB]
     if mesh is None or not ribs:
         return _even(robot, tip_height, links)

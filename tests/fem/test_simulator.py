@@ -91,3 +91,8 @@ def test_effects_act_inside_the_step_and_not_one_step_late(simulator: FemSimulat
 def test_bad_scales_are_refused(simulator: FemSimulator) -> None:
     with pytest.raises(ConfigError, match="mass_scale"):
         replace(simulator, mass_scale=0.0)
+
+
+def test_a_robot_along_another_axis_is_refused(simulator: FemSimulator) -> None:
+    with pytest.raises(ConfigError, match="axis=-z: simulator fem needs"):
+        replace(simulator, robot=replace(simulator.robot, axis="-z"))

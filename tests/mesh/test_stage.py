@@ -96,6 +96,12 @@ def test_the_shipped_segment_is_no_tripod(configure) -> None:
         run(configure(), build(node, Robot, "robot"), tracker=NullTracker())
 
 
+@pytest.mark.parametrize("axis", ["-z", "+x"])
+def test_a_robot_along_another_axis_is_refused(configure, robot, axis) -> None:
+    with pytest.raises(ConfigError, match=f"robot.axis=[{axis[0]}]{axis[1]}: stage=mesh needs"):
+        run(configure(), dataclasses.replace(robot, axis=axis), tracker=NullTracker())
+
+
 def test_the_samples_chambers_may_have_another_order(sample, configure, robot) -> None:
     renamed = dataclasses.replace(robot, chamber_angle_deg=(30.5, -90.0, 149.0))
     mesh = run(configure(), renamed, tracker=NullTracker())
@@ -118,6 +124,18 @@ def test_a_body_beside_the_z_axis_is_told(sample, configure, robot, tmp_path, ca
         meshio.write(path, meshio.Mesh(sample.points + np.array([aside, 0.0, 0.0]), [("tetra", sample.tetrahedra)]))
         run(configure(f"source={path}", "unit_m=1.0"), other, tracker=NullTracker())
         assert ("expected it on the z axis" in caplog.text) == told
+
+
+@pytest.mark.parametrize(
+    ("turn", "shift", "told"),
+    [((1, -1, -1), 0.0, r"from z = -1\d\d\.\d to -?0\.\d mm.*turn it over"),
+     ((1, 1, 1), 0.3, r"from z = 300\.\d to 4\d\d\.\d mm.*move its base to z = 0")],
+)  # fmt: skip
+def test_a_body_that_does_not_stand_on_its_base_is_refused(sample, configure, robot, tmp_path, turn, shift, told) -> None:
+    points = sample.points * np.array(turn) + np.array([0.0, 0.0, shift])
+    meshio.write(tmp_path / "own.vtu", meshio.Mesh(points, [("tetra", sample.tetrahedra)]))
+    with pytest.raises(MeshError, match=told):
+        run(configure(f"source={tmp_path / 'own.vtu'}", "unit_m=1.0"), robot, tracker=NullTracker())
 
 
 def test_filled_surface_is_refused_before_it_is_meshed(sample, configure, robot, tmp_path) -> None:

@@ -140,6 +140,8 @@ def test_it_travels_and_is_deterministic(tripod: Body) -> None:
 def test_another_robots_model_is_refused(tripod: Body) -> None:
     with pytest.raises(ArtifactError, match="3 chambers"):
         RomSimulator(fitted(2)[0], tripod[2], 1.0, 1.0, 1.0)
+    with pytest.raises(ConfigError, match="axis=-z: simulator rom needs \\+z; turn chambers and gravity instead"):
+        RomSimulator(dataclasses.replace(tripod[0], axis="-z"), tripod[2], 1.0, 1.0, 1.0)
 
 
 @pytest.mark.parametrize("kernel_name", ["spring", "stiffer"])

@@ -80,8 +80,8 @@ def _images_of(robot: Robot, samples: Equilibria, frame: np.ndarray) -> list[Sym
     if max(shares, default=0.0) > LOPSIDED:
         log.warning(
             "robot %s: a symmetry of its chambers' layout changes the body's mass at rest by more than %.0f %%: its maps are "
-            "fitted without images of the samples by such symmetries; if the body is meant to have them, put the centre of its base at "
-            "x = y = 0 and check robot.chamber_angle_deg, else run stage=fem with more equilibria",
+            "fitted without images of the samples by such symmetries; if the body is meant to have them, put the centre of its "
+            "base at x = y = 0 and check robot.chamber_angle_deg, else run stage=fem with more equilibria",
             robot.name, 100.0 * LOPSIDED,
         )  # fmt: skip
     return [image for image, share in zip(images, shares, strict=True) if share <= LOPSIDED]
