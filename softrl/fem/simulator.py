@@ -43,10 +43,11 @@ LARGEST_LOAD_STEP = 0.8  # of an equilibrium's continuation, in units of ``sampl
 
 
 class Hooks(NamedTuple):
-    """The effects inside a step, by site."""
+    """The effects inside a step, by site, and the volumes (n,) m^3 at rest, from which they see strains."""
 
     body: Sequence[Hook]
     load: Sequence[Hook]
+    rest: np.ndarray
 
 
 class FemState(NamedTuple):
@@ -76,7 +77,8 @@ class FemSimulator:
     Notes
     -----
     Effects act inside the implicit step: what they add to pressure and tip force is that of the step's end. A
-    chamber's strain is ``(V - V_rest) / V_stressfree``; its elastic pressure is linearised at rest with the tip free.
+    chamber's strain is ``(V - V_rest) / V_stressfree``; its elastic pressure is linearised at rest with the tip free, and zero at
+    rest.
     """
 
     robot: Robot
@@ -184,7 +186,7 @@ class FemSimulator:
     ) -> FemState:
         """Return the state after ``dt_s`` under ``pressure`` (n,) Pa and ``tip_force`` (3,) N."""
         self.model.forget()  # so that a step depends on nothing but its arguments
-        return self._step(state, pressure, dt_s, tip_force, Hooks(body, load))
+        return self._step(state, pressure, dt_s, tip_force, Hooks(body, load, self.model.volumes(self._rest)))
 
     def _step(
         self, state: FemState, pressure: np.ndarray, dt_s: float, tip_force: np.ndarray | None, hooks: Hooks
@@ -242,7 +244,7 @@ class FemSimulator:
         """Return what the effects add to the load at ``trial`` (n + 3,), its slope by (volumes, tip), and gravity."""
         n, model = self.robot.chambers, self.model
         scale, pose = model.rest_volume, trial.body.pose
-        change = model.volumes(pose) - model.volumes(self._rest)
+        change = model.volumes(pose) - hooks.rest
         moved = model.volumes(pose) - model.volumes(state.body.pose)
         port = np.zeros((BODY_PORT_ROWS, n))
         port[STRAIN], port[RATE] = change / scale, moved / (scale * dt_s)
@@ -263,13 +265,18 @@ class FemSimulator:
 
     def _rest_under(self, load: Sequence[Hook]) -> FemState:
         """Return the state at rest under weight and the load effects, by steps so long that nothing moves freely."""
-        state = self.reset()
+        state, shift = self.reset(), 0.0
         for _ in range(REST_STEPS if load else 0):
             found = self.step(state, np.zeros(self.robot.chambers), QUASI_STATIC_S, load=load)
-            shift = np.abs(found.body.pose.position - state.body.pose.position).max()
+            shift = float(np.abs(found.body.pose.position - state.body.pose.position).max())
             state = self._still(found.body.pose)
             if shift < REST_TOLERANCE_M:
                 break
+        if shift > max(REST_TOLERANCE_M, self.tolerance_m):
+            raise SolverError(
+                f"simulator fem: under the load's effects the body came not to rest in {REST_STEPS} rounds ({shift:.1e} m in the "
+                "last one); try weaker effects"
+            )
         return state
 
     def observe(self, state: FemState) -> tuple[np.ndarray, np.ndarray]:
@@ -282,15 +289,15 @@ class FemSimulator:
     ) -> Motion:
         """Return the motion from rest under ``pressure`` (steps, n), each row held until its time.
 
-        Rest is the equilibrium under weight and the load effects; strains that body effects see count from the
-        equilibrium under weight alone.
+        Rest is the equilibrium under weight and the load effects; strains that body effects see count from there.
         """
         dt_s, state = float(time[1] - time[0]), self._rest_under(load)
+        hooks = Hooks(body, load, self.model.volumes(state.body.pose))
         self.model.forget()  # within a run the factors are kept from step to step
         poses = []
         for k, row in enumerate(pressure):
             force = None if tip_force is None else tip_force[k]
-            state = self._step(state, row, dt_s, force, Hooks(body, load))
+            state = self._step(state, row, dt_s, force, hooks)
             poses.append(self.observe(state))
         position, quaternion = (np.stack(values) for values in zip(*poses, strict=True))
         return Motion(np.asarray(time, dtype=float), position, quaternion, np.array(pressure, dtype=float))

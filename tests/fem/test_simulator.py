@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from softrl.artifacts.mesh import Mesh
-from softrl.core.errors import ConfigError
+from softrl.core.errors import ConfigError, SolverError
 from softrl.effects.chain import chain_of
 from softrl.effects.payload import Payload
 from softrl.effects.stiffness_scale import StiffnessScale
+from softrl.effects.viscoelasticity import Viscoelasticity
+from softrl.fem import simulator as fem
 from softrl.fem.simulator import FemSimulator
 from tests.fem.bodies import box_robot
 
@@ -86,6 +88,23 @@ def test_effects_act_inside_the_step_and_not_one_step_late(simulator: FemSimulat
     again = simulator.step(simulator._still(once.body.pose), pressure, 1e9, body=hooks, load=loads)
     moved = np.abs(once.body.pose.position - rest.body.pose.position).max()
     assert np.abs(again.body.pose.position - once.body.pose.position).max() < 1e-5 * moved
+
+
+def test_under_no_pressure_a_loaded_body_stands_still_beside_a_creeping_wall(simulator: FemSimulator) -> None:
+    time, none = DT_S * np.arange(1, 7), np.zeros((6, 2))
+    chain = chain_of(simulator.robot, [Payload(mass=1.0), Viscoelasticity(2.0, 0.1, 0.0, 20.0)])
+    tip = simulator.simulate(time, none, body=chain.hooks("body"), load=chain.hooks("load")).position
+    sag = tip[0] - simulator.observe(simulator.reset())[0]
+    assert np.linalg.norm(sag) > 1e-5
+    assert np.ptp(tip, axis=0).max() < 1e-4 * np.linalg.norm(sag)
+
+
+def test_a_body_that_does_not_come_to_rest_is_told(simulator: FemSimulator, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fem, "REST_STEPS", 1)  # from the weight's equilibrium to the payload's
+    with pytest.raises(SolverError, match="not to rest in 1 rounds"):
+        simulator.simulate(
+            DT_S * np.arange(1, 3), np.zeros((2, 2)), load=chain_of(simulator.robot, [Payload(mass=1.0)]).hooks("load")
+        )
 
 
 def test_bad_scales_are_refused(simulator: FemSimulator) -> None:
