@@ -13,6 +13,8 @@ from softrl.robots.robot import Robot
 log = logging.getLogger(__name__)
 CM3 = 1e6
 TURNED_DEG = 5.0  # from here on a cavity is told to lie beside its chamber
+ACROSS_DEG = 90.0  # beyond that pressure bends the body away from where its robot's file says
+ASIDE = 0.04  # of the body's width: a single cavity nearer to its middle lies on no side
 
 
 class Cavities(NamedTuple):
@@ -45,7 +47,10 @@ def cavities_of(boundary: Surface, robot: Robot, name: str) -> Cavities:
     _check_touch(boundary.points, shells, name)
     _check_numbers(volume, robot, name)
     cavities = [shell for shell, v in zip(shells, volume, strict=True) if v < 0]
-    order = match_chambers(np.array([boundary.points[np.unique(c)].mean(axis=0) for c in cavities]), robot, name)
+    centre = np.array([boundary.points[np.unique(c)].mean(axis=0) for c in cavities])
+    if robot.chambers == 1:
+        _check_side(centre[0], boundary.points, robot, name)
+    order = match_chambers(centre, robot, name)
     ordered = [cavities[i] for i in order]
     chamber = np.repeat(np.arange(len(ordered)), [len(c) for c in ordered])
     return Cavities(np.concatenate(ordered), chamber)
@@ -86,6 +91,25 @@ def _check_numbers(volume: np.ndarray, robot: Robot, name: str) -> None:
             f"{name} has {len(cavities)} cavities ({found} cm3), but robot {robot.name} has {robot.chambers} chambers; "
             "a chamber that is open to the outside is no cavity: close it, or fill what is no chamber"
         )
+
+
+def _check_side(centre: np.ndarray, points: np.ndarray, robot: Robot, name: str) -> None:
+    """Warn where the one cavity with ``centre`` (3,) m lies beside its chamber, raise ``MeshError`` where it lies across.
+
+    A cavity in the middle of the body's ``points`` (nodes, 3) m lies on no side: there the walls say whereto it bends.
+    """
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    aside = centre[:2] - 0.5 * (low + high)
+    if np.linalg.norm(aside) < ASIDE * (high - low).max():
+        return
+    angle, wanted = np.rad2deg(np.arctan2(aside[1], aside[0])), robot.chamber_angle_deg[0]
+    off = degrees_apart(np.array([wanted]), np.array([angle])).item()
+    told = f"{name} has its cavity at {angle:.0f} deg around z, but robot {robot.name} has its chamber at {wanted:g} deg"
+    advice = "turn the mesh, or set robot.chamber_angle_deg"
+    if off > ACROSS_DEG:
+        raise MeshError(f"{told}; {advice}")
+    if off >= TURNED_DEG:
+        log.warning("%s: it bends where its cavity is; if the two should agree, %s", told, advice)
 
 
 def match_chambers(centre: np.ndarray, robot: Robot, name: str) -> list[int]:

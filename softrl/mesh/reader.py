@@ -91,8 +91,8 @@ def check_standing(points: np.ndarray, name: str) -> None:
     if abs(low) > STANDS_SHARE * (high - low):
         advice = "turn it over, its base down" if abs(high) <= STANDS_SHARE * (high - low) else "move its base to z = 0"
         raise MeshError(
-            f"{name} reaches from z = {1e3 * low:.1f} to {1e3 * high:.1f} mm; expected it to stand on z = 0, where it is clamped, "
-            f"and to rise along +z: {advice}"
+            f"{name} reaches from z = {1e3 * low:.1f} to {1e3 * high:.1f} mm; expected it to stand on z = 0, where it is "
+            f"clamped, and to rise along +z: {advice}"
         )
 
 

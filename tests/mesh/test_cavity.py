@@ -81,6 +81,19 @@ def test_cavities_beside_their_chambers_are_told(cubes, block, robot, caplog) ->
     assert "block has its cavities at" in told and "up to 6 deg from the chambers of robot tripod" in told
 
 
+def test_the_side_of_a_single_cavity_is_compared(cubes, block, robot, caplog) -> None:
+    def find(cell: tuple[int, int], angle_deg: float) -> None:
+        find_cavities(cubes(hollow(block, cell)), dataclasses.replace(robot, chamber_angle_deg=(angle_deg,)), "finger")
+
+    find((8, 5), 3.0)  # at 0 deg
+    find((5, 5), 180.0)  # in the middle
+    assert not caplog.records
+    find((8, 5), 40.0)
+    assert "finger has its cavity at 0 deg around z, but robot tripod has its chamber at 40 deg" in caplog.text
+    with pytest.raises(MeshError, match=r"cavity at 0 deg around z, .* chamber at 180 deg; turn the mesh"):
+        find((8, 5), 180.0)
+
+
 def test_two_bodies_are_refused(cubes, block, robot) -> None:
     cells = hollow(block, *THREE)
     cells[:, 4, :] = False
