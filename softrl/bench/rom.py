@@ -7,11 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from softrl.artifacts.snapshots import Snapshots
 from softrl.bench.figures import draw_motions
 from softrl.bench.layers import layer_metrics
 from softrl.bench.operator_inference import others_foretell
 from softrl.bench.watch import Watch, timing
-from softrl.core.errors import ConfigError, SolverError
+from softrl.core.errors import ArtifactError, ConfigError, SolverError
 from softrl.core.progress import progress
 from softrl.core.tracking import Tracker
 from softrl.effects.chain import chain_of
@@ -43,8 +44,8 @@ class RomBench:
 
     Attributes
     ----------
-    rom, galerkin, fem : the bodies; the full model takes its damping from what the reduced model was made with;
-        ``galerkin`` may be left out
+    rom, galerkin, fem : the bodies; the full model takes its damping from what the reduced model was made with, and its material
+        from the ``snapshots``; ``galerkin`` may be left out
     lumped : the lumped body, for its speed
     motions : unseen ones of ``duration_s`` with pressures and tip forces held ``hold_s``, on the time step ``dt_s``
     layered : equilibria with one layer of the wall stiffer or softer, see ``bench.layers``
@@ -52,6 +53,7 @@ class RomBench:
     effects : on the body, whose cost in a step is told
     rate_steps : of a timed run of the ROM
     batch, batch_steps : trajectories and their steps in a timed batch
+    snapshots : those that the reduced model was made of
     """
 
     rom: RomSimulator
@@ -68,6 +70,7 @@ class RomBench:
     rate_steps: int
     batch: int
     batch_steps: int
+    snapshots: Snapshots
 
     def __post_init__(self) -> None:
         for name in ("motions", "duration_s", "hold_s", "dt_s", "rate_steps", "batch", "batch_steps"):
@@ -76,6 +79,12 @@ class RomBench:
         for name in ("violent", "layered"):
             if getattr(self, name) < 0:
                 raise ConfigError(f"bench.rom.{name}={getattr(self, name)} must not be negative")
+        seen, reduced = self.snapshots.youngs_modulus_pa, self.rom.reduced_model.youngs_modulus_pa
+        if not np.isclose(seen, reduced, rtol=1e-6):
+            raise ArtifactError(
+                f"the Snapshots have a Young's modulus of {seen:g} Pa, the ReducedModel {reduced:g} Pa: the full model would be "
+                "another body; give the snapshots that the reduced model was made of in inputs.snapshots, or run stage=pod"
+            )
 
     def measure(self, watch: Watch, seed: int, tracker: Tracker) -> dict[str, float]:
         """Return the metrics; those of the violent motions begin with ``violent_``."""
@@ -141,7 +150,8 @@ class RomBench:
     def _full_model(self) -> FemSimulator:
         model = self.rom.reduced_model
         damping = {name: getattr(model, name) for name in ("rayleigh_mass_per_s", "rayleigh_stiffness_s")}
-        return replace(self.fem, **damping)
+        material = {name: getattr(self.snapshots, name) for name in ("law", "poisson")}
+        return replace(self.fem, **damping, **material, moduli_pa=tuple(map(float, self.snapshots.moduli_pa)))
 
     def _follow(self, body: Any, load: np.ndarray) -> Path:
         """Return the motion of a simulator from its rest under ``load`` (steps, n + 3)."""
