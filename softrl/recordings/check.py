@@ -11,6 +11,7 @@ from softrl.recordings.marked import DISTURBED, OUTSIDE, without
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.robots.robot import Robot
 
+SLOW_S, LONG_S = 5.0, 7200.0  # rows farther apart in a run that lasts longer: milliseconds may have been taken for seconds
 GAP_PERIODS = 5.0  # a pause of more than this many median periods is a gap
 HOLD_S = 1.0  # a command unchanged for twice this long ends in a window of this length at rest
 MANY, FREE = 8, 8  # rows of such a window, or else degrees of freedom of all second halves of holds
@@ -102,7 +103,7 @@ def check_run(recording: Recording, robot: Robot) -> RunCheck:
     held = {channel: _held_share(recording, values) for channel, values in _sensed(recording)}
     jumped, misplaced = tuple(_jump_warnings(recording)), tuple(_frame_warnings(recording, robot))
     warnings = (
-        *_sampling_warnings(gaps, period),
+        *_sampling_warnings(gaps, period, float(np.ptp(recording.time))),
         *_excitation_warnings(excited, robot),
         *_held_warnings(held),
         *_clipping_warnings(recording),
@@ -244,7 +245,9 @@ def _quick_square(time: np.ndarray, values: np.ndarray) -> float:
     return float(np.sum((values - mean[block]) ** 2) / (values.size - mean.size)) if len(values) > len(mean) else 0.0
 
 
-def _sampling_warnings(gaps: tuple[tuple[float, float], ...], period: float) -> Iterator[str]:
+def _sampling_warnings(gaps: tuple[tuple[float, float], ...], period: float, duration: float) -> Iterator[str]:
+    if period > SLOW_S and duration > LONG_S:
+        yield f"lasts {duration / 3600.0:.3g} h in rows of {period:.3g} s: if the times are milliseconds, name the column time_ms"
     if gaps:
         longest = max(gaps, key=lambda gap: gap[1])
         yield (

@@ -13,7 +13,7 @@ REACH_LENGTHS = 5.0  # a tip farther from the base than this many lengths is in 
 TINY_SHARE = 5e-3  # a command that never reaches this share of the limit is in another unit
 RELATED = 0.3  # correlation of a gauge with its command, above which it shows something of it
 MEASURED_MARGIN = 0.25  # measured pressures may pass the limits by this share of the range: offsets, overshoot
-SLOWEST_PERIOD_S = 5.0  # a slower median sampling period means that time is in another unit
+SLOWEST_PERIOD_S = 60.0  # a slower median sampling period means that time is in another unit, or that pauses count
 FASTEST_PERIOD_S = 5e-5  # and so does a faster one: nothing that air moves is recorded at 20 kHz
 HOTTEST_C = 200.0  # no elastomer stands more: kelvin, or another quantity
 LARGEST_BEND_RAD = 6.0 * np.pi  # a backbone that is coiled three times round
@@ -63,10 +63,13 @@ def _require_increasing(path: Path, header: list[str], table: np.ndarray, column
         )
     period = float(np.median(step)) * factor
     if not FASTEST_PERIOD_S <= period <= SLOWEST_PERIOD_S:
-        other = "time_ms" if period > SLOWEST_PERIOD_S else "time_s"
+        advice = "is the column in another unit (time_s)?"
+        if period > SLOWEST_PERIOD_S:
+            unit = f"if these are milliseconds, {1e-3 * period:g} s, name the column time_ms; else " if factor == 1.0 else ""
+            advice = f"{unit}leave out pauses: count times as if rows were at most {SLOWEST_PERIOD_S:g} s apart"
         raise RecordingError(
             f"{path}, column '{header[number]}': the median sampling period is {period:g} s; expected "
-            f"{FASTEST_PERIOD_S:g} to {SLOWEST_PERIOD_S:g} s; is the column in another unit ({other})?"
+            f"{FASTEST_PERIOD_S:g} to {SLOWEST_PERIOD_S:g} s; {advice}"
         )
 
 

@@ -9,8 +9,10 @@ import pytest
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.config import build
 from softrl.core.tracking import NullTracker
-from softrl.diagnosis.checks.data import Data, prepare
+from softrl.diagnosis.checks.cost import expected_s
+from softrl.diagnosis.checks.data import Data, prepare, within
 from softrl.diagnosis.checks.floor import jitter
+from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.judging.quieter import quieter, supposed
 from softrl.diagnosis.stage import diagnose, run
 from softrl.diagnosis.telling.figures import draw_run
@@ -18,6 +20,7 @@ from softrl.effects.chain import Plant, chain_of
 from softrl.effects.effect import Effect
 from softrl.effects.hysteresis import Hysteresis
 from softrl.effects.lag import Lag
+from softrl.effects.payload import Payload
 from softrl.effects.replay import replay
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.recording import Recording, RecordingSet
@@ -47,11 +50,13 @@ def held(rows: int) -> Program:
     return lambda time, chambers, rng: np.repeat(rng.uniform(size=(-(-len(time) // rows), chambers)), rows, axis=0)[: len(time)]
 
 
-def lagging(segment: PccSimulator, period_s: float, program: Program, hidden: Effect | None = None) -> RecordingSet:
-    """Return four sessions of two minutes behind a lag, or what is ``hidden``."""
+def lagging(
+    segment: PccSimulator, period_s: float, program: Program, hidden: Effect | None = None, lasts_s: float = 120.0
+) -> RecordingSet:
+    """Return four sessions, of two minutes if not told, behind a lag, or what is ``hidden``."""
     rng, robot = np.random.default_rng(3), segment.robot
     plant, runs = Plant(segment, chain_of(robot, [hidden or Lag(FILL_S, VENT_S)])), []
-    time = period_s * np.arange(1, round(120.0 / period_s) + 1)
+    time = period_s * np.arange(1, round(lasts_s / period_s) + 1)
     for k in range(4):
         command = robot.pressure_max_pa * program(time, robot.chambers, rng)
         seen = replay(plant, Recording(f"run_{k}", f"day_{k}", time, command, position=np.zeros((len(time), 3))), 0.005)
@@ -151,3 +156,26 @@ def test_noise_is_believed_where_no_model_errs_by_less(segment: PccSimulator, sl
 
 def _diagnosis(heldout: dict[str, float]) -> Diagnosis:
     return Diagnosis("robot", "PccSimulator", "nothing missing", [], [], {}, {}, [], [], {"heldout": heldout}, {}, {}, None, {})
+
+
+@pytest.mark.parametrize("period_s", [0.1, 5.0, 30.0, 60.0])
+def test_fits_see_as_many_of_the_slowest_rows_as_of_slow_ones(period_s: float) -> None:
+    time = period_s * np.arange(1, max(round(300.0 / period_s), 100) + 1)
+    runs = [Recording(f"run_{k}", f"day_{k}", time, np.zeros((len(time), 3))) for k in range(4)]
+    seen = sum(len(run.time) for run in within(runs, 300.0))
+    assert seen == pytest.approx(300.0 / min(period_s, 5.0), abs=8)
+
+
+def test_a_search_of_rows_half_a_minute_apart_can_be_timed(segment: PccSimulator) -> None:
+    runs, numerics = within(lagging(segment, 30.0, held(1), lasts_s=600.0).recordings, 50.0), configured().numerics
+    body = Problem(segment.robot, segment, runs, numerics, "motion", "command", False, False)
+    assert all(len(run.time) > 2 for run in runs) and 0.0 < expected_s(body, 1) < 1e5
+
+
+@pytest.mark.slow
+def test_poses_half_a_minute_apart_are_predicted_after_retuning(segment: PccSimulator) -> None:
+    table = replace(lagging(segment, 30.0, held(1), Payload(mass=0.3), lasts_s=750.0), notes={"command_acts": "until_row"})
+    config = configured(candidates=["lag", "payload"], measured_pressure=False)
+    found = run(config, segment.robot, table, segment, tracker=NullTracker())
+    assert found.verdict == "nothing missing", found.sentences  # at rest a retuned body stands as one with a payload
+    assert found.errors_mm["heldout"]["corrected"] < 1.3e3 * TRUE_M and found.errors_mm["heldout"]["nominal"] > 3e3 * TRUE_M

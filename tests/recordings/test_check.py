@@ -104,3 +104,10 @@ def test_the_last_digit_of_a_coarse_sensor_is_seen() -> None:
     np.testing.assert_allclose(resolution(np.c_[np.round(fine, 3), np.ones(3000)]), [1e-3, 1e-3, 0.0])
     assert resolution(fine).max() == 0.0
     assert resolution(np.random.default_rng(1).choice([0.0, 0.3, 0.47, 0.9], (200, 1))) == 0.0, "levels of a program, no digits"
+
+
+def test_hours_of_slow_rows_may_be_milliseconds() -> None:
+    quick = run_with_noise(2e-4, 1)
+    table = replace(quick, **{n: values[:300] for n, values in quick.channels()} | {"time": 20.0 * np.arange(300)})
+    for run, told in ((quick, False), (table, False), (replace(quick, time=1e3 * quick.time), True)):
+        assert any("name the column time_ms" in warning for warning in check_run(run, TRIPOD).warnings) is told

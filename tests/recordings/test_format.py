@@ -272,3 +272,22 @@ def test_missing_folder_and_empty_folder(tripod: Robot, tmp_path: Path) -> None:
     (tmp_path / "dataset.yaml").write_text("robot: tripod\n")
     with pytest.raises(RecordingError, match="names no runs"):
         read(tmp_path, tripod)
+
+
+def test_poses_may_be_a_minute_apart_and_no_more(tripod: Robot, tmp_path: Path) -> None:
+    (tmp_path / "dataset.yaml").write_text("robot: tripod\n")
+
+    def written(period_s: float, column: str = "time_s") -> None:
+        rows = "".join(f"{period_s * k},{k % 5},0,0,{k % 5},0,176\n" for k in range(1, 20))
+        (tmp_path / "a.csv").write_text(GOOD.replace("time_s", column) + rows)
+
+    for period_s in (6.0, 30.0, 60.0):
+        written(period_s)
+        assert np.diff(read(tmp_path, tripod).recordings[0].time) == pytest.approx(period_s)
+    written(100.0)
+    expected = "expected 5e-05 to 60 s; if these are milliseconds, 0.1 s, name the column time_ms; else leave out pauses"
+    with pytest.raises(RecordingError, match=expected):
+        read(tmp_path, tripod)
+    written(1e5, "time_ms")
+    with pytest.raises(RecordingError, match=r"period is 100 s; expected 5e-05 to 60 s; leave out pauses"):
+        read(tmp_path, tripod)

@@ -23,6 +23,7 @@ from softrl.robots.robot import Robot
 
 MIN_RUN_S = 3.0  # a shorter run says nothing about dynamics
 LEAST_S = 15.0  # fits rather see fewer runs than shorter pieces
+SLOW_S = 5.0  # between rows: of slower ones fits see longer, as many rows as of these
 MIN_SIGNAL = 3.0  # travel over noise below which nothing can be told
 CHANGED_K = 1.0  # a temperature that changes less tells nothing
 ENOUGH_RUNS = 3  # of a session that is not held out as a whole: two to fit, and one to judge
@@ -255,11 +256,14 @@ def within(runs: Sequence[Recording], seconds: float) -> tuple[Recording, ...]:
     """Return runs that together last at most ``seconds``, cut at one common length; all start as recorded.
 
     Where that would leave less than ``LEAST_S`` of each, the runs that were driven most are taken, one of every session
-    before a second of any: slow effects do not show in many short pieces.
+    before a second of any: slow effects do not show in many short pieces. Rows more than ``SLOW_S`` apart count as if they were
+    ``SLOW_S`` apart, or hardly any would be left.
     """
-    count = max(int(seconds / LEAST_S), MIN_FOLDS)
-    if _common_length(runs, seconds) < LEAST_S and len(runs) > count:
-        drive = [float(np.sum(np.std(run.pressure_cmd[run.time < run.time[0] + LEAST_S], axis=0))) for run in runs]
+    slower = max(float(np.median([np.median(np.diff(run.time)) for run in runs])) / SLOW_S, 1.0)
+    seconds, least = slower * seconds, slower * LEAST_S
+    count = max(int(seconds / least), MIN_FOLDS)
+    if _common_length(runs, seconds) < least and len(runs) > count:
+        drive = [float(np.sum(np.std(run.pressure_cmd[run.time < run.time[0] + least], axis=0))) for run in runs]
         turn: dict[str, int] = {}
         order = []
         for k in sorted(range(len(runs)), key=lambda k: -drive[k]):
