@@ -291,8 +291,9 @@ def _locate(finding: Finding) -> list[Any]:
 
 def _report(diagnosis: Diagnosis, evidence: Evidence | None, tracker: Tracker) -> None:
     if evidence is None:
-        for line in (diagnosis.sentences[0], *diagnosis.data["warnings"]):
-            log.warning("%s", line)
+        log.warning("%s", diagnosis.sentences[0])
+        for line in diagnosis.data["warnings"]:
+            log.warning("about the data: %s", line)  # of warnings that are alike the first few are shown
         tracker.text("report.html", page(diagnosis, {}))
         return
     for split, values in diagnosis.errors_mm.items():

@@ -13,10 +13,12 @@ from softrl.core.errors import ConfigError, RecordingError
 from softrl.core.progress import progress
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
+from softrl.diagnosis.checks.mistaken import mistaken
 from softrl.effects.chain import EffectChain, Plant
 from softrl.effects.replay import replay
 from softrl.recordings.acting import ACTS, UNTIL
-from softrl.recordings.marked import OUTSIDE
+from softrl.recordings.check import check
+from softrl.recordings.marked import DISTURBED, OUTSIDE, without
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.store import DATASET
 from softrl.recordings.write import write
@@ -95,20 +97,36 @@ def run(
     *,
     tracker: Tracker,
 ) -> RecordingSet:
-    """Return the recordings as the simulator would have made them, with the same runs, sessions and times."""
+    """Return the recordings as the simulator would have made them, with the same runs, sessions and times.
+
+    What is odd about recordings is warned of as a diagnosis does.
+    """
+    for line in check(recordings, robot).warnings:
+        log.warning("%s", line)
     plant, started = Plant(simulator, effects), time.perf_counter()
     streams = np.random.SeedSequence(config.seed).spawn(len(recordings.recordings))
-    simulated = []
+    simulated, replayed = [], {}
     for recording, stream in zip(progress(recordings.recordings, "replay"), streams, strict=True):
         clean = replay(plant, recording, config.dt_s, config.drive, config.settle_s)
+        replayed[recording.name] = clean
         simulated.append(add_noise(clean, config, np.random.default_rng(stream)))
     seconds = time.perf_counter() - started
+    _warn_of_mistakes(recordings, replayed, robot)
     # the effects stay out of the notes: whoever diagnoses the data shall not read the answer beside them
     notes = {SIMULATED: type(simulator).__name__, "seed": config.seed, ACTS: UNTIL}
     notes |= {OUTSIDE: recordings.notes[OUTSIDE]} if OUTSIDE in recordings.notes else {}  # what only judges goes on doing so
     result = RecordingSet(robot_name=robot.name, recordings=tuple(simulated), notes=notes)
     _report(recordings, result, seconds, tracker)
     return result
+
+
+def _warn_of_mistakes(recordings: RecordingSet, replayed: dict[str, Recording], robot: Robot) -> None:
+    """Warn where recorded motion shows that columns cannot be what they are called, beside what was ``replayed``, by run."""
+    channel = "bend_angle" if robot.output == "bend_angle" else "position"
+    runs = [run for run in without(recordings, DISTURBED).recordings if getattr(run, channel) is not None]
+    told = mistaken(runs, [replayed[run.name] for run in runs], robot) if runs else None
+    if told is not None:
+        log.warning("the recordings cannot be what they are called: %s", told)
 
 
 def write_out(config: Config, robot: Robot, simulated: RecordingSet) -> None:

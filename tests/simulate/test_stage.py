@@ -250,3 +250,19 @@ def test_recordings_of_a_robot_are_not_overwritten(tmp_path: Path) -> None:
     for _ in range(2):
         write_out(config(out=str(tmp_path / "made")), body.robot, made)
     assert len(list((tmp_path / "made").glob("*.csv"))) == 2
+
+
+def test_what_is_odd_about_recordings_is_warned_of(caplog: pytest.LogCaptureFixture) -> None:
+    body, spent = simulator("tripod"), np.arange(600) < 250
+    chain = chain_of(body.robot, [])
+    given = commands(body.robot)
+    sound = run(config(position_noise_m=1e-4), body.robot, body, chain, given, tracker=NullTracker())
+    caplog.clear()
+    run(config(), body.robot, body, chain, sound, tracker=NullTracker())
+    assert not caplog.records
+    odd = [replace(r, position=r.position[:, [1, 0, 2]], quaternion=None) for r in sound.recordings]
+    paused = {name: values[spent | (np.arange(600) > 400)] for name, values in odd[0].channels()}
+    torn = replace(sound, recordings=(replace(odd[0], **paused), *odd[1:]))
+    made = run(config(), body.robot, body, chain, torn, tracker=NullTracker())
+    assert len(made.recordings) == len(given.recordings)
+    assert "run0: 1 gaps in the samples" in caplog.text and "the tip moves as the mirror image" in caplog.text

@@ -91,7 +91,7 @@ def cannot_tell(refusal: Refusal, robot_name: str, simulator_name: str) -> Diagn
         errors_deg={},
         unexplained={"cannot_tell": refusal.reason},
         next_experiment=None,
-        data={"warnings": [*refusal.check.warnings, *refusal.mended]},
+        data={"warnings": [*refusal.mended, *refusal.check.warnings]},
     )
 
 
