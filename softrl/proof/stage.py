@@ -93,6 +93,11 @@ class Shelf:
 
 def run(config: Config, robot: Robot, *, tracker: Tracker) -> Proof:
     """Return how well the diagnosis does on robots with hidden physics that it has not seen and cannot look up."""
+    if robot.output == "bend_angle":
+        raise ConfigError(
+            f"robot={robot.name} reports bend_angle, and hidden robots are recorded by the tip's position; choose a robot whose "
+            "output is tip_position or tip_pose"
+        )
     nominal = PccSimulator(robot, **asdict(config.nominal), bending_stiffness_scale=1.0, axial_stiffness_scale=1.0,
                            mass_scale=1.0)  # fmt: skip
     shelf = _shelf(config, robot)

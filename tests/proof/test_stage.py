@@ -1,13 +1,14 @@
 """The seal holds, a stopped proof goes on, and the whole stage writes what tools read."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from softrl.core.errors import ArtifactError
+from softrl.core.errors import ArtifactError, ConfigError
 from softrl.core.tracking import NullTracker
 from softrl.proof import blackbox, stage
 from softrl.proof.ledger import digest, open_key, require_untouched, seal
@@ -26,6 +27,14 @@ class Texts(NullTracker):
 
     def text(self, name: str, content: str) -> None:
         self.texts.append((name, content))
+
+
+def test_a_robot_that_reports_an_angle_is_refused_at_once(tmp_path: Path, tripod: Robot) -> None:
+    """Hidden robots are recorded by the tip's position: what is wrong with the set-up would count as false alarms."""
+    config, finger = configured(folder=str(tmp_path)), replace(tripod, output="bend_angle")
+    with pytest.raises(ConfigError, match=r"robot=tripod reports bend_angle, .*; choose a robot whose output is tip_position"):
+        stage.run(config, finger, tracker=NullTracker())
+    assert not any(tmp_path.iterdir())
 
 
 def test_a_key_that_was_changed_does_not_open(tmp_path: Path) -> None:
