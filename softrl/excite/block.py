@@ -1,11 +1,21 @@
 """The building blocks of a program: each begins at rest and ends there."""
 
+import logging
 from dataclasses import dataclass
 
 import numpy as np
 
 from softrl.recordings.program import limited, multisine, random_steps, staircase, steps_and_holds, triangles
 from softrl.robots.robot import Robot
+
+log = logging.getLogger(__name__)
+HIGHEST_HZ = {  # tones that need more than two steps a period, or they would be others, or nothing
+    "fast multisine": 5.0,
+    "small multisine": 2.0,
+    "slow multisine": 0.5,
+    "triangles of 1 s": 1.0,
+    "triangles of 2 and 20 s": 0.5,
+}
 
 
 @dataclass(frozen=True)
@@ -21,13 +31,19 @@ def blocks(robot: Robot, dt_s: float, rest_s: float, seed: int) -> list[Block]:
 
     Long holds show creep and leaks, the same triangle at rates decades apart tells rate from amplitude, rising maxima
     with repeats tell softening from drift, fast squares tell a delay from a lag, small amplitudes show play and
-    friction, single chambers and then several at once show what chambers do to each other.
+    friction, single chambers and then several at once show what chambers do to each other. Those too quick for steps of ``dt_s``
+    are left out.
     """
     found: list[tuple[str, np.ndarray]] = []
     for chamber in range(robot.chambers):
         name = f"chamber {chamber + 1}"
         found += [(f"{kind}, {name}", pressure) for kind, pressure in _of_one(robot, chamber, dt_s)]
     found += _of_all(robot, dt_s, np.random.default_rng(seed))
+    quick = [kind for kind, highest_hz in HIGHEST_HZ.items() if highest_hz >= 0.5 / dt_s]
+    if quick:
+        told = ", ".join(f"{kind} (below {0.5 / HIGHEST_HZ[kind]:g} s)" for kind in quick)
+        log.warning("too quick for steps of %g s and left out of the plan: %s", dt_s, told)
+        found = [(label, pressure) for label, pressure in found if label.partition(",")[0] not in quick]
     rest = np.zeros((max(round(rest_s / dt_s), 1), robot.chambers))
     return [Block(label, limited(robot, np.vstack([pressure, rest]), dt_s)) for label, pressure in found]
 

@@ -1,7 +1,7 @@
 """Plan the pressure program that best tells hypotheses apart, within the robot's limits and a number of minutes."""
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -29,7 +29,7 @@ from softrl.excite.plan import (
 )
 from softrl.excite.rival import rivals_of
 from softrl.excite.separation import Sensing
-from softrl.recordings.program import random_steps
+from softrl.recordings.program import limited, random_steps
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.session import Identification, session_program
 from softrl.recordings.store import DATASET
@@ -112,6 +112,10 @@ class Config:
                 f"stage.sensing: dt_s={noise.dt_s:g}, sample_s={noise.sample_s:g}, position_mm={noise.position_mm:g}, "
                 f"pressure_kpa={noise.pressure_kpa}; expected positive numbers, or null for pressure_kpa"
             )
+        try:
+            replace(self.usual, dt_s=noise.dt_s)  # its tones and triangles have to stand such steps, too
+        except ConfigError as error:
+            raise ConfigError(f"stage.sensing.dt_s={noise.dt_s:g} is too long: {error}") from error
         for name in ("shortlist", "repeats", "fit_evaluations"):
             if getattr(self.effort, name) < 1:
                 raise ConfigError(f"stage.effort.{name}={getattr(self.effort, name)}; expected 1 or more")
@@ -162,7 +166,7 @@ def usual_program(robot: Robot, usual: Identification, dt_s: float, count: int, 
         time, pressure = session_program(robot, usual, len(rows), rng)
         wanted = dt_s * np.arange(1, int(time[-1] / dt_s) + 1)
         rows.append(pressure[np.searchsorted(time, wanted - 1e-9).clip(max=len(time) - 1)])
-    return np.vstack(rows)[:count]
+    return limited(robot, np.vstack(rows)[:count], dt_s)  # picked at other steps, or cut between two sessions, it may jump
 
 
 def require_own(folder: Path) -> None:

@@ -79,10 +79,11 @@ def staircase(robot: Robot, chamber: int, levels: int, repeats: int, period_s: f
 
 
 def limited(robot: Robot, pressure: np.ndarray, dt_s: float) -> np.ndarray:
-    """Return ``pressure`` (steps, chambers) Pa within the robot's limits and slew, starting from 0 Pa."""
+    """Return ``pressure`` (steps, chambers) Pa within the robot's limits and slew, starting from 0 Pa or the limit next to it."""
     wanted = np.clip(pressure, robot.pressure_min_pa, robot.pressure_max_pa)
     reach = robot.slew_pa_per_s * dt_s
-    sent, last = np.empty_like(wanted), np.zeros(wanted.shape[1])
+    rest = np.clip(0.0, robot.pressure_min_pa, robot.pressure_max_pa)
+    sent, last = np.empty_like(wanted), np.full(wanted.shape[1], rest)
     for k, row in enumerate(wanted):
         last = last + np.clip(row - last, -reach, reach)
         sent[k] = last

@@ -22,7 +22,7 @@ from softrl.excite.block import blocks
 from softrl.excite.plan import Effort, pairs_of, plan, refitted_separation, score, separation, sums
 from softrl.excite.rival import Rival, parse, rivals_of
 from softrl.excite.separation import Normal, Sensing, normal, refitted, responses, tangent
-from softrl.excite.stage import Config, csv_text, run, write_out
+from softrl.excite.stage import Config, csv_text, run, usual_program, write_out
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.read import read
 from softrl.robots.robot import Robot
@@ -141,6 +141,22 @@ def test_blocks_begin_and_end_at_rest_within_the_limits(name: str) -> None:
         assert np.abs(steps).max() <= mine.slew_pa_per_s * dt_s * (1 + 1e-9), block.label
 
 
+@pytest.mark.parametrize("dt_s", [0.005, 0.01, 0.02, 0.03, 0.1])
+def test_the_usual_program_keeps_the_slew_at_any_step(dt_s: float) -> None:
+    usual = usual_program(robot(), config().usual, dt_s, round(200.0 / dt_s), 0)
+    assert len(usual) == round(200.0 / dt_s) and usual.max() > 0.9 * robot().pressure_max_pa
+    assert np.abs(np.diff(usual, axis=0)).max() <= robot().slew_pa_per_s * dt_s * (1 + 1e-9)
+
+
+def test_blocks_too_quick_for_their_steps_are_left_out(caplog: pytest.LogCaptureFixture) -> None:
+    whole = {block.label for block in blocks(robot(), 0.05, 1.0, 0)}
+    assert not caplog.text
+    assert whole - {block.label for block in blocks(robot(), 0.1, 1.0, 0)} == {"fast multisine"}
+    assert "steps of 0.1 s and left out of the plan: fast multisine (below 0.1 s)" in caplog.text
+    slow = blocks(robot(), 1.0, 1.0, 0)
+    assert len(slow) < len(whole) and all(block.pressure.any() for block in slow if "rest" not in block.label)
+
+
 def test_the_plan_keeps_the_budget_and_beats_each_single_block() -> None:
     pair = pairs_of([rival("hysteresis"), rival("viscoelasticity")], wave(), SENSING, EFFORT)
     candidates = [b for b in blocks(robot(), SENSING.dt_s, 1.0, 0) if len(b.pressure) * SENSING.dt_s < 20.0][:12]
@@ -227,6 +243,7 @@ def test_normal_of_a_truth_is_its_gap_to_the_rival() -> None:
     ("changed", "told"),
     [({"effort": {"repeats": 0}}, "effort.repeats=0; expected 1 or more"),
      ({"sensing": {"pressure_kpa": 0.0}}, "pressure_kpa=0.0; expected positive numbers, or null"),
+     ({"sensing": {"dt_s": 0.2}}, r"sensing\.dt_s=0.2 is too long: stage\.usual\.multisine_band_hz=.* tones below 2.5 Hz"),
      ({"usual": {"multisine_share": 1.1}}, r"stage\.usual\.multisine_share=1.1; expected a share")],
 )  # fmt: skip
 def test_what_no_search_can_work_with_is_refused_at_once(changed: dict[str, Any], told: str) -> None:

@@ -1,5 +1,6 @@
 """Laws of the pressure programs: within limits and slew, on a uniform grid, and recorded as applied."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
@@ -44,6 +45,15 @@ def test_program_keeps_limits_and_slew(name: str, kind: str) -> None:
     rate = np.abs(np.diff(pressure, axis=0, prepend=np.zeros((1, robot.chambers)))) / 0.01
     assert rate.max() <= robot.slew_pa_per_s * (1 + 1e-9)
     assert np.ptp(pressure) > 0.3 * robot.pressure_max_pa
+
+
+@pytest.mark.parametrize("kind", ["steps", "multisine", "triangles", "staircase"])
+def test_what_must_stay_under_pressure_begins_there(kind: str) -> None:
+    """A robot that must not be vented is never sent less than its least pressure, nor one that sucks more than its largest."""
+    for limits in ((10e3, 35e3), (-35e3, -10e3)):
+        robot = replace(TRIPOD, pressure_min_pa=limits[0], pressure_max_pa=limits[1])
+        _, pressure = programs(robot)[kind]
+        assert limits[0] <= pressure.min() and pressure.max() <= limits[1]
 
 
 def test_lines_of_the_multisine_belong_to_one_chamber() -> None:
