@@ -14,6 +14,7 @@ TINY_SHARE = 5e-3  # a command that never reaches this share of the limit is in 
 RELATED = 0.3  # correlation of a gauge with its command, above which it shows something of it
 MEASURED_MARGIN = 0.25  # measured pressures may pass the limits by this share of the range: offsets, overshoot
 SLOWEST_PERIOD_S = 60.0  # a slower median sampling period means that time is in another unit, or that pauses count
+SLOW_S, LONGEST_S = 5.0, 28800.0  # and so do rows farther apart than these in a run that goes on for hours
 FASTEST_PERIOD_S = 5e-5  # and so does a faster one: nothing that air moves is recorded at 20 kHz
 HOTTEST_C = 200.0  # no elastomer stands more: kelvin, or another quantity
 LARGEST_BEND_RAD = 6.0 * np.pi  # a backbone that is coiled three times round
@@ -61,15 +62,17 @@ def _require_increasing(path: Path, header: list[str], table: np.ndarray, column
             f"{path}, line {_line(row)}, column '{header[number]}': {time[row]:.15g} does not exceed "
             f"{time[row - 1]:.15g} of the line before; expected increasing time; sort the rows and drop repeated ones"
         )
-    period = float(np.median(step)) * factor
-    if not FASTEST_PERIOD_S <= period <= SLOWEST_PERIOD_S:
+    period, lasts_s = float(np.median(step)) * factor, float(np.ptp(time)) * factor
+    too_long = period > SLOW_S and lasts_s > LONGEST_S
+    if too_long or not FASTEST_PERIOD_S <= period <= SLOWEST_PERIOD_S:
         advice = "is the column in another unit (time_s)?"
-        if period > SLOWEST_PERIOD_S:
+        if too_long or period > SLOWEST_PERIOD_S:
             unit = f"if these are milliseconds, {1e-3 * period:g} s, name the column time_ms; else " if factor == 1.0 else ""
             advice = f"{unit}leave out pauses: count times as if rows were at most {SLOWEST_PERIOD_S:g} s apart"
+            advice += f", and cut runs of more than {LONGEST_S / 3600.0:g} h" if too_long else ""
         raise RecordingError(
             f"{path}, column '{header[number]}': the median sampling period is {period:g} s; expected "
-            f"{FASTEST_PERIOD_S:g} to {SLOWEST_PERIOD_S:g} s; {advice}"
+            f"{FASTEST_PERIOD_S:g} to {SLOWEST_PERIOD_S:g} s{f', in {lasts_s / 3600.0:.3g} h' if too_long else ''}; {advice}"
         )
 
 

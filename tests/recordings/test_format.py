@@ -291,3 +291,13 @@ def test_poses_may_be_a_minute_apart_and_no_more(tripod: Robot, tmp_path: Path) 
     written(1e5, "time_ms")
     with pytest.raises(RecordingError, match=r"period is 100 s; expected 5e-05 to 60 s; leave out pauses"):
         read(tmp_path, tripod)
+
+
+def test_milliseconds_that_are_called_seconds_are_no_table_of_poses(tripod: Robot, tmp_path: Path) -> None:
+    (tmp_path / "dataset.yaml").write_text("robot: tripod\n")
+    rows = "".join(f"{10 * k},{k % 5},0,0,{k % 5},0,176\n" for k in range(4000))
+    (tmp_path / "a.csv").write_text(GOOD + rows)
+    with pytest.raises(RecordingError, match=r"period is 10 s; .*, in 11.1 h; if these are milliseconds, 0.01 s, name"):
+        read(tmp_path, tripod)
+    (tmp_path / "a.csv").write_text(GOOD.replace("time_s", "time_ms") + rows)
+    assert np.ptp(read(tmp_path, tripod).recordings[0].time) == pytest.approx(39.99)
