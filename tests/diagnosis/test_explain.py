@@ -59,17 +59,17 @@ def test_nothing_missing_says_what_stays_beyond_a_detail_of_the_body() -> None:
 @pytest.mark.parametrize(
     ("name", "parameter", "unit", "told"),
     [("deadband", "band", "1", "= 1.05 kPa"), ("rate_limit", "rise_per_s", "1/s", "1/s = 1.05 kPa/s"),
-     ("payload", "mass", "1", "= 3 g"), ("contact", "distance", "1", "= 6 mm")],
+     ("supply_limit", "ceiling", "1", "= 0.9 kPa"), ("payload", "mass", "1", "= 3 g"), ("contact", "distance", "1", "= 6 mm")],
 )  # fmt: skip
 def test_shares_are_told_in_units_of_the_robot(name: str, parameter: str, unit: str, told: str) -> None:
-    robot: Any = SimpleNamespace(pressure_max_pa=35e3, length_m=0.2, mass_kg=0.1)
+    robot: Any = SimpleNamespace(largest_pa=35e3, pressure_max_pa=30e3, length_m=0.2, mass_kg=0.1)
     entry = {"value": 0.03, "low": 0.02, "high": 0.04, "unit": unit, "at_bound": False}
     effect = {"name": name, "site": "valve", "where": "all", "parameters": {parameter: entry}, "evidence": "so"}
     assert f"{parameter} 0.03 (0.02 to 0.04)" in effect_sentence(effect, robot) and told in effect_sentence(effect, robot)
 
 
 def test_an_interval_has_the_digits_that_tell_its_ends_apart() -> None:
-    robot: Any = SimpleNamespace(pressure_max_pa=35e3, length_m=0.2, mass_kg=0.1)
+    robot: Any = SimpleNamespace(largest_pa=35e3, pressure_max_pa=30e3, length_m=0.2, mass_kg=0.1)
     for value, low, high, told in [(0.12003, 0.11991, 0.12014, "0.1200 (0.1199 to 0.1201) s"),
                                    (0.3, 0.21, 0.41, "0.3 (0.21 to 0.41) s"), (0.5, 0.5, 0.5, "0.5 (0.5 to 0.5) s")]:  # fmt: skip
         entry = {"value": value, "low": low, "high": high, "unit": "s", "at_bound": False}
@@ -92,7 +92,7 @@ def test_only_what_contests_cannot_be_told_apart(gap: float, equivalent: bool, c
 def test_what_begins_within_the_shortest_time_begins_at_once() -> None:
     entry = {"value": 0.05, "low": 0.05, "high": 0.2, "unit": "s", "at_bound": True}
     effect = {"name": "frame", "site": "sensor", "where": "pose sensor", "parameters": {"over_s": entry}, "evidence": "so"}
-    robot: Any = SimpleNamespace(pressure_max_pa=35e3, length_m=0.2, mass_kg=0.1)
+    robot: Any = SimpleNamespace(largest_pa=35e3, pressure_max_pa=30e3, length_m=0.2, mass_kg=0.1)
     assert "over_s 0.05 (0.05 to 0.2) s, at once" in effect_sentence(effect, robot)
 
 
