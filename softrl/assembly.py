@@ -33,6 +33,7 @@ log = logging.getLogger(__name__)
 # parameters of a stage that are built from the configuration group of the same name
 OBJECTS = ("simulator", "task", "agent", "driver", "bench")
 NOMINAL = "none"  # tag of what was made on a simulator without effects
+IDENTIFIED = "identified"  # among the effects: those that a diagnosis found
 # what to do instead, where a stage that takes no effects is about them
 INSTEAD = {
     "diagnosis": "it looks for all effects itself, beside the nominal simulator; stage.candidates=[..] names those to consider",
@@ -83,11 +84,11 @@ class Assembly:
     def refuse_unused_effects(self, stage: str, run: Any) -> None:
         """Raise ``ConfigError`` if effects are chosen, and ``run`` takes none."""
         if self._effects and not _takes_effects(run):
-            chosen = ",".join(self._effects)
-            raise ConfigError(
-                f"effect={chosen if len(self._effects) == 1 else f'[{chosen}]'} plays no part in stage={stage}; leave it out"
-                + (f": {INSTEAD[stage]}" if stage in INSTEAD else "")
-            )
+            source = (self.cfg.get("inputs") or {}).get("diagnosis") or IDENTIFIED
+            names = [source if name == IDENTIFIED else name for name in self._effects]
+            chosen = names[0] if len(names) == 1 else f"[{','.join(names)}]"
+            instead = f": {INSTEAD[stage]}" if stage in INSTEAD else ""
+            raise ConfigError(f"effect={chosen} plays no part in stage={stage}; leave it out{instead}")
 
     def _argument(self, name: str, hint: Any) -> Any:
         kind, optional = _without_none(hint)
@@ -119,7 +120,7 @@ class Assembly:
         if TARGET not in node:  # several, by name
             return {key: build_target(value, f"{name}.{key}", self._fill) for key, value in node.items()}
         made = build_target(node, name, self._fill)
-        corrected = name == "simulator" and self._takes_effects and "identified" in self._effects
+        corrected = name == "simulator" and self._takes_effects and IDENTIFIED in self._effects
         return self._corrected(made) if corrected else made
 
     @property
@@ -130,9 +131,9 @@ class Assembly:
     def _chain(self) -> EffectChain:
         node = self._effects
         self.used["effect"] = node
-        chosen = [_effect(value, f"effect.{key}") for key, value in node.items() if key != "identified"]
+        chosen = [_effect(value, f"effect.{key}") for key, value in node.items() if key != IDENTIFIED]
         retuned = False
-        if "identified" in node:
+        if IDENTIFIED in node:
             self.modules.append(Diagnosis.__module__)  # what makes corrections of what was found
             diagnosis = self._artifact(Diagnosis)
             retuned = bool(diagnosis.simulator_parameters)  # see _corrected
@@ -214,7 +215,7 @@ class Assembly:
         node = self._effects
         if not node:
             return NOMINAL
-        return fingerprint.of_values([node, self._locate(Diagnosis, Diagnosis.key())[1] if "identified" in node else ""])
+        return fingerprint.of_values([node, self._locate(Diagnosis, Diagnosis.key())[1] if IDENTIFIED in node else ""])
 
     def _nothing_found(self, kind: type[Artifact], name: str) -> str:
         """Return what to do where no run makes the artifact, and what is there instead."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from softrl.core.errors import ConfigError
 from softrl.recordings.program import limited, multisine, random_steps, staircase, steps_and_holds, triangles
 from softrl.robots.robot import Robot
 
@@ -33,7 +34,14 @@ def blocks(robot: Robot, dt_s: float, rest_s: float, seed: int) -> list[Block]:
     with repeats tell softening from drift, fast squares tell a delay from a lag, small amplitudes show play and
     friction, single chambers and then several at once show what chambers do to each other. Those too quick for steps of ``dt_s``
     are left out.
+
+    Raises
+    ------
+    ConfigError
+        If the robot has no pressures above the room's.
     """
+    if robot.pressure_max_pa <= 0.0:
+        raise ConfigError(f"robot.pressure_max_pa={robot.pressure_max_pa:g}: programs are planned of pressures above 0 only")
     found: list[tuple[str, np.ndarray]] = []
     for chamber in range(robot.chambers):
         name = f"chamber {chamber + 1}"

@@ -9,9 +9,10 @@ from scipy.stats import chi2
 from softrl.recordings.frame import axis_vector
 from softrl.recordings.marked import DISTURBED, OUTSIDE, without
 from softrl.recordings.recording import Recording, RecordingSet
+from softrl.recordings.validate import SLOW_S
 from softrl.robots.robot import Robot
 
-SLOW_S, LONG_S = 5.0, 7200.0  # rows farther apart in a run that lasts longer: milliseconds may have been taken for seconds
+LONG_S = 7200.0  # a run of slow rows that lasts longer: milliseconds may have been taken for seconds
 GAP_PERIODS = 5.0  # a pause of more than this many median periods is a gap
 HOLD_S = 1.0  # a command unchanged for twice this long ends in a window of this length at rest
 MANY, FREE = 8, 8  # rows of such a window, or else degrees of freedom of all second halves of holds

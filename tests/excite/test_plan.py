@@ -18,7 +18,7 @@ from softrl.core.tracking import NullTracker
 from softrl.effects.dead_time import DeadTime
 from softrl.effects.hysteresis import Hysteresis
 from softrl.effects.lag import Lag
-from softrl.excite.block import blocks
+from softrl.excite.block import HIGHEST_HZ, blocks
 from softrl.excite.plan import Effort, pairs_of, plan, refitted_separation, score, separation, sums
 from softrl.excite.rival import Rival, parse, rivals_of
 from softrl.excite.separation import Normal, Sensing, normal, refitted, responses, tangent
@@ -150,11 +150,17 @@ def test_the_usual_program_keeps_the_slew_at_any_step(dt_s: float) -> None:
 
 def test_blocks_too_quick_for_their_steps_are_left_out(caplog: pytest.LogCaptureFixture) -> None:
     whole = {block.label for block in blocks(robot(), 0.05, 1.0, 0)}
+    assert set(HIGHEST_HZ) <= {label.partition(",")[0] for label in whole}, "what has a highest tone is a block"
     assert not caplog.text
     assert whole - {block.label for block in blocks(robot(), 0.1, 1.0, 0)} == {"fast multisine"}
     assert "steps of 0.1 s and left out of the plan: fast multisine (below 0.1 s)" in caplog.text
     slow = blocks(robot(), 1.0, 1.0, 0)
     assert len(slow) < len(whole) and all(block.pressure.any() for block in slow if "rest" not in block.label)
+
+
+def test_no_program_is_planned_for_suction_alone() -> None:
+    with pytest.raises(ConfigError, match=r"robot.pressure_max_pa=0: programs are planned of pressures above 0 only"):
+        blocks(replace(robot(), pressure_min_pa=-4e4, pressure_max_pa=0.0), 0.05, 1.0, 0)
 
 
 def test_the_plan_keeps_the_budget_and_beats_each_single_block() -> None:

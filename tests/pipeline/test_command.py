@@ -30,7 +30,7 @@ MISTAKES = [
     (["stage=mesh", "driver=nothing"], "'driver': rig_serial rig_udp"),
     (["stage=mesh", "robot=nowhere.yaml"], "robot=nowhere.yaml cannot be read"),
     (["stage=mesh", "effect=[lag,gain]"], "effect=[lag,gain] plays no part in stage=mesh; leave it out"),
-    (["stage=diagnosis", "effect=run:1a"], "effect=identified plays no part in stage=diagnosis; leave it out: it looks for all"),
+    (["stage=diagnosis", "effect=run:1a"], "effect=run:1a plays no part in stage=diagnosis; leave it out: it looks for all"),
 ]
 # a process for each command, all of them forked from one that has imported what takes long
 FORKED = """

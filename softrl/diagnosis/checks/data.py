@@ -19,11 +19,11 @@ from softrl.recordings.gone import Now, in_order, now_after, sessions_in_order
 from softrl.recordings.marked import DISTURBED, OUTSIDE, named, without
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.split import split
+from softrl.recordings.validate import SLOW_S
 from softrl.robots.robot import Robot
 
 MIN_RUN_S = 3.0  # a shorter run says nothing about dynamics
 LEAST_S = 15.0  # fits rather see fewer runs than shorter pieces
-SLOW_S = 5.0  # between rows: of slower ones fits see longer, as many rows as of these
 MIN_SIGNAL = 3.0  # travel over noise below which nothing can be told
 CHANGED_K = 1.0  # a temperature that changes less tells nothing
 ENOUGH_RUNS = 3  # of a session that is not held out as a whole: two to fit, and one to judge
