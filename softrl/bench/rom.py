@@ -11,6 +11,7 @@ from softrl.artifacts.snapshots import Snapshots
 from softrl.bench.figures import draw_motions
 from softrl.bench.layers import layer_metrics
 from softrl.bench.operator_inference import others_foretell
+from softrl.bench.resting import resting_metrics
 from softrl.bench.watch import Watch, timing
 from softrl.core.errors import ArtifactError, ConfigError, SolverError
 from softrl.core.progress import progress
@@ -48,6 +49,7 @@ class RomBench:
         from the ``snapshots``; ``galerkin`` may be left out
     lumped : the lumped body, for its speed
     motions : unseen ones of ``duration_s`` with pressures and tip forces held ``hold_s``, on the time step ``dt_s``
+    resting : equilibria under unseen pressures and tip forces within the robot's limits
     layered : equilibria with one layer of the wall stiffer or softer, see ``bench.layers``
     violent : further ones, in which every pressure jumps between the robot's limits, beside the largest tip force
     effects : on the body, whose cost in a step is told
@@ -61,6 +63,7 @@ class RomBench:
     fem: FemSimulator
     lumped: PccSimulator
     motions: int
+    resting: int
     violent: int
     layered: int
     effects: dict[str, Effect]
@@ -76,7 +79,7 @@ class RomBench:
         for name in ("motions", "duration_s", "hold_s", "dt_s", "rate_steps", "batch", "batch_steps"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"bench.rom.{name}={getattr(self, name):g} must be positive")
-        for name in ("violent", "layered"):
+        for name in ("resting", "violent", "layered"):
             if getattr(self, name) < 0:
                 raise ConfigError(f"bench.rom.{name}={getattr(self, name)} must not be negative")
         seen, reduced = self.snapshots.youngs_modulus_pa, self.rom.reduced_model.youngs_modulus_pa
@@ -113,6 +116,8 @@ class RomBench:
         nowhere = np.full((len(clock), 3), np.nan)
         tips = {LABELS[name]: [path.tip if path else nowhere for path in paths] for name, paths in bodies.items()}
         tracker.figure("unseen_motions", draw_motions(clock, [path.tip for path in full], tips))
+        if self.resting:
+            metrics |= resting_metrics(self.rom, self._full_model, self.resting, np.random.default_rng([seed, STREAM, 2]))
         if self.layered:
             metrics |= layer_metrics(self.rom, self._full_model, self.layered, np.random.default_rng([seed, STREAM, 1]))
         return metrics | self._rates(watch, rng)

@@ -169,9 +169,10 @@ class FemSimulator:
             )
         return found.pose
 
-    def equilibrium(self, pressure: np.ndarray) -> FemState:
-        """Return the state at rest under ``pressure`` (n,) Pa and weight."""
-        return self._still(self._equilibrium(np.r_[np.asarray(pressure, dtype=float), np.zeros(3)]))
+    def equilibrium(self, pressure: np.ndarray, tip_force: np.ndarray | None = None) -> FemState:
+        """Return the state at rest under ``pressure`` (n,) Pa, ``tip_force`` (3,) N and weight."""
+        force = np.zeros(3) if tip_force is None else np.asarray(tip_force, dtype=float)
+        return self._still(self._equilibrium(np.r_[np.asarray(pressure, dtype=float), force]))
 
     def reset(self, rng: np.random.Generator | None = None) -> FemState:
         """Return the state at rest under zero pressure and weight; ``rng`` is unused."""

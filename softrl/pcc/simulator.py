@@ -189,8 +189,10 @@ class PccSimulator:
             order=(0.0,) * len(stiffness),
         )
 
-    def _equilibrium(self, hooks: tuple[Calls, Calls], pressure: np.ndarray | None = None) -> np.ndarray:
-        """Return the coordinates (m,) at rest under gravity, load effects and ``pressure`` (chambers,)."""
+    def _equilibrium(
+        self, hooks: tuple[Calls, Calls], pressure: np.ndarray | None = None, tip_force: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return the coordinates (m,) at rest under gravity, load effects, ``pressure`` (chambers,) and ``tip_force`` (3,)."""
         order = 2 if self.robot.chambers == 1 else 5
         loads_only = (_NONE, hooks[1])
         y = np.zeros(order)
@@ -200,7 +202,7 @@ class PccSimulator:
             np.zeros(order),
             QUASI_STATIC_S,
             held,
-            np.zeros((1, 3)),
+            np.zeros((1, 3)) if tip_force is None else np.atleast_2d(tip_force).astype(float),
             self._model_about(np.zeros(order)),
             loads_only,
         )
@@ -226,9 +228,9 @@ class PccSimulator:
             )
         return position, quaternion
 
-    def equilibrium(self, pressure: np.ndarray) -> PccState:
-        """Return the state at rest under ``pressure`` (chambers,) Pa and gravity."""
-        y = self._equilibrium((_NONE, _NONE), np.asarray(pressure, dtype=float))
+    def equilibrium(self, pressure: np.ndarray, tip_force: np.ndarray | None = None) -> PccState:
+        """Return the state at rest under ``pressure`` (chambers,) Pa, ``tip_force`` (3,) N and gravity."""
+        y = self._equilibrium((_NONE, _NONE), np.asarray(pressure, dtype=float), tip_force)
         return PccState(y, np.zeros_like(y))
 
     def reset(self, rng: np.random.Generator | None = None) -> PccState:

@@ -111,13 +111,13 @@ class RomSimulator:
         """The equilibrium y (r,) under weight alone."""
         return self._equilibrium(NO_HOOKS)
 
-    def _equilibrium(self, hooks: tuple[Calls, Calls], pressure: np.ndarray | None = None) -> np.ndarray:
-        """Return the equilibrium y (r,) under weight, load effects and ``pressure`` (n,) Pa."""
-        r, n = self.reduced_model.order, self.robot.chambers
+    def _equilibrium(self, hooks: tuple[Calls, Calls], held: np.ndarray | None = None) -> np.ndarray:
+        """Return the equilibrium y (r,) under weight, load effects and the loads ``held`` (r,) Pa and N."""
+        r = self.reduced_model.order
         loads_only = NO_HOOKS[0], hooks[1]
         load = np.zeros((LOAD_STEPS, r))
-        if pressure is not None:
-            load[:, :n] = np.linspace(0.0, 1.0, LOAD_STEPS + 1)[1:, None] * pressure
+        if held is not None:
+            load[:] = np.linspace(0.0, 1.0, LOAD_STEPS + 1)[1:, None] * held
         y = np.zeros(r)
         for _ in range(LOAD_STEPS):
             before = y.copy()
@@ -167,9 +167,9 @@ class RomSimulator:
             load[:, n:] = np.asarray(tip_force, dtype=float).reshape(-1, 3)
         return load
 
-    def equilibrium(self, pressure: np.ndarray) -> RomState:
-        """Return the state at rest under ``pressure`` (n,) Pa and weight."""
-        z = self.reduced_model.frame @ self._equilibrium(NO_HOOKS, np.asarray(pressure, dtype=float))
+    def equilibrium(self, pressure: np.ndarray, tip_force: np.ndarray | None = None) -> RomState:
+        """Return the state at rest under ``pressure`` (n,) Pa, ``tip_force`` (3,) N and weight."""
+        z = self.reduced_model.frame @ self._equilibrium(NO_HOOKS, self._loads(pressure, tip_force)[0])
         return RomState(z, np.zeros_like(z), STILL.copy(), self.robot.gravity_m_s2)
 
     def reset(self, rng: np.random.Generator | None = None) -> RomState:

@@ -12,10 +12,10 @@ from tests.pod.conftest import fitted
 class Falls(RomSimulator):
     """Finds no equilibrium where a layer is soft."""
 
-    def equilibrium(self, pressure: np.ndarray):  # type: ignore[no-untyped-def]
+    def equilibrium(self, pressure: np.ndarray, tip_force: np.ndarray | None = None):  # type: ignore[no-untyped-def]
         if self.layer_scales and min(self.layer_scales) < 0.9:
             raise SolverError("it fell over")
-        return super().equilibrium(pressure)
+        return super().equilibrium(pressure, tip_force)
 
 
 def test_a_body_is_itself_and_its_layers_matter() -> None:
