@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import ADDED, ADDED_SLOPE, ELASTIC, ELASTIC_SLOPE, PORT_KERNEL, UNEVEN, Effect, parameter
+from softrl.effects.effect import PORT_KERNEL, Effect, multiply_body, parameter
 from softrl.robots.robot import Robot
 
 LONG_S = 1e6  # after which it levels off no more within any recording
@@ -22,9 +22,7 @@ def drift_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt
     change = math.expm1(min(parameters[0] * parameters[2] * math.expm1(-since / parameters[2]), MOST))
     for i in range(port.shape[1]):
         if chamber < 0 or chamber == i:
-            port[ADDED, i] += change * port[ELASTIC, i]
-            port[ADDED_SLOPE, i] += change * port[ELASTIC_SLOPE, i]
-            port[UNEVEN, i] += change
+            multiply_body(port, chamber, i, change)
     if commit:
         state[0] += dt
 

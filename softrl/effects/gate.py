@@ -13,6 +13,7 @@ from softrl.effects.call import address_of, call_port, call_signal
 from softrl.effects.effect import (
     ADDED,
     ADDED_SLOPE,
+    CHANGED,
     EVERYWHERE,
     GRAVITY,
     PORT_KERNEL,
@@ -83,7 +84,7 @@ def gated_body(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: 
     late = _late(state[-1], dt, parameters)
     for i in range(port.shape[1]):
         share = late * _above(port[PRESSURE, i], parameters)
-        for row in (ADDED, ADDED_SLOPE, UNEVEN):
+        for row in (ADDED, ADDED_SLOPE, CHANGED, UNEVEN):
             port[row, i] = before[row, i] + share * (port[row, i] - before[row, i])
     if commit:
         state[-1] = _after(state[-1], dt)

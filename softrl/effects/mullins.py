@@ -7,16 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import (
-    ADDED,
-    ADDED_SLOPE,
-    ELASTIC,
-    ELASTIC_SLOPE,
-    PORT_KERNEL,
-    STRAIN,
-    Effect,
-    parameter,
-)
+from softrl.effects.effect import PORT_KERNEL, STRAIN, Effect, multiply_wall, parameter
 
 LONG_S = 1e6  # after which nothing recovers within any recording
 
@@ -33,10 +24,8 @@ def mullins_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, 
         largest = max(faded * state[i], strain * strain)
         kept = math.exp((strain * strain - largest) / square)
         lost = softening * (1.0 - kept)
-        port[ADDED, i] -= lost * port[ELASTIC, i]
-        port[ADDED_SLOPE, i] -= lost * port[ELASTIC_SLOPE, i]
-        if strain * strain < largest:
-            port[ADDED_SLOPE, i] += 2.0 * softening * kept * strain / square * port[ELASTIC, i]
+        regained = 2.0 * softening * kept * strain / square if strain * strain < largest else 0.0
+        multiply_wall(port, chamber, i, -lost, regained)
         if commit:
             state[i] = largest
 

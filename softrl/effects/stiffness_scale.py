@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import ADDED, ADDED_SLOPE, PORT_KERNEL, UNEVEN, Effect, parameter, wall
+from softrl.effects.effect import PORT_KERNEL, Effect, multiply_body, parameter
 
 
 @standing_as(PORT_KERNEL)
@@ -17,10 +17,7 @@ def stiffness_scale_kernel(
     more, chamber = parameters[0] - 1.0, int(parameters[1])
     for i in range(port.shape[1]):
         if chamber < 0 or chamber == i:
-            elastic, slope = wall(port, chamber, i)
-            port[ADDED, i] += more * elastic
-            port[ADDED_SLOPE, i] += more * slope
-            port[UNEVEN, i] += more
+            multiply_body(port, chamber, i, more)
 
 
 @dataclass(frozen=True)
@@ -30,10 +27,9 @@ class StiffnessScale(Effect):
     Notes
     -----
     ``p_elastic = scale p_elastic`` (no equation number checked): for all chambers this scales the elastic forces
-    exactly. One chamber gets a linear spring along its own elongation, ``(scale - 1)`` times its stiffness at rest, which
-    keeps the body's stiffness symmetric: it stores energy and gives it back. A scale far below 1 in one chamber can make
-    the sum indefinite; the bounds stay clear of that. The search goes along a straight axis from 1, not a logarithmic one:
-    a few per cent are looked at as well as a factor.
+    exactly, from the rest under weight on, which stays. One chamber gets a linear spring along its own elongation,
+    ``(scale - 1)`` times the stiffness of its wall, which keeps the body's stiffness symmetric: it stores energy and gives it
+    back. The search goes along a straight axis from 1, not a logarithmic one: a few per cent are looked at as well as a factor.
     """
 
     site: ClassVar[str] = "body"

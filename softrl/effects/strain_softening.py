@@ -7,17 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import (
-    ADDED,
-    ADDED_SLOPE,
-    ELASTIC,
-    ELASTIC_SLOPE,
-    PORT_KERNEL,
-    REST,
-    STRAIN,
-    Effect,
-    parameter,
-)
+from softrl.effects.effect import PORT_KERNEL, REST, STRAIN, Effect, multiply_wall, parameter
 from softrl.robots.robot import Robot
 
 
@@ -33,9 +23,7 @@ def strain_softening_kernel(
             bent = curvature * port[STRAIN, i]
             kept = 1.0 / math.sqrt(1.0 + bent * bent)
             less = fading * (kept - 1.0)
-            port[ADDED, i] += less * port[ELASTIC, i]
-            port[ADDED_SLOPE, i] += less * port[ELASTIC_SLOPE, i]
-            port[ADDED_SLOPE, i] -= fading * kept * kept * kept * curvature * bent * port[ELASTIC, i]
+            multiply_wall(port, chamber, i, less, -fading * kept * kept * kept * curvature * bent)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import ADDED, ADDED_SLOPE, ELASTIC, ELASTIC_SLOPE, PORT_KERNEL, UNEVEN, Effect, parameter
+from softrl.effects.effect import PORT_KERNEL, Effect, multiply_body, parameter
 from softrl.robots.robot import Robot
 
 NEUTRAL_C = 20.0  # at which the wall is as stiff as the model's
@@ -29,9 +29,7 @@ def thermal_softening_kernel(
         change = math.expm1(min(max(-parameters[0] * (warm - NEUTRAL_C), -MOST), MOST))
         for i in range(port.shape[1]):
             if chamber < 0 or chamber == i:
-                port[ADDED, i] += change * port[ELASTIC, i]
-                port[ADDED_SLOPE, i] += change * port[ELASTIC_SLOPE, i]
-                port[UNEVEN, i] += change
+                multiply_body(port, chamber, i, change)
     if commit:
         state[0] += dt
 

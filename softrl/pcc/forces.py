@@ -9,6 +9,7 @@ from softrl.effects.call import run_ports
 from softrl.effects.effect import (
     ADDED,
     ADDED_SLOPE,
+    CHANGED,
     ELASTIC,
     ELASTIC_SLOPE,
     FORCE,
@@ -21,6 +22,7 @@ from softrl.effects.effect import (
     TIP,
     TIP_VELOCITY,
     UNEVEN,
+    share_of_all,
 )
 from softrl.pcc.inertia import add_inertia
 from softrl.pcc.model import LAST, MOVED, SEEN, VELOCITY, fill_shape, stretching
@@ -59,11 +61,10 @@ def run_body_effects(
             moved = y[j] - rest[j]
             strain += to_strain[c, j] * moved
             elastic += to_elastic[c, j] * moved
-        stiff = slope[c]
         port[STRAIN, c], port[RATE, c] = strain, (strain - strains[c]) * per_s
-        port[ELASTIC, c], port[ELASTIC_SLOPE, c] = elastic, stiff
-        port[PRESSURE, c], port[REST, c] = pressure[c], stiff
-        port[ADDED, c], port[ADDED_SLOPE, c], port[UNEVEN, c] = 0.0, 0.0, 0.0
+        port[ELASTIC, c], port[ELASTIC_SLOPE, c] = elastic, slope[c]
+        port[PRESSURE, c], port[REST, c] = pressure[c], model.wall[c]
+        port[ADDED, c], port[ADDED_SLOPE, c], port[CHANGED, c], port[UNEVEN, c] = 0.0, 0.0, 0.0, 0.0
     run_ports(hook, port, dt, commit)
 
 
@@ -105,6 +106,14 @@ def _add_walls(y: np.ndarray, out: np.ndarray, model: Any, port: np.ndarray) -> 
             uneven += model.to_elastic[k, j] * (y[first + j] - model.rest[first + j])
         for i in range(len(model.order) - first):
             out[first + i] += push[i, k] * port[UNEVEN, k] * uneven / 3.0
+    share = share_of_all(port)
+    if share != 0.0:
+        for i in range(first):
+            for j in range(first):
+                out[i] += share * model.beside[i, j] * (y[j] - model.rest[j])
+        for i in range(len(model.order) - first):
+            for j in range(len(model.order) - first):
+                out[first + i] += share * model.beside[i, j] * (y[first + j] - model.rest[first + j]) / 3.0
 
 
 @summing

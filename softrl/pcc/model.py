@@ -21,6 +21,8 @@ class Model(NamedTuple):
     to_strain : (chambers, stretching), strains of those coordinates
     to_elastic : (chambers, stretching) Pa, pressures that hold them
     slope : (chambers,) Pa, of those by the chamber's own strain
+    wall : (chambers,) Pa, stiffness of the wall beside each chamber
+    beside : (stretching, stretching) J, stiffness of the body that no chamber feels: of two chambers' out of their plane
     rest : (m,), equilibrium from which strains count
     length, mass, end : m; kg along the body, kg at its tip
     axial_weight : N m, of the elongation, which the length at rest includes
@@ -38,6 +40,8 @@ class Model(NamedTuple):
     to_strain: np.ndarray
     to_elastic: np.ndarray
     slope: np.ndarray
+    wall: np.ndarray
+    beside: np.ndarray
     rest: np.ndarray
     length: float
     mass: float

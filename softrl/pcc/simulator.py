@@ -167,7 +167,8 @@ class PccSimulator:
         if r.chambers == 1:
             stiffness = stiffness[[0, 3]]
         work = r.chamber_area_m2 * length  # of a pascal over a strain of 1
-        to_elastic = np.ascontiguousarray(to_moving.T * stiffness[: len(to_moving)] / work)
+        elastic = stiffness[: len(to_moving)]
+        to_elastic = np.ascontiguousarray(to_moving.T * elastic / work)
         gravity = np.array(r.gravity_m_s2, dtype=float)
         return Model(
             plane=plane,
@@ -180,6 +181,8 @@ class PccSimulator:
             to_strain=to_strain,
             to_elastic=to_elastic,
             slope=np.sum(to_elastic * to_moving.T, axis=1),
+            wall=_wall_of(to_strain, elastic) / work,
+            beside=np.diag(elastic) - work * to_strain.T @ to_elastic,
             rest=rest,
             length=float(length),
             mass=float(mass),
@@ -311,3 +314,14 @@ def _maps_of(angles_deg: tuple[float, ...], lever: float) -> tuple[np.ndarray, .
         plane = strain[0, :2] / lever
         strain = strain[:, :2] @ plane[:, None]
     return plane, np.ascontiguousarray(strain), np.linalg.pinv(strain)
+
+
+def _wall_of(to_strain: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
+    """Return the stiffnesses (chambers,) J of the walls beside the chambers, whose strains are ``to_strain`` (chambers, moving).
+
+    Equal walls that all together bear the bending, in the plane where they bear most: what holds a body's length need not be
+    its walls. But none is stiffer than the body is to one chamber's pressure, so that a body without one of them still stands.
+    """
+    bent = to_strain[:, :2]
+    alike = stiffness[0] / np.linalg.eigvalsh(bent.T @ bent)[-1]
+    return np.minimum(alike, 1.0 / np.sum(to_strain**2 / stiffness, axis=1))

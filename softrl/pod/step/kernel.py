@@ -18,7 +18,7 @@ from softrl.pod.step.inertia import (
 )
 from softrl.pod.step.inside import begin_inside, end_inside, fill_give, make_inside, stored_in
 from softrl.pod.step.linear import newton_direction
-from softrl.pod.step.ports import add_effects, commit_effects, fill_ports, go_on, make_ports
+from softrl.pod.step.ports import add_effects, commit_effects, fill_elastic, fill_ports, go_on, make_ports
 from softrl.pod.step.pose import tip_pose
 from softrl.pod.step.potential import fill_monomials, fill_potential, make_room, to_ball
 from softrl.pod.step.viscosity import fill_viscosity
@@ -204,8 +204,11 @@ def run_kernel(
     with_effects = len(hooks[0].kernels) + len(hooks[1].kernels) > 0
     close, failed = CLOSE if with_effects else NEAR, 0
     if with_effects:
+        fill_potential(rest, tables, work, gradient, hessian)
+        fill_elastic(gradient, tables, values, ports)
+        ports.settled[:] = ports.elastic
         fill_potential(y, tables, work, gradient, hessian)
-        fill_ports(y, rest, gradient, hessian, dt, load[0, :n], tables, ports, True)
+        fill_ports(y, rest, gradient, hessian, dt, load[0, :n], tables, ports, values, True)
         go_on(ports)
     farthest = to_ball(y, point)
     fill_amplitudes(y - dt * velocity, 0, False, tables, work, course.before, course.lead)
@@ -243,7 +246,7 @@ def run_kernel(
         if longest >= close:
             failed += 1
         if with_effects:  # the potential's derivatives are those a last, negligible step ago
-            commit_effects(y, rest, bare, hessian, dt, pressure, tables, hooks, ports)
+            commit_effects(y, rest, bare, hessian, dt, pressure, tables, hooks, ports, values)
         kinetic, bent = end_step(y, velocity, inner, dt, tables, work, held, start, kinetic)
         _set_out(y, velocity, inner, bent, dt, tables, work, held[3])
         farthest = max(farthest, to_ball(y, point))

@@ -11,6 +11,7 @@ from softrl.effects.effect import (
     ADDED,
     ADDED_SLOPE,
     BODY_PORT_ROWS,
+    CHANGED,
     ELASTIC,
     ELASTIC_SLOPE,
     FORCE,
@@ -24,6 +25,7 @@ from softrl.effects.effect import (
     TIP,
     TIP_VELOCITY,
     UNEVEN,
+    share_of_all,
 )
 from softrl.pod.step.potential import polynomial
 
@@ -37,6 +39,7 @@ class Ports(NamedTuple):
     ----------
     body, load : as in ``effects.effect``
     strains, tips : (2, n), (2, 3) m, at the last step and at the trial
+    elastic, settled : (r,) gradient by y of the elastic energy, less ``settled``, which it is where strains count from
     slopes, half : (r, r) Hessian by z, and scratch
     shares : (2, n) derivative of the added pressure by the elastic one, and the added pressure in Pa
     """
@@ -45,6 +48,8 @@ class Ports(NamedTuple):
     load: np.ndarray
     strains: np.ndarray
     tips: np.ndarray
+    elastic: np.ndarray
+    settled: np.ndarray
     slopes: np.ndarray
     half: np.ndarray
     shares: np.ndarray
@@ -59,10 +64,24 @@ def make_ports(n: int) -> Ports:
         np.zeros((LOAD_PORT_ROWS, 3)),
         np.zeros((2, n)),
         np.zeros((2, 3)),
+        np.zeros(r),
+        np.zeros(r),
         np.zeros((r, r)),
         np.zeros((r, r)),
         np.zeros((2, n)),
     )
+
+
+@borrowing
+def fill_elastic(gradient: np.ndarray, tables: Any, values: np.ndarray, ports: Any) -> None:
+    """Fill ``ports.elastic`` from the ``gradient`` (r,) of elastic energy and weight, at the monomials ``values``."""
+    elastic = ports.elastic
+    for j in range(len(gradient)):
+        elastic[j] = gradient[j] - ports.settled[j]
+    for a in range(3):
+        if tables.gravity[a] != 0.0:
+            for j in range(len(gradient)):
+                elastic[j] += tables.gravity[a] * polynomial(tables.weight[a, j], values)
 
 
 @borrowing
@@ -75,6 +94,7 @@ def fill_ports(
     pressure: np.ndarray,
     tables: Any,
     ports: Any,
+    values: np.ndarray,
     slopes: bool,
 ) -> None:
     """Fill the inputs of both ports from the bare body's trial state; trial strains and tip go to row 1.
@@ -83,6 +103,7 @@ def fill_ports(
     """
     body, load, strains, tips = ports.body, ports.load, ports.strains, ports.tips
     n, r = len(pressure), len(y)
+    fill_elastic(gradient, tables, values, ports)
     if slopes:
         _hessian_of_coordinate(hessian, tables.inverse, ports.half, ports.slopes)
         for i in range(n):
@@ -91,11 +112,11 @@ def fill_ports(
         strain = elastic = 0.0
         for j in range(r):
             strain += tables.frame[i, j] * (y[j] - rest[j])
-            elastic += tables.inverse[j, i] * gradient[j]
+            elastic += tables.inverse[j, i] * ports.elastic[j]
         strains[1, i] = strain / tables.rest_volume[i]
         body[STRAIN, i], body[RATE, i] = strains[1, i], (strains[1, i] - strains[0, i]) / dt
         body[ELASTIC, i], body[PRESSURE, i], body[REST, i] = elastic, pressure[i], tables.rest_slope[i]
-        body[ADDED, i] = body[ADDED_SLOPE, i] = body[UNEVEN, i] = 0.0
+        body[ADDED, i] = body[ADDED_SLOPE, i] = body[CHANGED, i] = body[UNEVEN, i] = 0.0
     for k in range(3):
         tips[1, k] = tables.rest_tip[k]
         for j in range(r):
@@ -151,9 +172,10 @@ def commit_effects(
     tables: Any,
     hooks: Any,
     ports: Any,
+    values: np.ndarray,
 ) -> None:
     """Let the effects take the trial state as the state; ``gradient`` and ``hessian`` are the bare body's."""
-    fill_ports(y, rest, gradient, hessian, dt, pressure, tables, ports, False)
+    fill_ports(y, rest, gradient, hessian, dt, pressure, tables, ports, values, False)
     run_ports(hooks[0], ports.body, dt, True)
     run_ports(hooks[1], ports.load, dt, True)
     go_on(ports)
@@ -188,7 +210,7 @@ def add_effects(
     depends on all coordinates: that share is found by a second call with the elastic pressure raised, where ``probe``
     asks for it, else it is the share found last. It speeds Newton's iteration and does not change its end.
     """
-    fill_ports(y, rest, gradient, hessian, dt, pressure, tables, ports, probe)
+    fill_ports(y, rest, gradient, hessian, dt, pressure, tables, ports, values, probe)
     if len(hooks[0].kernels) > 0:
         _add_body(gradient, hessian, dt, tables, hooks[0], ports, jacobian, probe)
     if len(hooks[1].kernels) > 0:
@@ -209,12 +231,15 @@ def _add_body(
     body, shares, slopes = ports.body, ports.shares, ports.half[0]
     n, r = body.shape[1], len(gradient)
     run_ports(calls, body, dt, False)
+    share = share_of_all(body)
+    if share != 0.0:
+        _add_beside(gradient, hessian, tables, ports, jacobian, share)
     for i in range(n):
         shares[1, i], slopes[i] = body[ADDED, i], body[ADDED_SLOPE, i]
     if probe:
         for i in range(n):
             body[ELASTIC, i] += PROBE * tables.rest_slope[i]
-            body[ADDED, i] = body[ADDED_SLOPE, i] = body[UNEVEN, i] = 0.0
+            body[ADDED, i] = body[ADDED_SLOPE, i] = body[CHANGED, i] = body[UNEVEN, i] = 0.0
         run_ports(calls, body, dt, False)
         for i in range(n):
             shares[0, i] = (body[ADDED, i] - shares[1, i]) / (PROBE * tables.rest_slope[i])
@@ -229,6 +254,27 @@ def _add_body(
                     slope += shares[0, i] * tables.inverse[j, i] * hessian[j, k]
             for j in range(r):
                 jacobian[j, k] += tables.frame[i, j] * slope
+
+
+@borrowing
+def _add_beside(
+    gradient: np.ndarray, hessian: np.ndarray, tables: Any, ports: Any, jacobian: np.ndarray, share: float
+) -> None:
+    """Add the ``share`` of what the bare body resists where its tip moves and its chambers do not."""
+    n, r, tip = ports.body.shape[1], len(gradient), ports.half[1]
+    for a in range(3):
+        tip[a] = 0.0
+        for k in range(r):
+            tip[a] += tables.inverse[k, n + a] * ports.elastic[k]
+    for a in range(3):
+        for j in range(r):
+            gradient[j] += share * tables.frame[n + a, j] * tip[a]
+        for k in range(r):
+            slope = 0.0
+            for i in range(r):
+                slope += tables.inverse[i, n + a] * hessian[i, k]
+            for j in range(r):
+                jacobian[j, k] += share * tables.frame[n + a, j] * slope
 
 
 @borrowing
