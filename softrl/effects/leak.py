@@ -17,9 +17,11 @@ SMALL = 0.01  # of the largest pressure: below it the flow through an orifice gr
 def leak_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
     """Advance the deficit ``dd/dt = leak |p / p_max|^(n - 1) p - d / refill`` of ``p = p_supply - d``, the supply held.
 
-    Exactly for an exponent n of one, else with the flow per pressure of the step's beginning.
+    Exactly for an exponent n of one, else with the flow per pressure of the step's beginning. What would be missing below the
+    robot's lowest pressure, or the supply where that is lower, is not: it was let out.
     """
-    refill, exponent, largest, chamber = parameters[1], parameters[2], parameters[3], int(parameters[4])
+    refill, exponent, largest, lowest = parameters[1], parameters[2], parameters[3], parameters[4]
+    chamber = int(parameters[5])
     for i in range(len(value)):
         if chamber < 0 or chamber == i:
             leak = parameters[0]
@@ -28,6 +30,7 @@ def leak_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt
                 leak *= (inside * inside + SMALL * SMALL) ** (0.5 * (exponent - 1.0))
             rate = leak + 1.0 / refill
             state[i] += -math.expm1(-rate * dt) * (leak * value[i] / rate - state[i])
+            state[i] = min(state[i], value[i] - min(value[i], lowest))
             value[i] -= state[i]
 
 
@@ -40,7 +43,8 @@ class Leak(Effect):
     An ``exponent`` n of 1 is the laminar flow through a porous wall or a long crack, of 0.5 that through an orifice, which
     grows with the root of the pressure (no equation number checked). With n = 1 and slow refill the chamber decays as
     ``exp(-leak t)`` after each fill; in the long run it settles at ``1 / (1 + leak refill)`` of the supply. Air in a
-    sealed chamber is the limit of a long refill time.
+    sealed chamber is the limit of a long refill time. Vented faster than it is refilled, a chamber is empty at the robot's
+    smallest pressure, or 0 if that is above it, and ``d`` is what the supply still has above that.
     """
 
     site: ClassVar[str] = "chamber"
@@ -55,6 +59,6 @@ class Leak(Effect):
     chamber: int = -1
 
     def pack(self, robot: Robot) -> np.ndarray:
-        """Return (leak 1/s, refill s, exponent, largest pressure Pa, chamber)."""
+        """Return (leak 1/s, refill s, exponent, largest and lowest pressure Pa, chamber)."""
         own = super().pack(robot)
-        return np.array([*own[:3], robot.largest_pa, own[3]])
+        return np.array([*own[:3], robot.largest_pa, robot.lowest_pa, own[3]])

@@ -16,8 +16,11 @@ UNLIMITED = 1e4
 
 @standing_as(SIGNAL_KERNEL)
 def pi_regulator_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
-    """Let the pressure follow the command; exact over ``dt`` while the flow is free. The state is pressures, then integrals."""
-    lag_s, integral_s, most, chamber = parameters[0], parameters[1], parameters[2] * dt, int(parameters[3])
+    """Let the pressure follow the command; exact over ``dt`` while the flow is free. The state is pressures, then integrals.
+
+    At the lowest pressure an integral that asks for less is cut to what holds it there.
+    """
+    lag_s, integral_s, most, lowest, chamber = parameters[0], parameters[1], parameters[2] * dt, parameters[3], int(parameters[4])
     if lag_s <= 0.0:
         return
     count, per_s = len(value), 1.0 / integral_s
@@ -35,6 +38,10 @@ def pi_regulator_kernel(parameters: np.ndarray, state: np.ndarray, value: np.nda
                 rate = even * rate + odd * (stiff * error - decay * rate)
                 state[count + i] = integral_s * (lag_s * rate - left)
             state[i] += error - left
+            if state[i] < min(value[i], lowest):
+                state[i] = min(value[i], lowest)
+                if per_s > 0.0:
+                    state[count + i] = max(state[count + i], -integral_s * (value[i] - state[i]))
             value[i] = state[i]
 
 
@@ -43,7 +50,8 @@ class PiRegulator(Effect):
     """Proportional and integral control of the pressure, ``dp/dt = (e + I / integral_s) / lag_s`` with ``dI/dt = e = p_cmd - p``.
 
     The flow is bounded by ``rate_per_s``, in the robot's largest pressure per second; at 1e4 there is no bound, and no
-    integral part. While the flow is at its bound the integral goes on: it winds up.
+    integral part. While the flow is at its bound the integral goes on: it winds up. Below the robot's smallest pressure, or 0 if
+    that is above it, it gets no chamber, and there the integral does not wind up.
 
     Notes
     -----
@@ -80,7 +88,8 @@ class PiRegulator(Effect):
         return np.zeros(2 * robot.chambers)
 
     def pack(self, robot: Robot) -> np.ndarray:
-        """Return (lag s, integral time s, largest rate Pa/s, chamber)."""
+        """Return (lag s, integral time s, largest rate Pa/s, lowest pressure Pa, chamber)."""
         lag_s, integral_s, rate, chamber = super().pack(robot)
         integral_s = integral_s if integral_s < UNLIMITED else np.inf
-        return np.array([lag_s, integral_s, rate * robot.largest_pa if rate < UNLIMITED else np.inf, chamber])
+        most = rate * robot.largest_pa if rate < UNLIMITED else np.inf
+        return np.array([lag_s, integral_s, most, robot.lowest_pa, chamber])

@@ -218,7 +218,9 @@ def test_a_regulator_meets_its_command_with_its_lag(effect: Effect) -> None:
 def test_pi_regulator_follows_its_law(lag_s: float, integral_s: float, rate: float) -> None:
     """Against the law itself, integrated: steps up and down, with the integral that goes on while the flow is bounded."""
     commands = np.vstack([step_to(FULL, 150), step_to(0.3 * FULL, 150)])
-    supplied = signal(PiRegulator(lag_s=lag_s, integral_s=integral_s, rate_per_s=rate), commands)[:, 0]
+    deep = replace(ROBOT, pressure_min_pa=-FULL)  # nothing here swings below its lowest pressure, which is a law of its own
+    regulator = PiRegulator(lag_s=lag_s, integral_s=integral_s, rate_per_s=rate)
+    supplied = chain_of(deep, [regulator]).filter(["valve"], commands, DT)[:, 0]
 
     def law(_: float, x: np.ndarray, command: float) -> list[float]:
         error = command - x[0]
@@ -260,6 +262,23 @@ def test_leak_decays_and_settles() -> None:
     np.testing.assert_allclose(slow, 1e4 * np.exp(-0.2 * DT * np.arange(1, 301)), rtol=3e-3)
     settled = signal(Leak(leak_per_s=0.2, refill_s=3.0), step_to(1e4, 6000))[-1]
     np.testing.assert_allclose(settled, 1e4 / (1 + 0.2 * 3.0), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [Leak(0.3, 3.0), Leak(0.3, 10.0), Leak(1.0, 10.0, 0.5), PiRegulator(0.1, 0.5), PiRegulator(0.1, 0.2, 2.0)],
+    ids=["leak", "slow", "orifice", "regulator", "bounded"],
+)
+def test_nothing_sucks_a_vented_chamber_below_what_its_source_gives(effect: Effect) -> None:
+    """Empty it stays, and fills anew as one that was never full."""
+    dry = replace(ROBOT, pressure_min_pa=0.0)
+    once = np.vstack([step_to(0.8 * FULL, 600), step_to(0.0, 300)])
+    twice = chain_of(dry, [effect]).filter([effect.site], np.vstack([once, once]), DT)
+    assert twice.min() >= 0.0
+    assert not twice[880:900].any()
+    np.testing.assert_allclose(twice[900:], twice[:900], atol=1e-9 * FULL)
+    sucked = np.vstack([once, step_to(-0.1 * FULL, 300)])  # of what is told to go lower, that is the source
+    assert chain_of(dry, [effect]).filter([effect.site], sucked, DT).min() >= -0.1 * FULL - 1e-9
 
 
 def test_leak_through_an_orifice_settles_where_the_flows_balance() -> None:
