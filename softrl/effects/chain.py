@@ -15,6 +15,10 @@ from softrl.effects.effect import SITES, Effect
 from softrl.effects.gate import hook_of
 from softrl.robots.robot import Robot
 
+# At the valve a source comes before what fills from it: what a regulator is told, makes of that, and has at most. A valve with a
+# memory behind it fills towards what there is; before it, it would fill towards what never comes, and vent from there.
+SOURCE = ("command_map", "offset", "gain", "supply_limit")
+
 
 @dataclass(frozen=True)
 class EffectChain:
@@ -41,9 +45,10 @@ class EffectChain:
     def ordered(self) -> tuple[Effect, ...]:
         """The effects by site; within a site by name, so that a list's order cannot change a result.
 
-        In chambers what belongs to valves comes first, and areas after all that changes the pressure on them.
+        At the valve its source comes first, see ``SOURCE``. In chambers what belongs to valves comes first, and areas after
+        all that changes the pressure on them.
         """
-        return tuple(sorted(self.effects, key=lambda e: (SITES.index(e.acts_at), SITES.index(e.site), e.of_area, e.name())))
+        return tuple(sorted(self.effects, key=_place))
 
     @cached_property
     def _at(self) -> dict[tuple[str, ...], tuple[Effect, ...]]:
@@ -91,6 +96,13 @@ class EffectChain:
     def filter(self, sites: Sequence[str], values: np.ndarray, dt_s: float) -> np.ndarray:
         """Return ``values`` (steps, n), one row per ``dt_s``, after the signal effects at ``sites``, from rest."""
         return SignalFilter(self, *sites).advance(values, dt_s)
+
+
+def _place(effect: Effect) -> tuple[int, int, int, bool, str]:
+    """Return what effects are sorted by."""
+    of_source = effect.acts_at == "valve" and effect.name() in SOURCE
+    source = SOURCE.index(effect.name()) if of_source else len(SOURCE)
+    return SITES.index(effect.acts_at), source, SITES.index(effect.site), effect.of_area, effect.name()
 
 
 @lru_cache(maxsize=64)

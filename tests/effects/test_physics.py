@@ -249,6 +249,20 @@ def test_supply_limit_clips_both_ends() -> None:
     np.testing.assert_array_equal(supplied, np.clip(command, 0.5 * ROBOT.pressure_min_pa, 0.6 * FULL))
 
 
+@pytest.mark.parametrize(
+    "valve",
+    [Lag(0.3, 0.5), RateLimit(0.4, 0.4), FlowLimit(0.4, 0.5), Orifice(0.5, 0.5), PiRegulator(0.1, 0.5), DeadTime(0.1)],
+    ids=lambda effect: effect.name(),
+)
+def test_a_valve_fills_from_what_its_source_has(valve: Effect) -> None:
+    """A chamber at the ceiling vents as soon as it is told to: there was nothing beyond it to vent first."""
+    command = np.vstack([step_to(FULL, 400), step_to(0.0, 200)])
+    limited = chain_of(ROBOT, [valve, SupplyLimit(ceiling=0.6, floor=1.0)]).filter(["valve"], command, DT)
+    np.testing.assert_array_equal(limited, signal(valve, np.minimum(command, 0.6 * FULL)))
+    span = [Gain(gain=1.3, before_gauge=True), SupplyLimit(ceiling=0.6, floor=1.0)]
+    assert chain_of(ROBOT, span).filter(["valve"], command, DT).max() <= 0.6 * FULL
+
+
 def test_tube_line_overshoots_as_a_second_order_system() -> None:
     zeta, dt = 0.4, 1e-4
     supplied = signal(TubeLine(period_s=0.6, damping_ratio=zeta), step_to(1.0, 20000), dt)[:, 0]
