@@ -97,6 +97,15 @@ class EffectChain:
         """Return ``values`` (steps, n), one row per ``dt_s``, after the signal effects at ``sites``, from rest."""
         return SignalFilter(self, *sites).advance(values, dt_s)
 
+    def stood_under(self, command: np.ndarray, shown: np.ndarray, rows: int, dt_s: float) -> np.ndarray:
+        """Return the pressures (chambers,) Pa before the valve for ``rows``, where its gauges have ``shown`` (chambers,) then.
+
+        They are the ``command`` (chambers,), and what is shown beyond what the valve has made of that: a valve at rest stood
+        under its command whatever it makes of it, one on its way under about where it has got to.
+        """
+        rest = self.filter(["valve"], np.tile(command, (rows, 1)), dt_s)
+        return np.asarray(command + shown - self.reported(rest, dt_s)[-1])
+
 
 def _place(effect: Effect) -> tuple[int, int, int, bool, str]:
     """Return what effects are sorted by."""
@@ -172,6 +181,7 @@ def simulate_batch(
     tip_force: np.ndarray | None = None,
     workers: int = 1,
     before: np.ndarray | None = None,
+    shown: tuple[int, np.ndarray] | None = None,
 ) -> list[Motion]:
     """Return what ``plant.simulate(time, command, tip_force)`` returns for every plant, to the last bit.
 
@@ -185,6 +195,7 @@ def simulate_batch(
     workers : threads; they share the work only while the simulator's kernel runs without the interpreter's lock, as
         that of the lumped body does
     before : (rows, chambers) Pa that act in the chambers during the first rows, whatever the valve supplies then
+    shown : how many rows come before the first sample, and what gauges (chambers,) Pa showed there, see ``stood_under``
 
     Notes
     -----
@@ -194,22 +205,37 @@ def simulate_batch(
     dt_s = float(time[1] - time[0])
     supply: dict[tuple[Effect, ...], np.ndarray] = {}
     acting: dict[tuple[Effect, ...], np.ndarray] = {}
+
+    def shared_by(chain: EffectChain) -> tuple[tuple[Effect, ...], tuple[Effect, ...]]:
+        """Return the effects on which the supply depends, and those on which what acts does."""
+        valve = chain.at("valve") if shown is None else chain.at("valve") + chain.gauges
+        return valve, valve + chain.at("chamber")
+
     for plant in plants:
-        valve, both = plant.chain.at("valve"), plant.chain.at("valve", "chamber")
+        valve, both = shared_by(plant.chain)
         if valve not in supply:
-            supply[valve] = plant.chain.filter(["valve"], command, dt_s)
+            supply[valve] = plant.chain.filter(["valve"], _begun(plant.chain, command, dt_s, shown), dt_s)
         if both not in acting:
             let_in = supply[valve] if before is None else np.vstack([before, supply[valve][len(before) :]])
             acting[both] = plant.chain.filter(["chamber"], let_in, dt_s)
 
     def simulated(plant: Plant) -> Motion:
-        supplied = supply[plant.chain.at("valve")]
-        return plant._behind_valve(time, supplied, acting[plant.chain.at("valve", "chamber")], tip_force)
+        valve, both = shared_by(plant.chain)
+        return plant._behind_valve(time, supply[valve], acting[both], tip_force)
 
     if workers < 2 or len(plants) < 2:
         return [simulated(plant) for plant in plants]
     with ThreadPoolExecutor(workers) as pool:
         return list(pool.map(simulated, plants))
+
+
+def _begun(chain: EffectChain, command: np.ndarray, dt_s: float, shown: tuple[int, np.ndarray] | None) -> np.ndarray:
+    """Return ``command`` (steps, chambers) with what stood before the valve in the rows before the first sample."""
+    if shown is None or not shown[0]:
+        return command
+    rows, pressure = shown
+    stood = chain.stood_under(command[0], pressure, rows, dt_s)
+    return np.vstack([np.tile(stood, (rows, 1)), command[rows:]])
 
 
 def chain_of(robot: Robot, effects: Iterable[Effect]) -> EffectChain:

@@ -43,12 +43,14 @@ def drive_on_grid(
         stamps = np.maximum.accumulate(stamps + later)
     if drive == "measured" and supply is not None:
         _, command, _ = drive_on_grid(recording, dt_s, "command", settle_s, late_s + supply.late_s, later=later)
-        chain = replace(supply.chain, before_s=settle_s)
-        pressure = chain.filter(["valve"], command, dt_s) + evenly(time, stamps, supply.apart)
+        valve = replace(supply.chain, effects=supply.chain.at("valve"), before_s=settle_s)
+        if first and recording.pressure_meas is not None:
+            command[:first] = valve.stood_under(command[0], recording.pressure_meas[0] - supply.apart[0], first, dt_s)
+        pressure = valve.filter(["valve"], command, dt_s) + evenly(time, stamps, supply.apart)
     else:
         known, held = _bridged(stamps, rows) if drive == "command" else _filled_in(stamps, rows, time)
         pressure = _mean_held(known, held, time, dt_s)
-    if first and recording.pressure_meas is not None:
+    if first and drive == "measured" and recording.pressure_meas is not None:
         pressure[:first] = recording.pressure_meas[0]
     return time, pressure, _force(recording, time, dt_s, late_s if drive == "measured" else 0.0)
 

@@ -46,8 +46,8 @@ def replay(
     dt_s : step of the uniform grid on which the plant is simulated, s
     drive : "command" sends the commands through the valve; "measured" puts the measured pressure behind the
         valve, changing evenly between its samples, which tests the body apart from the valve
-    settle_s : time before the first sample during which the plant is held under the first row (of the
-        measured pressure if there is one), for a recording that does not begin at rest
+    settle_s : time before the first sample during which the plant is held under the first row, for a recording that does
+        not begin at rest; a valve so that it gives what was measured there, if that is, see ``EffectChain.stood_under``
     before : (chambers,) Pa that act on the body during that time instead, where its past was another; without a measured
         pressure the valve too stood under them
     channels : which are wanted; the others are None, and cost nothing
@@ -92,7 +92,8 @@ def replay_batch(
     taken = [_taken_at(plant.chain, recording) for plant in plants]
     plants = [_under(plant, settle_s, _each_second(Same(recording))) for plant in plants]
     if drive == "command":
-        motions = simulate_batch(plants, time, pressure, force, workers, past)
+        first = None if recording.pressure_meas is None else (round(settle_s / dt_s), recording.pressure_meas[0])
+        motions = simulate_batch(plants, time, pressure, force, workers, past, first)
     else:
         behind = [_behind_valve(plant) for plant in plants]
         motions = []

@@ -1,11 +1,21 @@
 """A replay is neither early nor late, however unevenly the recording was stamped."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from softrl.effects.chain import Plant, chain_of
-from softrl.effects.driving import drive_on_grid
+from softrl.effects.command_map import CommandMap
+from softrl.effects.deadband import Deadband
+from softrl.effects.driving import Supply, drive_on_grid
+from softrl.effects.effect import Effect
+from softrl.effects.gain import Gain
 from softrl.effects.hold import Hold
+from softrl.effects.lag import Lag
+from softrl.effects.leak import Leak
+from softrl.effects.pressure_sensor import PressureSensor
+from softrl.effects.rate_limit import RateLimit
 from softrl.effects.replay import replay
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
@@ -22,6 +32,14 @@ class Wire:
 
         turn = np.tile([1.0, 0.0, 0.0, 0.0], (len(time), 1))
         return Motion(time, np.ascontiguousarray(pressure[:, :3]), turn, pressure)
+
+
+class Creeping(Wire):
+    """A body whose tip follows the pressure within 3 s."""
+
+    def simulate(self, time, pressure, tip_force=None, body=(), load=()):  # type: ignore[no-untyped-def]
+        creep = chain_of(self.robot, [Lag(3.0, 3.0)]).filter(["valve"], pressure, float(time[1] - time[0]))
+        return replace(super().simulate(time, pressure), position=creep)
 
 
 ROBOT = Robot(
@@ -112,3 +130,48 @@ def test_a_slow_sensor_reports_the_pose_of_its_last_reading_whatever_the_step(pe
     stepwise = held.simulate(grid, pressure).position  # the kernel, that a rig runs by
     at = period_s * np.floor(grid / period_s + 1e-6)
     np.testing.assert_allclose(stepwise, 1e4 * np.sin(np.outer(at, [1.1, 0.7, 0.4])), atol=20.0)
+
+
+def cut(effects: list[Effect], from_s: float) -> tuple[Plant, Recording]:
+    """Return a plant, and what is left of a run with it that is cut under pressure."""
+    time = 0.01 * np.arange(6000)
+    steps = 1e4 * np.array([[0.0, 0.0, 0.0], [1.5, 0.5, 1.0], [0.3, 1.5, 0.0], [2.0, 1.0, 0.5]])
+    command = steps[np.searchsorted([1.0, 40.0, 50.0], time, side="right")]
+    plant = Plant(Creeping(ROBOT), chain_of(ROBOT, effects))
+    made = replay(plant, Recording("run", "day", time, command), 0.01)
+    rows, of = time >= from_s - 1e-6, ("time", "pressure_cmd", "pressure_meas", "position", "quaternion")
+    left = {name: getattr(made, name)[rows] for name in of}
+    return plant, replace(made, **left)
+
+
+MAP = replace(CommandMap.neutral(), a_11=0.3, a_12=0.2, b_1=0.1)
+HIDDEN = [
+    [Gain(0.7, before_gauge=True)], [MAP], [Leak(0.3, 3.0, before_gauge=True)], [Deadband(0.1)], [PressureSensor(1.5, 0.1)],
+    [MAP, PressureSensor(1.5, 0.1)],
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("effects", HIDDEN, ids=lambda effects: "+".join(effect.name() for effect in effects))
+def test_a_run_that_begins_under_pressure_begins_alike_with_a_gauge_and_without(effects: list[Effect]) -> None:
+    """What is measured is what a valve gave: for its command it gives that once more, less or more."""
+    plant, left = cut(effects, 30.0)
+    for run in (left, replace(left, pressure_meas=None)):
+        again = replay(plant, run, 0.01, settle_s=20.0)
+        np.testing.assert_allclose(again.pressure_meas, left.pressure_meas, atol=20.0)
+        np.testing.assert_allclose(again.position, left.position, atol=40.0)
+
+
+@pytest.mark.parametrize("effect", [Lag(2.0, 2.0), RateLimit(0.1, 0.1)], ids=lambda effect: effect.name())
+def test_a_run_that_begins_while_a_chamber_fills_begins_where_its_gauge_shows_it(effect: Effect) -> None:
+    plant, left = cut([effect], 41.0)
+    assert left.pressure_meas is not None
+    assert np.abs(left.pressure_meas[0] - left.pressure_cmd[0]).max() > 3e3
+    np.testing.assert_allclose(replay(plant, left, 0.01, settle_s=20.0).pressure_meas, left.pressure_meas, atol=60.0)
+
+
+def test_a_valve_that_is_understood_begins_at_what_was_measured() -> None:
+    plant, left = cut([Leak(0.3, 3.0, before_gauge=True), MAP], 30.0)
+    assert left.pressure_meas is not None
+    supply = Supply(plant.chain, 0.0, np.zeros_like(left.pressure_meas))
+    grid, drive, _ = drive_on_grid(left, 0.01, "measured", 20.0, supply=supply)
+    np.testing.assert_allclose(drive[grid > left.time[0] - 0.005], left.pressure_meas, atol=20.0)
