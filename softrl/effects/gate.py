@@ -2,8 +2,11 @@
 
 Any effect can be gated. Its kernel runs as ever, and a share of what it changes counts: none below the pressure or before
 the time, all a little beyond, in between in proportion. What fills a store is gated where it flows in: air that has left
-a chamber is still missing when the leak has closed.
+a chamber is still missing when the leak has closed. A valve on its way is gated by where it is as well as by what it is told:
+it vents as slowly as it fills until it is down at the pressure.
 """
+
+from typing import Any
 
 import numba as nb
 import numpy as np
@@ -64,6 +67,23 @@ def gated_signal(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, d
 
 
 @nb.njit(SIGNAL_KERNEL, cache=True)
+def gated_way(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
+    """Let a share of a valve's way to ``value`` count, by the pressure that it is told; the shares stand before the clock.
+
+    A gate that this opened closes as the valve gets down: else all that it still has to vent would be gone in the moment in
+    which it is told to.
+    """
+    before = value.copy()
+    shares = state[len(state) - 1 - len(value) : len(state) - 1]
+    call_signal(_address(parameters), parameters[:-GATE], state[: len(state) - 1 - len(value)], value, dt)
+    late = _late(state[-1], dt, parameters)
+    state[-1] = _after(state[-1], dt)
+    for i in range(len(value)):
+        shares[i] = max(_above(before[i], parameters), min(shares[i], _above(value[i], parameters)))
+        value[i] = before[i] + late * shares[i] * (value[i] - before[i])
+
+
+@nb.njit(SIGNAL_KERNEL, cache=True)
 def gated_flow(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
     """Let a share of the flow, the effect's first parameter, run into each chamber's store, by the pressure before it."""
     own = parameters[:-GATE].copy()
@@ -113,6 +133,14 @@ def share_at(effect: Effect, since_s: np.ndarray) -> np.ndarray:
 KERNELS = {"body": gated_body, "load": gated_load}
 
 
+def _gate_of(effect: Effect) -> Any:
+    """Return the kernel that gates ``effect``."""
+    if effect.stores:
+        return gated_flow
+    on_its_way = effect.site == "valve" and (effect.piped or effect.shifts_time)
+    return gated_way if on_its_way else KERNELS.get(effect.site, gated_signal)
+
+
 def hook_of(effect: Effect, robot: Robot, before_s: float = 0.0, temperature: np.ndarray | None = None) -> Hook:
     """Return ``effect`` as a kernel takes it, its clock as it stands ``before_s`` before the first sample.
 
@@ -128,5 +156,6 @@ def hook_of(effect: Effect, robot: Robot, before_s: float = 0.0, temperature: np
     above = effect.above_share * robot.largest_pa if effect.above_share > EVERYWHERE else -np.inf
     behind = np.array([above, BAND * robot.largest_pa, effect.since_s, effect.over_s, 0.0])
     behind[-1:].view(np.int64)[0] = address_of(kernel)
-    gate = gated_flow if effect.stores else KERNELS.get(effect.site, gated_signal)
-    return Hook(gate, np.r_[parameters, behind], np.r_[state, effect.begun_s - before_s])
+    gate = _gate_of(effect)
+    shares = np.zeros(robot.chambers if gate is gated_way else 0)
+    return Hook(gate, np.r_[parameters, behind], np.r_[state, shares, effect.begun_s - before_s])

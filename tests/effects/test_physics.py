@@ -315,6 +315,33 @@ def test_leak_that_opens_above_a_pressure_leaves_its_deficit_behind() -> None:
     np.testing.assert_allclose(alone, np.stack([high[:, 0], high[:, 1] - always[:, 1], high[:, 2]], axis=1), rtol=1e-9)
 
 
+@pytest.mark.parametrize(
+    "valve",
+    [Lag(0.5, 1.0), RateLimit(0.4, 0.4), FlowLimit(0.4, 0.5), Orifice(0.5, 0.5), PiRegulator(0.1, 0.5), TubeLine(0.6, 0.4)],
+    ids=lambda effect: effect.name(),
+)
+def test_a_valve_that_is_slow_above_a_pressure_vents_as_slowly_as_it_fills(valve: Effect) -> None:
+    threshold, band = 0.3 * FULL, 0.05 * FULL
+    command = np.vstack([step_to(0.0, 10), step_to(0.8 * FULL, 600), step_to(0.0, 600)])
+    always, above = signal(valve, command)[:, 0], signal(replace(valve, above_share=0.3), command)[:, 0]
+    down = 610 + int(np.argmax(always[610:] < threshold + band))
+    np.testing.assert_allclose(above[:down], always[:down], atol=1e-9 * FULL)
+    there = down + int(np.argmax(always[down:] < threshold))
+    within = slice(down, there)
+    assert (np.diff(above[down - 1 : there]) <= 0.0).all(), "through the band it only falls"
+    assert (above[within] <= always[within] + 1e-9 * FULL).all()
+    low = always[there:] < threshold  # a line rings
+    assert not above[there:][low].any()
+    near = np.vstack([step_to(0.5 * threshold, 100), step_to(0.0, 100)])
+    np.testing.assert_array_equal(signal(replace(valve, above_share=0.3), near), near)
+
+
+def test_what_is_late_above_a_pressure_arrives_late_when_it_is_vented_too() -> None:
+    command = np.vstack([step_to(0.8 * FULL, 100), step_to(0.0, 100)])
+    late = DeadTime(delay_s=0.3)
+    np.testing.assert_allclose(signal(replace(late, above_share=0.3), command), signal(late, command), atol=1e-9 * FULL)
+
+
 def test_gain_offset_crosstalk_are_linear_maps() -> None:
     command = np.array([[1e4, 2e4, -1e4]])
     np.testing.assert_allclose(signal(Gain(gain=0.8), command), 0.8 * command)
