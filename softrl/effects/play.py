@@ -50,8 +50,8 @@ class Play(Effect):
     Notes
     -----
     Stop operator of Prandtl, ``dz/de = 1 / yield_strain`` within ``|z| < 1``, and the sum of such elements of Prandtl, Ishlinskii
-    and Iwan (textbook form, no equation number checked). Unlike Bouc-Wen one element has corners, unlike the regularised
-    friction it sticks for good. Exact for any step in which the strain does not turn.
+    and Iwan (textbook form, no equation number checked). Unlike Bouc-Wen one element has corners, unlike dry friction its
+    height does not follow the pressure. Exact for any step in which the strain does not turn.
     """
 
     site: ClassVar[str] = "body"

@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from softrl.core.simulator import Motion
+from softrl.effects import friction
 from softrl.effects.area_growth import AreaGrowth
 from softrl.effects.asymmetry import Asymmetry
 from softrl.effects.base_tilt import BaseTilt
@@ -636,10 +637,49 @@ def test_friction_loop_grows_with_pressure_not_with_rate() -> None:
             np.testing.assert_allclose([added.max(), added.min()], [height, -height], rtol=1e-3)
 
 
-def test_friction_takes_energy_at_every_step() -> None:
-    strain = 0.05 * np.random.default_rng(2).normal(size=500)
-    added = pull(Friction(dry=0.1, loaded=0.0), strain)
-    assert (added * np.diff(strain, prepend=0.0) >= 0.0).all()
+def test_friction_holds_for_good() -> None:
+    """Of a strain that is held nothing slips away, and a loop is as wide in an hour as in a second."""
+    held = pull(Friction(dry=0.1, loaded=0.05), np.r_[np.linspace(0.0, 0.05, 50), np.full(1000, 0.05)], 1.0, pressure=1e4)
+    np.testing.assert_allclose(held[10:], 0.1 * FULL + 0.05 * 1e4)
+    wave = 0.05 * np.sin(np.linspace(0.0, 20.0, 2000))
+    np.testing.assert_allclose(pull(Friction(0.1, 0.05), wave, 1e-3), pull(Friction(0.1, 0.05), wave, 10.0), rtol=1e-9)
+
+
+def test_friction_holds_no_more_than_the_pressure_presses() -> None:
+    law, state, added = Friction(dry=0.1, loaded=0.2), np.zeros(3), []
+    for rate, pressure in [(1.0, 2e4), (0.0, 2e4), (0.0, 1e4), (0.0, 0.0), (0.0, 2e4), (-1.0, 2e4)]:
+        port = np.zeros((BODY_PORT_ROWS, 3))
+        port[RATE], port[PRESSURE] = rate, pressure
+        state, port = law.apply(ROBOT, state, port, DT)
+        added.append(port[ADDED, 0])
+    dry, full = 0.1 * FULL, 0.1 * FULL + 0.2 * 2e4
+    np.testing.assert_allclose(added, [full, full, dry + 0.2 * 1e4, dry, dry, -full])
+
+
+@pytest.mark.parametrize("step", [1e-4, 1e-3, 0.05])
+def test_friction_gives_back_no_energy_that_it_did_not_take(step: float) -> None:
+    """Whatever strain and pressure do, and so over every loop of both: what it took is at least what its springs store."""
+    rng, law = np.random.default_rng(2), Friction(dry=0.05, loaded=0.1)
+    state, taken, slope = np.zeros(3), np.zeros(3), 0.0
+    for _ in range(3000):
+        moved, port = step * rng.normal(size=3), np.zeros((BODY_PORT_ROWS, 3))
+        port[RATE], port[PRESSURE] = moved / DT, FULL * rng.uniform(-1.0, 1.0, size=3)
+        state, port = law.apply(ROBOT, state, port, DT)
+        taken, slope = taken + port[ADDED] * moved, max(slope, port[ADDED_SLOPE].max())
+        assert slope == 0.0 or (taken >= port[ADDED] ** 2 / (2.0 * slope) - 1e-9).all()
+    assert slope > 0.0 and (taken > 1.0).all()
+
+
+def test_what_a_stuck_wall_gives_way_by_hardly_shows(monkeypatch: pytest.MonkeyPatch) -> None:
+    way = np.r_[np.linspace(0.0, 1.0, 150), np.full(50, 1.0), np.linspace(1.0, 0.3, 100), np.full(200, 0.3)]
+    command, moved = FULL * way[:, None] * [0.0, 0.5, 1.0], []
+    for strain in (1e-4, 0.5 * friction.YIELD_STRAIN, friction.YIELD_STRAIN):
+        monkeypatch.setattr(friction, "YIELD_STRAIN", strain)
+        moved.append(move([Friction(dry=0.05, loaded=0.05)], command).position)
+    bare = move([], command).position
+    stuck, way_m = np.linalg.norm(moved[0] - bare, axis=1)[-1], np.linalg.norm(np.ptp(bare, axis=0))
+    left = [np.linalg.norm(one - moved[0], axis=1).max() for one in moved]
+    assert left[1] < min(0.05 * stuck, 0.005 * way_m) and left[2] < min(0.1 * stuck, 0.01 * way_m), left
 
 
 def test_mullins_acts_only_below_the_largest_strain() -> None:
