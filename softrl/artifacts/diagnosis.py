@@ -26,7 +26,8 @@ class Diagnosis(Artifact):
         run), parameters ({value, low, high, unit, at_bound}), pinned (parameters held at the value at which they do
         nothing), evidence (one sentence with numbers)
     simulator_parameters : tunable parameter -> identified value, in the unit of its name
-    retuned : tunable parameter -> {nominal, value, plausible}: the competitor that changes parameters only
+    retuned : tunable parameter -> {nominal, value, factor_allowed, plausible (the data do not drive it to an end
+        of that range)}: the competitor that changes parameters only
     rivals : {name, instead_of, score_gap, low, high, unit, equivalent (it does as well), contests (and says something else),
         effect (as in effects, its parameters plain numbers), replaces}, best first; gaps of the held-out error, of motion in mm
         or deg, of measured pressure in kPa

@@ -10,7 +10,7 @@ import pytest
 from softrl.diagnosis.fitting.hypothesis import Choice, Gate, Hypothesis, Space, effect_axes
 from softrl.diagnosis.judging.verdict import verdict_of
 from softrl.diagnosis.telling.entries import rival_entries
-from softrl.diagnosis.telling.explain import _at_the_end, _but, _rival_sentence, _ungauged
+from softrl.diagnosis.telling.explain import _at_the_end, _but, _rival_sentence, _ungauged, _verdict_sentence
 from softrl.diagnosis.telling.parameters import effect_sentence
 from softrl.effects.knee import Knee
 from softrl.excite.form import form_of
@@ -29,13 +29,25 @@ def test_names_whose_correction_predicts_worse_than_retuning_are_no_verdict(
     assert verdict_of([finding], {"noise_floor": 0.1, "retuned": 3.0, "corrected": corrected}) == verdict
 
 
+@pytest.mark.parametrize(
+    ("nominal", "plausible", "told"),
+    [(0.36, False, "its own parameters suffice"), (0.36, True, "its own parameters suffice"),
+     (0.60, False, "goes to the end of what is plausible (mass_scale 8 for 2)"),
+     (0.60, True, "retuned parameters suffice (mass_scale 8 for 2)")],
+)  # fmt: skip
+def test_an_end_of_the_plausible_range_says_nothing_where_nominal_parameters_do_as_well(
+    nominal: float, plausible: bool, told: str
+) -> None:
+    held = {"nominal": nominal, "retuned": 0.35, "corrected": 0.35, "noise_floor": 0.34}
+    entry = {"nominal": 2.0, "value": 8.0, "factor_allowed": 4.0, "plausible": plausible}
+    made: Any = SimpleNamespace(verdict="nothing missing", errors_mm={"heldout": held}, effects=[], retuned={"mass_scale": entry})
+    assert told in _verdict_sentence(made)
+
+
 def test_parameters_that_the_correction_too_drives_to_an_end_are_told() -> None:
-    entry = {"nominal": 2.0, "factor_allowed": 4.0}
-    made: Any = SimpleNamespace(
-        retuned={"mass_scale": entry, "damping_s": entry, "stiffness_scale": entry},
-        simulator_parameters={"mass_scale": 0.5, "damping_s": 2.1, "stiffness_scale": 8.0},
-    )
-    assert _at_the_end(made) == ["mass_scale", "stiffness_scale"]
+    made: Any = SimpleNamespace(effects=["lag"])
+    assert "With what is named mass_scale, stiffness_scale still ends" in _at_the_end(made, ["mass_scale", "stiffness_scale"])[0]
+    assert not _at_the_end(made, []) and not _at_the_end(SimpleNamespace(effects=[]), ["mass_scale"])  # type: ignore[arg-type]
 
 
 def test_a_valve_without_a_gauge_behind_it_may_lie_elsewhere() -> None:

@@ -9,10 +9,12 @@ from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.simulator import Simulator
 from softrl.diagnosis.checks.data import Data
 from softrl.diagnosis.fitting.hypothesis import Hypothesis
+from softrl.diagnosis.fitting.judge import Judge
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.fitting.trial import Search, fit_trials, of_effects, parallel
 from softrl.diagnosis.judging.baselines import one_lag, without_physics
 from softrl.diagnosis.judging.correct import Model, Traces, model_of, traces
+from softrl.diagnosis.judging.ends import rejected_nominal
 from softrl.diagnosis.judging.examine import Finding
 from softrl.diagnosis.judging.hidden import behind, in_words, read_map
 from softrl.diagnosis.judging.join import tuned_together
@@ -34,11 +36,22 @@ def competitors(search: Search, training: Problem, findings: list[Finding]) -> d
     elif motion.joint is not None:
         point = motion.joint
     lag = one_lag(training, retuned.fit.point, search)
-    return {
-        "nominal": model_of(training, empty, np.zeros(0)),
-        "retuned": model_of(training, retuned.hypothesis, retuned.fit.point),
-        "corrected": model_of(training, Hypothesis(effects, tuned), point),
-    } | ({"one_lag": lag} if lag else {})
+    judge = _judge(training, findings)
+    nominal, plain, corrected = (
+        model_of(training, *model)
+        for model in ((empty, np.zeros(0)), (retuned.hypothesis, retuned.fit.point), (Hypothesis(effects, tuned), point))
+    )
+    plain = plain._replace(ends=rejected_nominal(training, judge, plain, search))
+    ends = rejected_nominal(training, judge, corrected, search) if effects else plain.ends
+    models = {"nominal": nominal, "retuned": plain, "corrected": corrected._replace(ends=ends)}
+    return models | ({"one_lag": lag} if lag else {})
+
+
+def _judge(training: Problem, findings: list[Finding]) -> Judge:
+    """Return the judge from command to motion on held-out runs, with the thresholds and the noise of the motion's own."""
+    part, judge = findings[-1].part, findings[-1].judge
+    problem = training.on(findings[0].part.heldout)
+    return Judge(problem, part.floor_of(problem), part.travel, judge.thresholds, judge.seed)
 
 
 def judged_on(

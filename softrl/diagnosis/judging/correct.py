@@ -12,11 +12,15 @@ from softrl.recordings.recording import Recording
 
 
 class Model(NamedTuple):
-    """A competitor: what it contains, its scaled point, and the sessions' placements found on training runs."""
+    """A competitor: what it contains, its scaled point, and the sessions' placements found on training runs.
+
+    ``ends`` are its retuned parameters that the data drive to an end of their plausible range, see ``rejected_nominal``.
+    """
 
     hypothesis: Hypothesis
     point: np.ndarray
     placed: dict[str, Registration]
+    ends: tuple[str, ...] = ()
 
 
 class Traces(NamedTuple):

@@ -70,7 +70,7 @@ def conclude(
     )
     read = responses.sentence()
     gauges = told_of_zeros(findings[0]) + told_of_gauges(findings, made.simulator_parameters) if len(findings) > 1 else []
-    verdict_first, *others = sentences(made, findings)
+    verdict_first, *others = sentences(made, findings, models["corrected"].ends)
     form = told_of_length(whole.simulator, robot) + told_of_taper(whole.simulator, made.simulator_parameters)
     return replace(made, sentences=[verdict_first, *form, *others, *gauges, *([read] if read else [])])
 

@@ -120,11 +120,10 @@ def _fitted(problem: Problem, rival: Rival) -> dict[str, float]:
 
 
 def retuned_entries(whole: Problem, model: Model) -> dict[str, Any]:
-    """Return the parameters of the retuned-only competitor, and whether each stays within a plausible range."""
+    """Return the parameters of the retuned-only competitor, and whether each is plausible: no data drive it to an end."""
     space, factor = whole.space(model.hypothesis), whole.numerics.tuned_factor
-    odd = space.at_the_end(model.point)
     return {
-        axis.name: {"nominal": axis.zero, "value": value, "factor_allowed": factor, "plausible": axis.name not in odd}
+        axis.name: {"nominal": axis.zero, "value": value, "factor_allowed": factor, "plausible": axis.name not in model.ends}
         for axis, value in zip(space.axes, space.values(model.point), strict=True)
         if axis.name != LATE
     }

@@ -5,9 +5,6 @@ from math import log
 from typing import Any
 
 from softrl.artifacts.diagnosis import Diagnosis
-from softrl.diagnosis.fitting.hypothesis import (
-    AT_END,
-)
 from softrl.diagnosis.judging.along import BENDS
 from softrl.diagnosis.judging.examine import Finding
 from softrl.diagnosis.judging.lateness import lateness
@@ -70,8 +67,8 @@ def _planned(findings: Sequence[Finding], noise_m: float) -> dict[str, Any] | No
     return None
 
 
-def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
-    """Return the finding in plain words, the verdict first."""
+def sentences(diagnosis: Diagnosis, findings: Sequence[Finding], ends: Sequence[str]) -> list[str]:
+    """Return the finding in plain words, the verdict first; ``ends`` are those of the corrected simulator, see ``Model``."""
     lines = [_verdict_sentence(diagnosis) + _but(findings, diagnosis.verdict), _error_sentence(diagnosis)]
     if diagnosis.effects and misleads(findings, diagnosis.errors_mm["heldout"]):
         behind = " What is named holds under the measured pressure; what the command does to it is not understood."
@@ -90,12 +87,7 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[str]:
             f"Retuning alone drives {', '.join(odd)} to the end of the plausible range: "
             "evidence that physics is missing."
         )
-    still = _at_the_end(diagnosis)
-    if diagnosis.effects and still:
-        lines.append(
-            f"With what is named {', '.join(still)} still ends at the edge of the plausible range: the simulator's body differs "
-            "from the robot's in more than that, so take the parameters above as a description, not as measurements."
-        )
+    lines += _at_the_end(diagnosis, ends)
     lines += _along_sentence(diagnosis) + lateness(findings)
     left = [finding for finding in findings if finding.left > finding.judge.material]
     lines += [_left_sentence(finding) + _from_command(diagnosis, finding) for finding in left]
@@ -153,14 +145,13 @@ def _along_sentence(diagnosis: Diagnosis) -> list[str]:
     return [told + "; ".join(plain) + "."] if plain else []
 
 
-def _at_the_end(diagnosis: Diagnosis) -> list[str]:
-    """Return the simulator's parameters that the correction too drives to an end of their range."""
-    ranges = {name: (entry["nominal"], entry["factor_allowed"]) for name, entry in diagnosis.retuned.items()}
-    values = diagnosis.simulator_parameters
+def _at_the_end(diagnosis: Diagnosis, ends: Sequence[str]) -> list[str]:
+    """Return that the data drive the parameters ``ends`` of the correction, too, to an end of their range, if they do."""
+    if not (diagnosis.effects and ends):
+        return []
     return [
-        name
-        for name, (nominal, factor) in ranges.items()
-        if nominal > 0.0 and abs(log(values[name] / nominal)) >= AT_END * log(factor)
+        f"With what is named {', '.join(ends)} still ends at the edge of the plausible range: the simulator's body differs "
+        "from the robot's in more than that, so take the parameters above as a description, not as measurements."
     ]
 
 
@@ -192,13 +183,14 @@ def _verdict_sentence(diagnosis: Diagnosis) -> str:
         found = {name: entry for name, entry in diagnosis.retuned.items() if abs(log(entry["value"] / entry["nominal"])) > TOLD}
         values = ", ".join(f"{name} {entry['value']:.3g} for {entry['nominal']:.3g}" for name, entry in found.items())
         retuned = f"retuned parameters suffice ({values})" if found else "retuned parameters suffice"
-        enough = "its own parameters suffice" if held["nominal"] <= AS_GOOD * held["retuned"] else retuned
-        if any(not entry["plausible"] for entry in found.values()):
+        if held["nominal"] <= AS_GOOD * held["retuned"]:
+            retuned = "its own parameters suffice"
+        elif any(not entry["plausible"] for entry in found.values()):
             return (
                 f"No effect is needed beside retuning, but that goes to the end of what is plausible ({values}): the "
                 "robot's data are wrong, or it carries or lacks something that acts like these."
             )
-        return f"Nothing is missing from the simulator that these recordings could show: {enough}."
+        return f"Nothing is missing from the simulator that these recordings could show: {retuned}."
     if diagnosis.verdict == "named":
         return f"The simulator leaves out: {names_}."
     if diagnosis.verdict == "indistinguishable":
