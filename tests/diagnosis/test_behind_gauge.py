@@ -1,6 +1,8 @@
 """A line from the gauge to the chambers is told as one: no gauge shows it, and the valve before it is another."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -8,6 +10,7 @@ from softrl.core.errors import ConfigError
 from softrl.core.tracking import NullTracker
 from softrl.diagnosis.fitting.choices import candidates
 from softrl.diagnosis.fitting.hypothesis import Choice
+from softrl.diagnosis.judging.gauges import told_of_gauges
 from softrl.diagnosis.stage import run
 from softrl.effects.library import effect_class
 from softrl.pcc.simulator import PccSimulator
@@ -26,6 +29,14 @@ def test_only_a_body_that_was_examined_behind_its_gauges_is_offered_such_lines(b
     assert candidates(["lag"], ("valve", "chamber"), body.robot, (0,)) == [Choice("lag")]
     with pytest.raises(ConfigError, match="behind_gauge"):
         effect_class("gain").neutral(behind_gauge=True)
+
+
+@pytest.mark.parametrize(("factor", "told"), [(0.8, "as much stiffer: bending_stiffness_scale 1.25 for 1"),
+                                              (1.25, "as much softer: bending_stiffness_scale 0.8 for 1")])  # fmt: skip
+def test_behind_gauges_that_show_too_little_the_body_is_stiffer(factor: float, told: str) -> None:
+    span = SimpleNamespace(choice=Choice("gain", before_gauge=True), intervals=[SimpleNamespace(value=factor)])
+    valve: Any = SimpleNamespace(named=[span])
+    assert told in told_of_gauges([valve], {"bending_stiffness_scale": 1.0})[0]
 
 
 def test_valve_and_line_are_told_apart(body: PccSimulator) -> None:

@@ -99,10 +99,11 @@ def told_of_gauges(findings: Sequence[Finding], parameters: dict[str, float]) ->
     for named in findings[0].named if stiff else ():
         if _is_span(named.choice) and named.choice.chamber < 0 and not named.choice.gate and not named.choice.sessions:
             factor = named.intervals[0].value
+            felt = "softer" if factor > 1.0 else "stiffer"
             body = ", ".join(f"{name} {value / factor:.3g} for {value:.3g}" for name, value in stiff.items())
             found.append(
                 f"Only gauges say that the pressures are {factor:.3g} times what was commanded. If they misread by that factor "
-                f"(pressure_sensor), which no recording can tell from it, the body is as much softer: {body}."
+                f"(pressure_sensor), which no recording can tell from it, the body is as much {felt}: {body}."
             )
     return found
 
