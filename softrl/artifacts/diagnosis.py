@@ -29,8 +29,8 @@ class Diagnosis(Artifact):
     retuned : tunable parameter -> {nominal, value, factor_allowed, plausible (the data do not drive it to an end
         of that range)}: the competitor that changes parameters only
     rivals : {name, instead_of, score_gap, low, high, unit, equivalent (it does as well), contests (and says something else),
-        effect (as in effects, its parameters plain numbers), replaces}, best first; gaps of the held-out error, of motion in mm
-        or deg, of measured pressure in kPa
+        effect (as in effects, its parameters plain numbers), replaces}, those that contest first, then the nearest beside what
+        counts; gaps of the held-out error, of motion in mm or deg, of measured pressure in kPa
     located : {site, channel, chamber, region, effect_size, p_value}, p-values corrected for their number
     errors_mm : train, heldout and, where the dataset marks such runs, ood (out of distribution) -> competitor
         -> rms error, mm; of an angle-only robot arc length times angle

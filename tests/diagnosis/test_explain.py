@@ -10,7 +10,14 @@ import pytest
 from softrl.diagnosis.fitting.hypothesis import Choice, Gate, Hypothesis, Space, effect_axes
 from softrl.diagnosis.judging.verdict import verdict_of
 from softrl.diagnosis.telling.entries import rival_entries
-from softrl.diagnosis.telling.explain import _at_the_end, _but, _rival_sentence, _ungauged, _verdict_sentence
+from softrl.diagnosis.telling.explain import (
+    _at_the_end,
+    _but,
+    _rival_sentence,
+    _rival_sentences,
+    _ungauged,
+    _verdict_sentence,
+)
 from softrl.diagnosis.telling.parameters import effect_sentence
 from softrl.effects.knee import Knee
 from softrl.excite.form import form_of
@@ -101,6 +108,26 @@ def test_only_what_contests_cannot_be_told_apart(gap: float, equivalent: bool, c
     assert told in _rival_sentence(row | {"equivalent": equivalent, "contests": contests})
 
 
+def test_an_alternative_that_contests_is_told_first_whatever_its_unit(body: PccSimulator) -> None:
+    def rival(name: str, gap: float, contests: bool) -> Any:
+        hypothesis = Hypothesis((Choice(name),), ())
+        trial = SimpleNamespace(hypothesis=hypothesis, fit=SimpleNamespace(point=np.zeros(len(effect_axes(Choice(name))))))
+        return SimpleNamespace(choice=Choice(name), instead_of=Choice("gain"), gap=SimpleNamespace(value=gap, low=gap, high=gap),
+                               equivalent=contests, contests=contests, trial=trial)  # fmt: skip
+
+    def finding(target: str, material: float, rivals: list[Any]) -> Any:
+        problem = SimpleNamespace(target=target, robot=body.robot, space=lambda hypothesis: Space(hypothesis, body, 4.0))
+        part = SimpleNamespace(problem=problem, now=Now("tuesday", (0.0, 0.0, 0.0)))
+        return SimpleNamespace(part=part, rivals=rivals, judge=SimpleNamespace(material=material))
+
+    valve = finding("pressure", 1000.0, [rival("lag", 500.0, True), rival("leak", 150.0, False)])
+    motion = finding("motion", 1e-3, [rival(name, 1e-4 * (k + 1), False) for k, name in enumerate(("frame", "payload", "drift"))])
+    rows = rival_entries([valve, motion], body.robot)
+    assert [row["name"] for row in rows] == ["lag", "frame", "leak", "payload", "drift"]  # 0.5 kPa; 0.1 mm, 0.15 kPa, 0.2, 0.3 mm
+    told = _rival_sentences([*rows[1:], rows[0], rows[-1]])
+    assert len(told) == 5 and told[-1].startswith("lag cannot be told from gain")
+
+
 def test_what_begins_within_the_shortest_time_begins_at_once() -> None:
     entry = {"value": 0.05, "low": 0.05, "high": 0.2, "unit": "s", "at_bound": True}
     effect = {"name": "frame", "site": "sensor", "where": "pose sensor", "parameters": {"over_s": entry}, "evidence": "so"}
@@ -122,7 +149,8 @@ def test_alternatives_are_told_as_they_were_fitted_so_that_a_program_can_be_plan
         return SimpleNamespace(choice=choice, instead_of=named, gap=gap, equivalent=True, contests=True, trial=trial)
 
     rivals = [rival(gated, [0.7, 0.5, 12.0]), rival(lasting, [0.3, 40.0])]
-    finding: Any = SimpleNamespace(part=SimpleNamespace(problem=problem, now=Now("tuesday", (0.0, 30.0, 60.0))), rivals=rivals)
+    part = SimpleNamespace(problem=problem, now=Now("tuesday", (0.0, 30.0, 60.0)))
+    finding: Any = SimpleNamespace(part=part, rivals=rivals, judge=SimpleNamespace(material=1.0))
     rows = rival_entries([finding], body.robot)
     first, second = (row["effect"] for row in rows)
     assert first["parameters"] == pytest.approx({"threshold": 0.7, "over_s": 0.5, "since_s": 12.0})

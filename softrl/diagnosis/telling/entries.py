@@ -73,15 +73,16 @@ def shown_in(finding: Finding) -> tuple[float, str]:
 
 
 def rival_entries(findings: Sequence[Finding], robot: Robot) -> list[dict[str, Any]]:
-    """Return the alternatives, nearest first; gaps of motion in mm or deg, of measured pressure in kPa.
+    """Return the alternatives, those that contest first, then nearest; gaps of motion in mm or deg, of measured pressure in kPa.
 
+    Near is a gap that is small beside what counts in its part of the pipeline: kPa and mm have no order of their own.
     ``effect`` is the alternative as it was fitted and ``replaces`` what is named, for programs that build either: by their
     labels alone people tell them.
     """
-    rows = []
+    ranked: list[tuple[tuple[bool, float], dict[str, Any]]] = []
     for finding in findings:
         factor, unit = shown_in(finding)
-        rows += [
+        rows = [
             {
                 "name": rival.choice.label(),
                 "instead_of": rival.instead_of.label(),
@@ -96,7 +97,9 @@ def rival_entries(findings: Sequence[Finding], robot: Robot) -> list[dict[str, A
             }
             for rival in finding.rivals
         ]
-    return sorted(rows, key=lambda row: row["score_gap"])
+        places = [(not rival.contests, rival.gap.value / max(finding.judge.material, 1e-300)) for rival in finding.rivals]
+        ranked += zip(places, rows, strict=True)
+    return [row for _, row in sorted(ranked, key=lambda pair: pair[0])]
 
 
 def _form(part: Part, choice: Choice) -> dict[str, Any]:

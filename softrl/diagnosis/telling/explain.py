@@ -19,6 +19,7 @@ from softrl.robots.robot import Robot
 PIECE_SHARE = 0.2  # of the wrong bending: a piece of the body with less goes without saying
 UNTOLD = "more than white noise; it was not found to be physics"
 OWN_FORM = "as much as a lumped body may err for a robot that is no even rod: simulator=rom on its mesh would tell"
+RIVALS = 4  # that are told, nearest first; what contests is told always
 TOLD = 0.02  # logarithm of a retuned parameter over its nominal value: less goes without saying
 BESIDE = {
     "one_lag": "one lag alone",
@@ -79,8 +80,7 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding], ends: Sequence[
     lines += [effect_sentence(effect, findings[0].part.problem.robot) for effect in diagnosis.effects]
     lines += _ungauged(findings)
     lines += [line for finding in findings for line in finding.switched]
-    for rival in diagnosis.rivals[:4]:
-        lines.append(_rival_sentence(rival))
+    lines += _rival_sentences(diagnosis.rivals)
     odd = [name for name, entry in diagnosis.retuned.items() if not entry["plausible"]]
     if odd and diagnosis.verdict != "nothing missing":
         lines.append(
@@ -92,6 +92,11 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding], ends: Sequence[
     left = [finding for finding in findings if finding.left > finding.judge.material]
     lines += [_left_sentence(finding) + _from_command(diagnosis, finding) for finding in left]
     return lines
+
+
+def _rival_sentences(rivals: Sequence[dict[str, Any]]) -> list[str]:
+    """Return how the first alternatives do beside what is named, and any other that contests it."""
+    return [_rival_sentence(rival) for k, rival in enumerate(rivals) if k < RIVALS or rival["contests"]]
 
 
 def _rival_sentence(rival: dict[str, Any]) -> str:
