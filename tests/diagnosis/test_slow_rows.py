@@ -152,6 +152,10 @@ def test_noise_is_believed_where_no_model_errs_by_less(segment: PccSimulator, sl
     assert heard is not None and heard.noise == pytest.approx(0.5 * data.noise)
     assert quieter(replace(data, rounding=data.noise), _diagnosis({"noise_floor": told, "retuned": 0.5 * told})) is None
     assert quieter(data, _diagnosis({})) is None
+    assert f"told as {told:.3g} mm, more than the {0.5 * told:.3g} mm by which the correction errs" in heard.mended[-1]
+    angles = replace(_diagnosis({"corrected": 0.5 * told}), errors_deg={"heldout": {"corrected": 0.25 * told}})
+    turned = quieter(data, angles)
+    assert turned is not None and f"told as {0.5 * told:.3g} deg, more than the {0.25 * told:.3g} deg" in turned.mended[-1]
 
 
 def _diagnosis(heldout: dict[str, float]) -> Diagnosis:

@@ -21,9 +21,12 @@ def quieter(data: Data, diagnosis: Diagnosis) -> Data | None:
     best = min(errors, key=lambda name: errors[name], default=None)
     if best is None or errors[best] >= LESS * told_mm:
         return None
+    shown, unit = (diagnosis.errors_deg["heldout"], "deg") if diagnosis.errors_deg else (held, "mm")
+    factor = max(shown.values()) / (max(held.values()) or 1.0)
     told = (
-        f"noise was told as {told_mm:.3g} mm, more than the {errors[best]:.3g} mm by which {MODELS[best]} errs on held-out runs: "
-        "that was motion in part, which slow rows do not tell from noise, and all is examined again with less"
+        f"noise was told as {factor * told_mm:.3g} {unit}, more than the {factor * errors[best]:.3g} {unit} by which "
+        f"{MODELS[best]} errs on held-out runs: that was motion in part, which slow rows do not tell from noise, and all is "
+        "examined again with less"
     )
     noise = max(1e-3 * errors[best], data.rounding)
     at_most = data.at_most and best != "corrected"
