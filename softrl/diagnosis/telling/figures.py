@@ -8,11 +8,13 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import NullFormatter
 
 from softrl.artifacts.diagnosis import Diagnosis
+from softrl.diagnosis.fitting.hypothesis import Choice
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.judging.correct import Traces, seen
 from softrl.diagnosis.judging.examine import Finding
 from softrl.diagnosis.telling.entries import shown_in
 from softrl.effects.effect import SITES
+from softrl.robots.robot import Robot
 
 COLOURS = {"measured": "black", "nominal": "tab:gray", "retuned": "tab:blue", "corrected": "tab:red",
            "one_lag": "tab:purple", "static": "tab:olive", "blackbox": "tab:green"}  # fmt: skip
@@ -69,16 +71,17 @@ def _off(heldout: Problem, k: int, traces: Traces) -> np.ndarray:
 def draw_map(heldout: Problem, judged: dict[str, Traces]) -> Figure:
     """Draw the held-out error before and after, over time and pressure, and over two pressures (or pressure and rate)."""
     rows = list(zip(heldout.runs, heldout.first, strict=True))
-    command = np.concatenate([1e-3 * run.pressure_cmd[begin:] for run, begin in rows])
-    moved: np.ndarray = np.max([np.ptp(1e-3 * run.pressure_cmd, axis=0) for run in heldout.runs], axis=0)
+    scale, of_command = _of_command(heldout.robot)
+    command = np.concatenate([scale * run.pressure_cmd[begin:] for run, begin in rows])
+    moved: np.ndarray = np.max([np.ptp(run.pressure_cmd, axis=0) for run in heldout.runs], axis=0)
     order = np.argsort(-moved)  # within runs: a chamber that is held at another level on another day is not driven
     first = order[0]
     if len(order) > 1 and moved[order[1]] > 0.0:
-        second, other = command[:, order[1]], f"command of chamber {order[1] + 1}, kPa"
+        second, other = command[:, order[1]], f"command of chamber {order[1] + 1}, {of_command}"
     else:
-        second = np.concatenate([np.gradient(1e-3 * run.pressure_cmd[:, first], run.time)[begin:] for run, begin in rows])
+        second = np.concatenate([np.gradient(scale * run.pressure_cmd[:, first], run.time)[begin:] for run, begin in rows])
         reach = np.quantile(np.abs(second), 0.98) or 1.0
-        second, other = np.clip(second, -reach, reach), "rate of the command, kPa/s"
+        second, other = np.clip(second, -reach, reach), f"rate of the command, {of_command}/s"
     time = np.concatenate([(run.time - run.time[0])[begin:] for run, begin in rows])
     factor, unit = (180.0 / np.pi, "deg") if heldout.robot.output == "bend_angle" else (1e3, "mm")
     errors = {
@@ -94,9 +97,14 @@ def draw_map(heldout: Problem, judged: dict[str, Traces]) -> Figure:
             image = ax.pcolormesh(x, y, values.T, vmin=0.0, vmax=top, cmap="magma_r")
             ax.set_title(f"{name}, held-out runs", fontsize=9)
             ax.set_xlabel(label)
-        axes[row][0].set_ylabel(f"command of chamber {first + 1}, kPa")
+        axes[row][0].set_ylabel(f"command of chamber {first + 1}, {of_command}")
     figure.colorbar(image, ax=axes, label=f"mean error, {unit}")
     return figure
+
+
+def _of_command(robot: Robot) -> tuple[float, str]:
+    """Return factor and unit in which commands (stored in Pa) are shown: of one that is no pressure, its own."""
+    return (1e-3, "kPa") if robot.command == "pressure" else (1.0 / robot.command_to_pa, robot.command)
 
 
 def _mean_over(x: np.ndarray, y: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -147,7 +155,7 @@ def draw_whiteness(findings: Sequence[Finding]) -> Figure:
         ):
             lags = min(60, min(len(run) for run in residual.runs) // 2)
             ax.plot(problem.spacing_s * np.arange(lags), _autocorrelation(residual.runs, lags), color=colour, label=name)
-        band = 1.96 / np.sqrt(sum(len(run) for run in finding.residual_after.runs))
+        band = _white_band(finding.residual_after.runs)
         ax.axhspan(-band, band, color="0.85", label="white noise, 95 %")
         ax.set_xlabel("lag, s")
         ax.set_title(finding.part.title, fontsize=9)
@@ -160,6 +168,17 @@ def _autocorrelation(runs: Sequence[np.ndarray], lags: int) -> np.ndarray:
     centred = [run - run.mean(axis=0) for run in runs]
     power = max(sum(float(np.sum(run**2)) for run in centred), 1e-300)
     return np.array([sum(float(np.sum(run[k:] * run[: len(run) - k])) for run in centred) / power for k in range(lags)])
+
+
+def _white_band(runs: Sequence[np.ndarray]) -> float:
+    """Return how far from zero 95 % of the autocorrelations of white noise lie that is as large and alike in its channels.
+
+    Of n independent channels that are equally large there are n times as many numbers as samples.
+    """
+    centred = np.concatenate([run - run.mean(axis=0) for run in runs])
+    spread = centred.T @ centred
+    channels = np.trace(spread) ** 2 / max(float(np.sum(spread**2)), 1e-300)
+    return float(1.96 / np.sqrt(max(channels, 1.0) * len(centred)))
 
 
 def draw_errors(diagnosis: Diagnosis) -> Figure:
@@ -244,8 +263,8 @@ def draw_screening(findings: Sequence[Finding]) -> Figure:
     axes = figure.subplots(1, len(findings), squeeze=False)[0]
     for ax, finding in zip(axes, findings, strict=True):
         leads = (finding.path.screened[0] if finding.path.screened else [])[:18]
-        named = {effect.choice for effect in finding.named}
-        colours = ["tab:red" if lead.choice in named else "tab:gray" for lead in leads]
+        named = {label for effect in finding.named for label in _screened_as(effect.choice, [lead.choice for lead in leads])}
+        colours = ["tab:red" if lead.choice.label() in named else "tab:gray" for lead in leads]
         ax.barh(range(len(leads)), [max(lead.gain, 0.0) for lead in leads], color=colours)
         ax.set_yticks(range(len(leads)), [lead.choice.label() for lead in leads], fontsize=8)
         ax.invert_yaxis()
@@ -260,3 +279,13 @@ def draw_screening(findings: Sequence[Finding]) -> Figure:
         ax.set_xlim(left=0.0)
     figure.supxlabel("share of the squared error on runs left out that it saves, fitted roughly", fontsize=9)
     return figure
+
+
+def _screened_as(named: Choice, choices: Sequence[Choice]) -> list[str]:
+    """Return the labels of those of the ``choices`` that became what is ``named``, which was slimmed since, or given a gate."""
+    mine = [choice.label() for choice in choices if choice.label() == named.label()]
+    return mine or [choice.label() for choice in choices if _plain(choice) == _plain(named)]
+
+
+def _plain(choice: Choice) -> Choice:
+    return choice._replace(pinned=(), gate=None, lasting="")
