@@ -1,6 +1,7 @@
 """The verdict holds what is named to account: a correction that predicts worse than none is no finding."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,8 +18,10 @@ from softrl.diagnosis.telling.explain import (
     _rival_sentences,
     _ungauged,
     _verdict_sentence,
+    next_experiment,
 )
 from softrl.diagnosis.telling.parameters import effect_sentence
+from softrl.diagnosis.telling.report import _next
 from softrl.effects.knee import Knee
 from softrl.excite.form import form_of
 from softrl.pcc.simulator import PccSimulator
@@ -126,6 +129,47 @@ def test_an_alternative_that_contests_is_told_first_whatever_its_unit(body: PccS
     assert [row["name"] for row in rows] == ["lag", "frame", "leak", "payload", "drift"]  # 0.5 kPa; 0.1 mm, 0.15 kPa, 0.2, 0.3 mm
     told = _rival_sentences([*rows[1:], rows[0], rows[-1]])
     assert len(told) == 5 and told[-1].startswith("lag cannot be told from gain")
+
+
+def unknown(robot: Any, gauged: bool, parts: int = 1) -> list[Any]:
+    """Return findings of which no effect explains what is left, though two fit it alike."""
+    lag, play = Choice("dead_time"), Choice("delay")
+    rivals = [SimpleNamespace(choice=play, instead_of=lag, contests=True)]
+    run = SimpleNamespace(pressure_meas=np.zeros((9, 3)) if gauged else None)
+    part = SimpleNamespace(problem=SimpleNamespace(runs=[run], robot=robot))
+    named = [SimpleNamespace(choice=lag)]
+    return [SimpleNamespace(rivals=rivals, named=named, unknown=True, part=part) for _ in range(parts)]
+
+
+@pytest.mark.parametrize(
+    ("gauged", "parts", "first"),
+    [(False, 1, "steps and a multisine of one chamber with the chamber's pressure measured; then the same triangle"),
+     (True, 1, "the same triangle"), (True, 2, "steps and a multisine of one chamber")],
+)  # fmt: skip
+def test_after_unknown_the_valve_is_measured_first_where_no_gauge_clears_it(
+    body: PccSimulator, gauged: bool, parts: int, first: str
+) -> None:
+    made = next_experiment(unknown(body.robot, gauged, parts), "unknown", body.robot, 1e-4)
+    assert made is not None and made["program"].startswith(first)
+    assert made["separates"] == [] and "duration_s" not in made  # it tells no two apart, and nobody has added up its time
+    assert made["pressure_max_pa"] == body.robot.pressure_max_pa
+
+
+def test_what_is_no_pressure_has_the_limits_of_its_own_command(body: PccSimulator) -> None:
+    robot = replace(body.robot, command="pump_pwm", command_to_pa=100.0)
+    made = next_experiment(unknown(robot, True), "unknown", robot, 1e-4)
+    assert made is not None and "pressure_max_pa" not in made
+    assert (made["pump_pwm_min"], made["pump_pwm_max"]) == (0.01 * robot.pressure_min_pa, 0.01 * robot.pressure_max_pa)
+
+
+@pytest.mark.parametrize(("contests", "duration_s", "told"), [
+    (False, None, "turn it."), (True, None, "turn it (<code>stage=excite</code> writes a program)."),
+    (True, 40.0, "turn it (40 s; <code>stage=excite</code> writes a program)."),
+])  # fmt: skip
+def test_a_program_is_promised_only_where_two_hypotheses_are_open(contests: bool, duration_s: float | None, told: str) -> None:
+    wanted = {"program": "turn it"} | ({} if duration_s is None else {"duration_s": duration_s})
+    found: Any = SimpleNamespace(next_experiment=wanted, rivals=[{"contests": contests}])
+    assert _next(found) == [told]
 
 
 def test_what_begins_within_the_shortest_time_begins_at_once() -> None:

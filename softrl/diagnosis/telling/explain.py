@@ -41,20 +41,36 @@ def next_experiment(findings: Sequence[Finding], verdict: str, robot: Robot, noi
         return None
     open_sites = [r.choice.site for f in findings for r in f.rivals if r.contests]
     open_sites += [r.instead_of.site for f in findings for r in f.rivals if r.contests]
-    between = sorted({name for f in findings for name in alternatives(f)})
-    named = [n.choice.label() for f in findings for n in f.named if alternatives(f)]
+    separates: list[str] = []
     if verdict == "unknown":
-        open_sites = ["valve"] if findings[0].unknown and len(findings) > 1 else ["body", "load"]
+        open_sites = _unknown_sites(findings)
+    else:
+        separates = [n.choice.label() for f in findings for n in f.named if alternatives(f)]
+        separates += sorted({name for f in findings for name in alternatives(f)})
     found: dict[str, Any] = {
-        "separates": [*named, *between],
+        "separates": separates,
         "program": "; then ".join(EXPERIMENTS[site] for site in dict.fromkeys(open_sites)),
-        "pressure_min_pa": robot.pressure_min_pa,
-        "pressure_max_pa": robot.pressure_max_pa,
-        "duration_s": 300.0,
+        **_limits(robot),
     }
     if verdict == "indistinguishable":
         found |= _planned(findings, noise_m) or {}
     return found
+
+
+def _unknown_sites(findings: Sequence[Finding]) -> list[str]:
+    """Return where to look for what no effect explains: without a gauge behind it, the valve is not cleared."""
+    if len(findings) > 1:
+        return ["valve"] if findings[0].unknown else ["body", "load"]
+    gauged = all(run.pressure_meas is not None for run in findings[0].part.problem.runs)
+    return ["body", "load"] if gauged else ["valve", "body", "load"]
+
+
+def _limits(robot: Robot) -> dict[str, float]:
+    """Return the lowest and highest command, Pa, or in its own unit where it is no pressure."""
+    low, high = robot.pressure_min_pa, robot.pressure_max_pa
+    if robot.command == "pressure":
+        return {"pressure_min_pa": low, "pressure_max_pa": high}
+    return {f"{robot.command}_min": low / robot.command_to_pa, f"{robot.command}_max": high / robot.command_to_pa}
 
 
 def _planned(findings: Sequence[Finding], noise_m: float) -> dict[str, Any] | None:

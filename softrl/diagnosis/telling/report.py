@@ -38,11 +38,7 @@ def page(diagnosis: Diagnosis, figures: Mapping[str, Figure]) -> str:
         f"<p class='verdict'>{_safe(first)}</p>",
         *(f"<p>{_safe(line)}</p>" for line in rest),
     ]
-    if diagnosis.next_experiment:
-        body.append(
-            f"<p><b>Record next:</b> {_safe(diagnosis.next_experiment['program'])} "
-            f"({diagnosis.next_experiment['duration_s']:.0f} s; <code>stage=excite</code> writes a program).</p>"
-        )
+    body += [f"<p><b>Record next:</b> {line}</p>" for line in _next(diagnosis)]
     body += [_figure(name, figure) for name, figure in figures.items()]
     body += ["<h2>Identified parameters</h2>", _table(_parameter_rows(diagnosis))]
     body += ["<h2>Retuned only</h2>", _table([{"parameter": k, **v} for k, v in diagnosis.retuned.items()])]
@@ -52,6 +48,17 @@ def page(diagnosis: Diagnosis, figures: Mapping[str, Figure]) -> str:
         f"<!doctype html><html lang='en'><head><meta charset='utf-8'><title>{_safe(diagnosis.verdict)}: "
         f"{_safe(diagnosis.robot_name)}</title><style>{STYLE}</style></head><body>{''.join(body)}</body></html>"
     )
+
+
+def _next(diagnosis: Diagnosis) -> list[str]:
+    """Return as HTML what to record next, if anything is open; ``stage=excite`` plans only for hypotheses that contest."""
+    wanted = diagnosis.next_experiment
+    if not wanted:
+        return []
+    lasts = [f"{wanted['duration_s']:.0f} s"] if "duration_s" in wanted else []
+    planned = ["<code>stage=excite</code> writes a program"] if any(row["contests"] for row in diagnosis.rivals) else []
+    told = "; ".join([*lasts, *planned])
+    return [f"{_safe(wanted['program'])}{f' ({told})' if told else ''}."]
 
 
 def _figure(name: str, figure: Figure) -> str:
