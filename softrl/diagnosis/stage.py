@@ -240,12 +240,11 @@ def _whole(config: Config, robot: Robot, simulator: Simulator, data: Data, numer
     runs = [run for part in data.splits.values() for run in part]
     interval_s = 0.0 if data.punctual else data.period_s
     bare = replace(bare, late_max_s=interval_s, interval_s=interval_s, before=preludes(data.training, runs, robot))
-    if robot.output == "bend_angle":
-        return bare
-    nominal = bare.replayed(Hypothesis((), ()), np.zeros(0))
-    if not in_other_frames(nominal, data.training, data.misplaced):
-        return bare
-    return replace(bare, register=True, orientation=False)
+    if robot.output != "bend_angle":
+        nominal = bare.replayed(Hypothesis((), ()), np.zeros(0))
+        if in_other_frames(nominal, data.training, data.misplaced):
+            return replace(bare, register=True, orientation=False)
+    return replace(bare, before=preludes(data.training, runs, robot, one_frame=True))
 
 
 def _contradiction(whole: Problem, data: Data) -> str | None:

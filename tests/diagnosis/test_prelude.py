@@ -52,6 +52,21 @@ def test_a_run_sent_off_from_rest_began_under_no_pressure(body: PccSimulator) ->
         assert np.linalg.norm(found[recording.name]) < 0.3 * np.linalg.norm(recording.pressure_cmd[0])
 
 
+def test_a_run_of_a_session_held_out_whole_began_where_all_training_runs_tell(body: PccSimulator) -> None:
+    runs = lagging(body, SENT_OFF, 4).recordings
+    training, heldout = [replace(r, session=f"day_{k}") for k, r in enumerate(runs[:-1])], replace(runs[-1], session="other")
+    assert heldout.name not in preludes(training, (heldout,), body.robot)
+    found = preludes(training, (heldout,), body.robot, one_frame=True)[heldout.name]
+    assert np.linalg.norm(found) < 0.3 * np.linalg.norm(heldout.pressure_cmd[0])
+
+
+def test_a_tip_at_rest_that_something_pulled_aside_in_a_session_held_out_whole_is_not_under_way(body: PccSimulator) -> None:
+    runs = lagging(body, 0, 3).recordings
+    aside = replace(runs[-1], session="other", position=np.asarray(runs[-1].position) + [0.03, 0.0, 0.0])
+    found = preludes(runs[:-1], (aside,), body.robot, one_frame=True)[aside.name]
+    assert found == pytest.approx(np.zeros(3))
+
+
 def test_a_run_under_its_first_pressures_began_there(body: PccSimulator) -> None:
     runs = []
     for recording in made(body, sessions=3).recordings:

@@ -19,6 +19,7 @@ TRUSTED = 0.3  # share of the motion that the map must explain
 DEGREES = (1, 2, 3)  # of the map
 TERM_ROWS = 2  # for each term of the map at least
 USUAL = 0.95  # of rows miss their map by less than what is told from none
+STILL_S, STILL = 0.5, 0.1  # a tip that moves by less, in shares of the way, in so long a time is not under way
 
 
 class Response(NamedTuple):
@@ -53,27 +54,46 @@ class Response(NamedTuple):
         return self.terms.values(pressure[None] / self.scale)[0]
 
 
-def preludes(training: Sequence[Recording], runs: Sequence[Recording], robot: Robot) -> dict[str, tuple[float, ...]]:
+def preludes(
+    training: Sequence[Recording], runs: Sequence[Recording], robot: Robot, one_frame: bool = False
+) -> dict[str, tuple[float, ...]]:
     """Return by run the constant pressures (chambers,) Pa that bring the tip where the run's first sample shows it.
 
     A run that begins while a chamber fills is not yet where its first pressures would hold it, and one that was driven
     before is not yet back. From the first sample alone, and a map from pressures to motion that is fitted to the training
     runs of the same session, follows the constant pressure which stands for that past: the run's first one, or none, where
-    the map cannot tell. The map is a polynomial: rest is at a corner of the pressures' range, which a plane misses. Runs
-    of sessions without such a map are left out.
+    the map cannot tell. The map is a polynomial: rest is at a corner of the pressures' range, which a plane misses.
+
+    Where all sessions have ``one_frame``, one map of all training runs tells of sessions without a map of their own, such as
+    those that were held out whole; else their runs are left out. Something may have held the tip elsewhere in these: who
+    stands still there is not under way.
     """
     found: dict[str, tuple[float, ...]] = {}
     moved = list(driven(training, robot))
     limits = robot.pressure_min_pa, robot.pressure_max_pa
-    for session in dict.fromkeys(run.session for run in training):
-        response = _response([run for run in training if run.session == session], moved)
+    together = _response(training, moved) if one_frame else None
+    for session in dict.fromkeys(run.session for run in (*training, *runs)):
+        own = _response([run for run in training if run.session == session], moved)
+        response = own or together
         if response is None:
             continue
         for run in (run for run in runs if run.session == session):
             before = np.clip(acting(run)[0], *limits)
-            before[moved] = _before(response, before[moved], _motion(run)[0], limits)
+            if own is not None or not _stands(run, response, before[moved]):
+                before[moved] = _before(response, before[moved], _motion(run)[0], limits)
             found[run.name] = tuple(float(p) for p in before)
     return found
+
+
+def _stands(run: Recording, response: Response, first: np.ndarray) -> bool:
+    """Return whether the tip hardly moves under the ``first`` pressures (chambers,) Pa, on the way to where they hold it."""
+    motion, changes = _motion(run), np.any(run.pressure_cmd != run.pressure_cmd[0], axis=1)
+    end = int(np.argmax(changes)) if changes.any() else len(motion)
+    end = min(end, int(np.searchsorted(run.time, run.time[0] + max(LAGS_S))))
+    if end < 2 or run.time[end - 1] - run.time[0] < STILL_S:
+        return False
+    moved = motion[end // 2 : end].mean(axis=0) - motion[: end // 2].mean(axis=0)
+    return bool(np.linalg.norm(moved) < STILL * np.linalg.norm(response.missing(first, motion[0])))
 
 
 def _before(response: Response, first: np.ndarray, motion: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
@@ -103,6 +123,8 @@ def _response(runs: Sequence[Recording], moved: list[int]) -> Response | None:
 
     What a run was under before is not known, so its beginning tells nothing of the map.
     """
+    if not runs:
+        return None
     rows = np.flatnonzero(np.concatenate([run.time - run.time[0] >= max(LAGS_S) for run in runs]))
     rows = rows[:: max(len(rows) // ROWS, 1)]
     degrees = [degree for degree in DEGREES if len(rows) >= TERM_ROWS * count(len(moved), degree)]

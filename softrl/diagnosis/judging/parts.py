@@ -104,7 +104,7 @@ def part_behind(valve: Finding, whole: Problem, data: Data, effects: list[str]) 
         training, heldout = (tuple(run for run, _ in side) for side in known)
         body = replace(data, training=training, heldout=heldout)
         supply = {run.name: found for side in known for run, found in side}
-    before = preludes(body.training, (*body.training, *body.heldout), whole.robot)
+    before = preludes(body.training, body.used, whole.robot, one_frame=not whole.register)
     later = valve.part.problem.later
     behind = replace(whole, drive="measured", runs=body.training, before=before, supply=supply, later=later)
     sites = tuple(site for site in SITES if site != "valve")
