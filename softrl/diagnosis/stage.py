@@ -234,15 +234,18 @@ def _steps(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Nu
 
 
 def _whole(config: Config, robot: Robot, simulator: Simulator, data: Data, numerics: Numerics) -> Problem:
-    """Return the problem from command to motion, with registration if sessions use different frames."""
+    """Return the problem from command to motion, with registration if sessions use different frames.
+
+    One that was held out whole is placed by its own runs, like any other: else the split would decide what is said.
+    """
     turns = config.orientation and data.orientation
     bare = Problem(robot, simulator, data.training, numerics, "motion", "command", False, turns)
     runs = [run for part in data.splits.values() for run in part]
     interval_s = 0.0 if data.punctual else data.period_s
     bare = replace(bare, late_max_s=interval_s, interval_s=interval_s, before=preludes(data.training, runs, robot))
     if robot.output != "bend_angle":
-        nominal = bare.replayed(Hypothesis((), ()), np.zeros(0))
-        if in_other_frames(nominal, data.training, data.misplaced):
+        nominal = bare.on(data.used).replayed(Hypothesis((), ()), np.zeros(0))
+        if in_other_frames(nominal, data.used, data.misplaced):
             return replace(bare, register=True, orientation=False)
     return replace(bare, before=preludes(data.training, runs, robot, one_frame=True))
 

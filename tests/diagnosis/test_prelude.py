@@ -62,7 +62,7 @@ def test_a_run_of_a_session_held_out_whole_began_where_all_training_runs_tell(bo
 
 def test_a_tip_at_rest_that_something_pulled_aside_in_a_session_held_out_whole_is_not_under_way(body: PccSimulator) -> None:
     runs = lagging(body, 0, 3).recordings
-    aside = replace(runs[-1], session="other", position=np.asarray(runs[-1].position) + [0.03, 0.0, 0.0])
+    aside = replace(runs[-1], session="other", position=np.asarray(runs[-1].position) + np.array([0.03, 0.0, 0.0]))
     found = preludes(runs[:-1], (aside,), body.robot, one_frame=True)[aside.name]
     assert found == pytest.approx(np.zeros(3))
 
