@@ -14,7 +14,7 @@ from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
 from softrl.diagnosis.checks.cost import warn_of_cost
 from softrl.diagnosis.checks.data import Data, Refusal, prepare, require_robot, within
-from softrl.diagnosis.checks.frames import in_other_frames
+from softrl.diagnosis.checks.frames import in_other_frames, sagging_alike
 from softrl.diagnosis.checks.mistaken import mistaken
 from softrl.diagnosis.checks.prelude import preludes
 from softrl.diagnosis.checks.quality import mixed
@@ -192,7 +192,7 @@ def _diagnosed(
     numerics = _steps(config, robot, simulator, found)
     seconds = config.search.fit_lumped_s if isinstance(simulator, PccSimulator) else config.search.fit_s
     data = found.shortened(seconds * numerics.dt_s / config.numerics.dt_s)
-    whole = _whole(config, robot, simulator, data, numerics)
+    whole, data = _whole(config, robot, simulator, data, numerics)
     apart = _contradiction(whole, found)
     if apart:
         return cannot_tell(Refusal(data.check, apart, data.mended), robot.name, type(simulator).__name__), None
@@ -233,8 +233,10 @@ def _steps(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Nu
     return numerics
 
 
-def _whole(config: Config, robot: Robot, simulator: Simulator, data: Data, numerics: Numerics) -> Problem:
-    """Return the problem from command to motion, with registration if sessions use different frames.
+def _whole(
+    config: Config, robot: Robot, simulator: Simulator, data: Data, numerics: Numerics
+) -> tuple[Problem, Data]:
+    """Return the problem from command to motion, with registration if sessions use different frames, and what is told of these.
 
     One that was held out whole is placed by its own runs, like any other: else the split would decide what is said.
     """
@@ -245,9 +247,10 @@ def _whole(config: Config, robot: Robot, simulator: Simulator, data: Data, numer
     bare = replace(bare, late_max_s=interval_s, interval_s=interval_s, before=preludes(data.training, runs, robot))
     if robot.output != "bend_angle":
         nominal = bare.on(data.used).replayed(Hypothesis((), ()), np.zeros(0))
+        data = sagging_alike(data, nominal, robot)
         if in_other_frames(nominal, data.used, data.misplaced):
-            return replace(bare, register=True, orientation=False)
-    return replace(bare, before=preludes(data.training, runs, robot, one_frame=True))
+            return replace(bare, register=True, orientation=False), data
+    return replace(bare, before=preludes(data.training, runs, robot, one_frame=True)), data
 
 
 def _contradiction(whole: Problem, data: Data) -> str | None:

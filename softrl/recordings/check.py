@@ -38,7 +38,8 @@ class RunCheck:
     noise : channel -> standard deviation of its white part, SI units
     noise_from : "holds" or "differences"
     held : channel -> share of samples that repeat the sample before exactly, while the command moves
-    misplaced : whether the tip at rest is far from one length along the robot's axis from the origin
+    rest : (3,) m where the tip is under no pressure, if the run shows it
+    misplaced : in a sentence that it is far from one length along the robot's axis from the origin; empty where it is not
     turns_jump : whether the orientation jumps
     warnings : one sentence each
     """
@@ -53,7 +54,8 @@ class RunCheck:
     noise: dict[str, float]
     noise_from: str
     held: dict[str, float]
-    misplaced: bool
+    rest: np.ndarray | None
+    misplaced: str
     turns_jump: bool
     warnings: tuple[str, ...]
 
@@ -102,14 +104,15 @@ def check_run(recording: Recording, robot: Robot) -> RunCheck:
     told = _sensed(recording) if len(step) >= 2 else ()  # of two samples nobody knows what is noise
     noise = {channel: _noise(values, windows) for channel, values in told}
     held = {channel: _held_share(recording, values) for channel, values in _sensed(recording)}
-    jumped, misplaced = tuple(_jump_warnings(recording)), tuple(_frame_warnings(recording, robot))
+    jumped, rest = tuple(_jump_warnings(recording)), tip_at_rest(recording, robot)
+    misplaced = "" if rest is None else _misplaced(rest, robot)
     warnings = (
         *_sampling_warnings(gaps, period, float(np.ptp(recording.time))),
         *_excitation_warnings(excited, robot),
         *_held_warnings(held),
         *_clipping_warnings(recording),
         *jumped,
-        *misplaced,
+        *([misplaced] if misplaced else []),
     )
     return RunCheck(
         recording.name,
@@ -122,7 +125,8 @@ def check_run(recording: Recording, robot: Robot) -> RunCheck:
         noise,
         "holds" if windows else "differences",
         held,
-        bool(misplaced),
+        rest,
+        misplaced,
         bool(jumped),
         warnings,
     )
@@ -296,18 +300,29 @@ def _jump_warnings(recording: Recording) -> Iterator[str]:
         )
 
 
-def _frame_warnings(recording: Recording, robot: Robot) -> Iterator[str]:
-    """Yield a warning if the tip at rest is not one length along the robot's axis from the origin."""
+def tip_at_rest(recording: Recording, robot: Robot) -> np.ndarray | None:
+    """Return where the tip is (3,) m while no chamber is under pressure; None where that does not show."""
     span = robot.pressure_max_pa - robot.pressure_min_pa
     still = np.all(np.abs(recording.pressure_cmd) < EXCITED_SHARE * span, axis=1)
     if recording.position is None or not still.any():
-        return
-    rest, expected = np.median(recording.position[still], axis=0), robot.length_m * axis_vector(robot.axis)
-    if np.linalg.norm(rest - expected) > REST_SHARE * robot.length_m:
-        yield (
-            f"under no pressure the tip is at {_in_mm(rest)} mm; expected about {_in_mm(expected)} mm, one length along "
-            f"{robot.axis} from the base: move the origin to the base, or correct robot.length_m or the session's axis"
-        )
+        return None
+    return np.asarray(np.median(recording.position[still], axis=0))
+
+
+def is_elsewhere(rest: np.ndarray, expected: np.ndarray, robot: Robot) -> bool:
+    """Return whether a tip at ``rest`` (3,) m is too far from where it is ``expected`` to be told in the same frame."""
+    return bool(np.linalg.norm(rest - expected) > REST_SHARE * robot.length_m)
+
+
+def _misplaced(rest: np.ndarray, robot: Robot) -> str:
+    """Return what is wrong if the tip at ``rest`` (3,) m is not one length along the robot's axis from the origin."""
+    expected = robot.length_m * axis_vector(robot.axis)
+    if not is_elsewhere(rest, expected, robot):
+        return ""
+    return (
+        f"under no pressure the tip is at {_in_mm(rest)} mm; expected about {_in_mm(expected)} mm, one length along "
+        f"{robot.axis} from the base: move the origin to the base, or correct robot.length_m or the session's axis"
+    )
 
 
 def _in_mm(point: np.ndarray) -> str:

@@ -6,12 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from softrl.core.config import build
 from softrl.diagnosis.checks.data import Data, prepare
 from softrl.diagnosis.stage import _whole
 from softrl.effects.library import effect_class
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.recording import Recording, RecordingSet
-from tests.diagnosis.conftest import configured, made
+from softrl.robots.robot import Robot
+from tests.diagnosis.conftest import configured, made, node
 
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
@@ -24,8 +26,23 @@ def placed_by_itself(body: PccSimulator, recordings: RecordingSet, change: Calla
         data = prepare(replace(recordings, recordings=runs), body.robot, 0.34, 0)
         assert isinstance(data, Data)
         held = odd not in {run.session for run in data.training}
-        found[held] = _whole(configured(), body.robot, body, data, configured().numerics).register
+        found[held] = _whole(configured(), body.robot, body, data, configured().numerics)[0].register
     return found
+
+
+def test_a_soft_robot_that_lies_rests_where_it_sags() -> None:
+    """No origin is wrong where the tip hangs as far aside as the simulator has it; one that was moved is."""
+    segment = build(node("robot/three_chamber_segment.yaml"), Robot, "robot")
+    lying = replace(segment, gravity_m_s2=(9.81, 0.0, 0.0), mass_kg=0.3, chamber_area_m2=2e-5)
+    body = PccSimulator(robot=lying, **node("simulator/pcc.yaml"))
+    recordings = made(body, sessions=3)
+    for moved, told in ((np.zeros(3), False), (np.array([0.1, 0.0, 0.0]), True)):
+        runs = tuple(replace(run, position=np.asarray(run.position) + moved) for run in recordings.recordings)
+        data = prepare(replace(recordings, recordings=runs), lying, 0.34, 0)
+        assert isinstance(data, Data) and data.misplaced
+        whole, data = _whole(configured(), lying, body, data, configured().numerics)
+        assert whole.register is data.misplaced is told
+        assert any("under no pressure the tip" in line for line in data.check.warnings) is told
 
 
 def turned(run: Recording) -> Recording:
