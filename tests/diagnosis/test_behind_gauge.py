@@ -8,10 +8,11 @@ import pytest
 
 from softrl.core.errors import ConfigError
 from softrl.core.tracking import NullTracker
+from softrl.diagnosis.checks.data import Data, prepare
 from softrl.diagnosis.fitting.choices import candidates
 from softrl.diagnosis.fitting.hypothesis import Choice
 from softrl.diagnosis.judging.gauges import told_of_gauges
-from softrl.diagnosis.stage import run
+from softrl.diagnosis.stage import _valve, _whole, run
 from softrl.effects.library import effect_class
 from softrl.pcc.simulator import PccSimulator
 from tests.diagnosis.conftest import configured, made
@@ -124,3 +125,22 @@ def test_a_gauge_that_is_read_late_takes_nothing_of_the_valve_s_lag(body: PccSim
     assert set(told) == {"lag", "gauge_lag"} and found.verdict == "named", found.sentences
     assert 0.078 < told["gauge_lag"]["delay_s"]["value"] < 0.102
     assert [told["lag"][key]["value"] for key in ("fill_s", "vent_s")] == pytest.approx([0.3, 0.5], rel=0.05)
+
+
+def test_a_regulator_that_was_off_on_one_day_alone_is_told_with_the_day(body: PccSimulator) -> None:
+    """No failure that ends, and no gain of the other days."""
+    off = Gain(gain=0.7, chamber=1, before_gauge=True)
+    days = [made(body, acts, seed=seed, sessions=4, measured=True) for seed, acts in ((1, (off,)), (2, ()))]
+    runs = [
+        replace(recording, session=day, name=f"{day}_{recording.name}")
+        for day, found in zip(("first", "second"), days, strict=True)
+        for recording in found.recordings
+    ]
+    config = configured(candidates=["lag", "gain", "failure"], search={"max_effects": 2, "keep": 4})
+    data = prepare(replace(days[0], recordings=tuple(runs)), body.robot, config.heldout_share, config.seed)
+    assert isinstance(data, Data)
+    whole, data = _whole(config, body.robot, body, data, config.numerics)
+    finding = _valve(config, whole, data)
+    (named,) = finding.named
+    assert named.choice == Choice("gain", 1, sessions=("first",), before_gauge=True) and not finding.unknown
+    assert named.intervals[0].value == pytest.approx(0.7, abs=0.002)

@@ -56,6 +56,14 @@ def test_one_chamber_alone_may_change_with_a_day() -> None:
     assert in_some_sessions(["gain"], training, heldout, list("abcdef"), [1]) == [], "the only chamber is retuned"
 
 
+def test_gauges_show_what_a_regulator_did_in_some_sessions_alone() -> None:
+    days = ["a", "a", "b", "b"]
+    offered = in_some_sessions(["gain", "payload", "lag"], days, ["a", "b"], ["a", "b"], [0, 2], gauges_only=True)
+    assert offered == [
+        Choice("gain", chamber, sessions=(day,), before_gauge=True) for chamber in (-1, 0, 2) for day in ("b", "a")
+    ]  # fmt: skip
+
+
 def test_what_straight_lines_favour_is_the_period_in_which_it_acts(body: PccSimulator) -> None:
     heavy = effect_class("payload")(mass=0.3)
     config, recordings = configured(), changed(body, heavy, DAYS[3:])

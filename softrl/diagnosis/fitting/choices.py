@@ -10,7 +10,7 @@ BEGINS = (0.3, 0.6)  # shares of the run and of its highest pressure at which se
 BEGIN_ALONE = (0.45,)  # the same for one chamber alone, of which there are many
 # what may change from one day to the next: warmth, rest and age of the wall; what it carries; how it is mounted, and how seen
 BY_SESSION = ("stiffness_scale", "strain_softening", "payload", "mount_tilt", "base_tilt", "frame", "marker_offset")
-ALONE_BY_SESSION = ("gain",)  # the same of one chamber: another hose, a leak, a torn layer
+ALONE_BY_SESSION = ("gain",)  # the same of one chamber: another hose, a leak, a torn layer; before its gauge a regulator
 
 
 def candidates(
@@ -52,11 +52,13 @@ def in_some_sessions(
     heldout: Sequence[str],
     order: Sequence[str],
     excited: Sequence[int] = (),
+    gauges_only: bool = False,
 ) -> list[Choice]:
     """Return the effects out of ``names`` that may act in some sessions alone, for all periods that can show them.
 
     Of periods that act in the same fitted runs the longest is offered; see ``alike`` for the others. What acts in one chamber is
-    offered for each that was ``excited``, if there are several.
+    offered for each that was ``excited``, if there are several. ``gauges_only`` says that measured pressures are what is
+    compared: what a regulator does, in one chamber or in all, shows there alone.
 
     Parameters
     ----------
@@ -64,9 +66,10 @@ def in_some_sessions(
         beside two to fit in which it does not act
     order : sessions in the order of recording
     """
-    forms = [Choice(name) for name in names if name in BY_SESSION]
+    alone = [Choice(name, before_gauge=gauges_only) for name in names if name in ALONE_BY_SESSION]
+    forms = alone if gauges_only else [Choice(name) for name in names if name in BY_SESSION]
     if len(excited) > 1:
-        forms += [Choice(name, chamber) for name in names if name in ALONE_BY_SESSION for chamber in excited]
+        forms = forms + [form._replace(chamber=chamber) for form in alone for chamber in excited]
     found: dict[tuple[Choice, frozenset[str]], Choice] = {}
     for form in forms:
         for period in _periods_of(form, order):

@@ -39,8 +39,11 @@ def valve_part(whole: Problem, data: Data, effects: list[str], gauges: Sequence[
     finer = replace(steps, dt_s=steps.dt_s / VALVE_STEPS, rough_dt_s=steps.rough_dt_s / VALVE_STEPS)
     runs = within(data.training, VALVE_S)
     problem = replace(whole, target="pressure", register=False, orientation=False, runs=runs, numerics=finer)
-    choices = candidates(effects, ("valve",), whole.robot, data.check.excited, gauges_only=True)
-    choices += [*that_last(choices, [run.session for run in runs], []), *gauges]
+    sessions, excited = [[run.session for run in side] for side in (runs, data.heldout)], data.check.excited
+    everywhere = candidates(effects, ("valve",), whole.robot, excited, gauges_only=True)
+    order = sessions_in_order((*data.training, *data.heldout))
+    choices = in_some_sessions(effects, *sessions, order, excited, gauges_only=True) + everywhere
+    choices += [*that_last(everywhere, *sessions), *gauges]
     return Part(
         "command to measured pressure", problem, data.heldout, data.pressure_noise, data.pressure_rounding,
         data.pressure_travel, tuple(choices), data.now,
