@@ -95,6 +95,18 @@ def test_steps_of_a_slow_sensor_at_the_turn_of_a_motion_are_no_spikes() -> None:
     assert kept is run and not lines
 
 
+@pytest.mark.parametrize("noise_n", [0.0, 0.02])
+def test_a_push_that_is_measured_is_no_spike(noise_n: float) -> None:
+    rng, time = np.random.default_rng(3), 0.2 * np.arange(300)
+    pushed = ((time % 6.0) > 1.1) & ((time % 6.0) < 1.7)
+    mistaken = np.arange(300) % 90 == 45
+    moved = np.outer(pushed, [3.0, 1.0, 0.0]) + np.outer(mistaken, [0.0, 4.0, 4.0]) + 0.02 * rng.standard_normal((300, 3))
+    force = np.outer(pushed, [0.8, 0.3, 0.0]) + noise_n * rng.standard_normal((300, 3))
+    run = Recording("run", "day", time, np.zeros((300, 3)), position=1e-3 * moved, tip_force=force)
+    (kept,), _ = without_spikes([run])
+    np.testing.assert_array_equal(kept.time, time[~mistaken])
+
+
 def test_a_change_that_stays_is_no_spike() -> None:
     values = np.where(np.arange(500) < 250, 0.0, 1.0)[:, None]
     assert not spikes(values, np.zeros((len(values), 1))).any()

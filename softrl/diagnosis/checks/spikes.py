@@ -29,9 +29,9 @@ def without_spikes(runs: Sequence[Recording]) -> tuple[tuple[Recording, ...], li
             if values is not None:
                 seen = values.reshape(len(values), -1)
                 first, reading = _readings(run, seen)
-                wrong |= spikes(seen[first], run.pressure_cmd[first])[reading]
+                wrong |= spikes(seen[first], np.hstack([run.pressure_cmd, *_pushes(run)])[first])[reading]
                 if len(first) == len(seen):  # the few readings of a slow sensor all jump
-                    wrong |= strayed(run.time, seen, _pressures(run))
+                    wrong |= strayed(run.time, seen, _causes(run))
         if wrong.any():
             lines.append(
                 f"{run.name}: {np.count_nonzero(wrong)} samples, first at t = {run.time[wrong][0]:.2f} s, jump away and "
@@ -41,9 +41,20 @@ def without_spikes(runs: Sequence[Recording]) -> tuple[tuple[Recording, ...], li
     return tuple(kept), lines
 
 
-def _pressures(run: Recording) -> np.ndarray:
-    """Return all pressures (steps, m) of ``run`` side by side."""
-    return run.pressure_cmd if run.pressure_meas is None else np.hstack([run.pressure_cmd, run.pressure_meas])
+def _causes(run: Recording) -> np.ndarray:
+    """Return all pressures and pushes (steps, m) of ``run`` side by side."""
+    gauges = [] if run.pressure_meas is None else [run.pressure_meas]
+    return np.hstack([run.pressure_cmd, *gauges, *_pushes(run)])
+
+
+def _pushes(run: Recording) -> list[np.ndarray]:
+    """Return the force (steps, 3) N on the tip with its jumps alone, if one was measured: its noise throws nothing."""
+    if run.tip_force is None or len(run.time) < 2:
+        return []
+    step = np.diff(run.tip_force, axis=0, prepend=run.tip_force[:1])
+    size = np.abs(step)
+    jumps = size > np.maximum(COMMAND_SHARE * np.ptp(run.tip_force, axis=0), TIMES * np.median(size, axis=0))
+    return [np.cumsum(np.where(jumps, step, 0.0), axis=0)]
 
 
 def _readings(run: Recording, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -63,7 +74,8 @@ def _readings(run: Recording, values: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def spikes(values: np.ndarray, commands: np.ndarray) -> np.ndarray:
     """Return which rows (steps,) of ``values`` (steps, n) lie on a spike of at most ``LONGEST`` samples.
 
-    Not where one of the ``commands`` (steps, m) has just jumped: two steps that follow each other throw the tip there and back.
+    Not where one of the ``commands`` (steps, m), or of the pushes, has just jumped: two steps that follow each other throw the
+    tip there and back.
     """
     wrong = np.zeros(len(values), dtype=bool)
     if len(values) <= 2 * LONGEST + 1:
