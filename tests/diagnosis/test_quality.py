@@ -6,13 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from softrl.core.config import build
 from softrl.core.tracking import NullTracker
 from softrl.diagnosis.checks.quality import unusable
 from softrl.diagnosis.stage import run
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.check import check_run
 from softrl.recordings.recording import Recording, RecordingSet
-from tests.diagnosis.conftest import configured, made
+from softrl.robots.robot import Robot
+from tests.diagnosis.conftest import configured, made, node
 
 
 @pytest.fixture(scope="module")
@@ -90,6 +92,20 @@ def test_a_chamber_at_rest_is_not_clipped(body: PccSimulator) -> None:
     assert any("pressure_meas[0] is at its maximum" in warning for warning in check_run(limited, robot).warnings)
     stuck = replace(limited, position=np.minimum(np.asarray(plain.position), np.median(tip, axis=0) + 5e-4))
     assert "position[0] sits at its largest" in str(unusable([stuck], robot))
+
+
+def test_a_rest_between_poses_is_not_clipped() -> None:
+    """One row a pose, every other at rest, before a coarse sensor: half of the samples are its least value."""
+    rng, finger = np.random.default_rng(1), build(node("robot/single_chamber_finger.yaml"), Robot, "robot")
+    level = rng.uniform(0.1, 1.0, (100, 1))
+    level[::2] = 0.0
+    degrees, pressure = 68.0 * level[:, 0], level * finger.pressure_max_pa
+    table = Recording("poses", "day", 20.0 * np.arange(100), pressure, bend_angle=np.deg2rad(degrees.round()))
+    assert unusable([table], finger) is None
+    short = replace(table, bend_angle=np.deg2rad(np.minimum(degrees, 34.0).round()))
+    assert "bend_angle[0] sits at its largest" in str(unusable([short], finger))
+    low = replace(table, bend_angle=np.deg2rad(np.maximum(degrees, 34.0).round()))
+    assert "bend_angle[0] sits at its largest" in str(unusable([low], finger))
 
 
 def test_a_turned_frame_is_seen_and_does_not_become_physics(body: PccSimulator, good: RecordingSet) -> None:

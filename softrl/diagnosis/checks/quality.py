@@ -85,12 +85,24 @@ def _clipped(runs: Sequence[Recording]) -> str | None:
             for k, series in enumerate(values.T):
                 moves = moved_by_command(run, channel, k)
                 if np.ptp(series) > 0.0 and np.count_nonzero(moves) > 1.0 / CLIPPED_SHARE:
-                    ends = [float(np.mean((series == end)[moves])) for end in (series.max(), series.min())]
+                    ends = [_share_at(series == end, run.pressure_cmd, moves) for end in (series.max(), series.min())]
                     shares.setdefault(f"{channel}[{k}]", []).append(max(ends))
     for channel, found in shares.items():
         if np.mean(found) > MAX_CLIPPED_SHARE:
             return f"{channel} sits at its largest or smallest value in {np.mean(found):.0%} of the samples: clipped"
     return None
+
+
+def _share_at(there: np.ndarray, commands: np.ndarray, moves: np.ndarray) -> float:
+    """Return the share ``there`` (steps,), at an extreme, of those ``moves`` picks, without the pose most frequent there.
+
+    A coarse sensor shows a rest between poses as one value every time: clipped is what sits there under other ``commands`` too.
+    """
+    if not (there & moves).any():
+        return 0.0
+    poses, counts = np.unique(commands[there & moves], axis=0, return_counts=True)
+    others = moves & np.any(commands != poses[np.argmax(counts)], axis=1)
+    return float(np.mean(there[others])) if others.any() else 0.0
 
 
 def _wrong_pressure(runs: Sequence[Recording], robot: Robot) -> str | None:
