@@ -87,6 +87,19 @@ def test_one_exchanged_run_among_sound_ones_is_told(body: PccSimulator, recorded
     assert said is not None and recorded[2].name in said
 
 
+def test_chambers_in_a_ring_behind_slow_regulators_are_not_exchanged(body: PccSimulator) -> None:
+    """A third of a turn apart, each is behind its own command by about as much as the next one's is."""
+    slow, time = (effect_class("dead_time")(delay_s=0.2), effect_class("lag")(fill_s=0.3, vent_s=0.5)), 0.02 * np.arange(1500)
+    rounds = 1.0 + np.cos(np.pi * time[:, None] - np.deg2rad([0.0, 120.0, 240.0]))
+    run = Recording("ring", "day", time, 0.4 * body.robot.pressure_max_pa * rounds * np.minimum(time, 1.0)[:, None])
+    ring = replay(Plant(body, chain_of(body.robot, slow)), run, 0.01)
+    assert told(body, (ring,)) is None
+    level = np.random.default_rng(1).uniform(0.0, 0.8 * body.robot.pressure_max_pa, (8, 3))
+    steps = replace(run, pressure_cmd=level.repeat(200, axis=0)[:1500])
+    exchanged = measured(replay(Plant(body, chain_of(body.robot, slow)), steps, 0.01), lambda p: columns(p, [1, 0, 2]))
+    assert "follows the command of chamber" in str(told(body, (ring, exchanged)))
+
+
 @pytest.mark.parametrize(
     "change",
     [

@@ -20,6 +20,7 @@ MIRROR_GAIN = 0.3  # by which it must explain more than the motion itself, in ev
 LEAD_S = 0.1  # an effect that comes earlier than its cause by less may be a matter of clocks and filters
 LONGEST_S = 2.0  # leads and delays that are compared
 OPPOSED = 0.7  # correlation of a bend angle with the other way of the simulated one, or with its size: its sign is wrong, or lost
+AS_WELL = 0.05  # a command that may be delayed explains a pressure as well as another if its correlation is less by no more
 LEAD_GAIN = 0.7  # a lead must leave less than this share of what the best delay leaves
 
 
@@ -38,18 +39,30 @@ def mistaken(runs: Sequence[Recording], simulated: Sequence[Recording], robot: R
 
 
 def _exchanged(runs: Sequence[Recording], robot: Robot) -> str | None:
-    """Return which measured pressure follows another chamber's command instead of its own."""
+    """Return which measured pressure follows another chamber's command instead of its own, and its own no better if delayed.
+
+    Chambers driven in a ring one after another, behind slow regulators, seem exchanged until each is given its delay.
+    """
     for run, cmd, meas in _pressures(runs, robot):
         moved = np.flatnonzero(np.ptp(cmd, axis=0) > MIN_SHARE * (robot.pressure_max_pa - robot.pressure_min_pa))
         alike = np.array([[_correlation(meas[:, i], cmd[:, j]) for j in moved] for i in moved])
         for i, row in enumerate(alike):
             j = int(np.argmax(row))
             if row[j] > FOLLOWS and row[i] < FOREIGN:
+                own, foreign = (_delayed(cmd[:, moved[k]], meas[:, moved[i]]) for k in (i, j))
+                if own > foreign - AS_WELL:
+                    continue
                 return (
                     f"run {run.name}: the measured pressure of chamber {moved[i] + 1} follows the command of chamber "
                     f"{moved[j] + 1} (correlation {row[j]:.2f}) and not its own ({row[i]:.2f}): columns exchanged"
                 )
     return None
+
+
+def _delayed(cause: np.ndarray, effect: np.ndarray) -> float:
+    """Return the correlation of ``effect`` (steps,) with ``cause`` (steps,), delayed as suits best, by up to ``LONGEST_S``."""
+    delays = range(min(round(LONGEST_S / STEP_S) + 1, len(cause) // 2))
+    return max(_correlation(cause[: len(cause) - k], effect[k:]) for k in delays)
 
 
 def _unlike(runs: Sequence[Recording], robot: Robot) -> str | None:
