@@ -22,7 +22,7 @@ from softrl.core.errors import ArtifactError, ConfigError
 from softrl.core.parallel import Parallel
 from softrl.core.store import Store
 from softrl.effects.chain import EffectChain
-from softrl.effects.effect import Effect
+from softrl.effects.effect import EVERYWHERE, Effect
 from softrl.effects.library import effect_class
 from softrl.recordings.read import read as read_recordings
 from softrl.recordings.recording import RecordingSet
@@ -131,7 +131,7 @@ class Assembly:
     def _chain(self) -> EffectChain:
         node = self._effects
         self.used["effect"] = node
-        chosen = [_effect(value, f"effect.{key}") for key, value in node.items() if key != IDENTIFIED]
+        chosen = [_effect(value, f"effect.{key}", self.robot) for key, value in node.items() if key != IDENTIFIED]
         retuned = False
         if IDENTIFIED in node:
             self.modules.append(Diagnosis.__module__)  # what makes corrections of what was found
@@ -249,16 +249,27 @@ class Assembly:
         return self.store.folder(run, name), run.info.run_id
 
 
-def _effect(node: Any, path: str) -> Effect:
-    """Return an effect as the configuration imposes it.
+def _effect(node: Any, path: str, robot: Robot) -> Effect:
+    """Return an effect as the configuration imposes it on ``robot``.
 
     Raises
     ------
-    ConfigError : it says how suddenly the effect begins, and not when
+    ConfigError : it says how suddenly the effect begins, and not when; or it makes no sense for the robot, or never acts
     """
     effect: Effect = build_target(node, path)
     if "over_s" in node and effect.since_s == 0.0:
         raise ConfigError(f"{path}.over_s={node['over_s']} says how suddenly it begins; expected {path}.since_s > 0 beside it")
+    if not effect.suits(robot):
+        raise ConfigError(
+            f"{path} makes no sense for robot {robot.name} with {robot.chambers} chamber(s), command={robot.command} and "
+            f"output={robot.output}; leave it out"
+        )
+    highest = robot.pressure_max_pa / robot.largest_pa
+    if effect.above_share > EVERYWHERE and effect.above_share >= highest:
+        raise ConfigError(
+            f"{path}.above_share={effect.above_share:g} is no pressure of robot {robot.name}, so that it never acts; expected "
+            f"less than {highest:g}, its highest as a share of its largest (suction is below all)"
+        )
     return effect
 
 

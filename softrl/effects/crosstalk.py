@@ -7,6 +7,7 @@ import numpy as np
 
 from softrl.core.compiled import borrowing, standing_as
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
+from softrl.robots.robot import Robot
 
 
 @borrowing
@@ -52,6 +53,11 @@ class Crosstalk(Effect):
     share: float = parameter("1", -0.4, 0.4, 0.0, typical=0.1)
     lean: float = parameter("1", -1.0, 1.0, 0.0, typical=0.5, default=0.0)
     chamber: int = -1
+
+    @classmethod
+    def suits(cls, robot: Robot) -> bool:
+        """Return whether there are others to feel."""
+        return robot.chambers > 1
 
     @classmethod
     def shapes(cls) -> list[dict[str, float]]:

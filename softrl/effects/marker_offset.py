@@ -39,6 +39,11 @@ class MarkerOffset(Effect):
     y: float = parameter("1", -0.3, 0.3, 0.0, typical=0.03, of="length")
     z: float = parameter("1", -0.3, 0.3, 0.0, typical=0.03, of="length")
 
+    @classmethod
+    def suits(cls, robot: Robot) -> bool:
+        """Return whether the robot reports where its tip is: a bend angle is the same beside it."""
+        return robot.output != "bend_angle"
+
     def pack(self, robot: Robot) -> np.ndarray:
         """Return the offset (3,) m."""
         return robot.length_m * np.array([self.x, self.y, self.z])

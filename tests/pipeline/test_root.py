@@ -144,6 +144,23 @@ def test_how_suddenly_an_effect_begins_needs_when() -> None:
     assert Assembly(SimpleNamespace(), late, {})._chain().effects[0].since_s == 3.0
 
 
+@pytest.mark.parametrize("name", ["base_tilt", "asymmetry", "shared_flow", "crosstalk", "marker_offset"])
+def test_an_effect_that_makes_no_sense_for_a_robot_is_refused(name: str) -> None:
+    words = "stage=simulate", f"effect=[{name}]"
+    with pytest.raises(ConfigError, match=rf"effect.{name} makes no sense for robot .*1 chamber.* output=bend_angle; leave it"):
+        Assembly(SimpleNamespace(), composed(*words, "robot=single_chamber_finger"), {})._chain()
+    assert Assembly(SimpleNamespace(), composed(*words), {})._chain().effects
+
+
+def test_a_gate_above_all_pressures_is_refused() -> None:
+    sucks = "robot.pressure_min_pa=-80000", "robot.pressure_max_pa=1000"
+    for words, highest in ((("+effect.gain.above_share=0.3", *sucks), "0.0125"), (("+effect.gain.above_share=1",), "1")):
+        with pytest.raises(ConfigError, match=rf"gain.above_share=\S+ is no pressure of .*expected less than {highest}, its"):
+            Assembly(SimpleNamespace(), composed("stage=simulate", "effect=[gain]", *words), {})._chain()
+    fits = composed("stage=simulate", "effect=[gain]", "+effect.gain.above_share=-0.5", *sucks)
+    assert Assembly(SimpleNamespace(), fits, {})._chain().effects
+
+
 def test_out_touches_no_folder_of_another_kind(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     for taken in (tmp_path, tmp_path / "notes.txt"):
