@@ -13,6 +13,7 @@ from softrl.core.simulator import Hook, Layered, Motion, Simulator
 from softrl.effects.call import pack, run_signals
 from softrl.effects.effect import SITES, Effect
 from softrl.effects.gate import hook_of
+from softrl.effects.history import check_reach
 from softrl.robots.robot import Robot
 
 # At the valve a source comes before what fills from it: what a regulator is told, makes of that, and has at most. A valve with a
@@ -129,6 +130,7 @@ class SignalFilter:
     def __init__(self, chain: EffectChain, *sites: str) -> None:
         effects = [e for e in chain.at(*sites) if e.channel == "pose"]
         effects += chain.gauges if "gauge" in sites else ()
+        self._delays = [(e.name(), e.delay_s) for e in effects if hasattr(e, "delay_s")]
         self._calls = pack([hook_of(e, chain.robot, chain.before_s, chain.temperature) for e in effects]) if effects else None
 
     @property
@@ -137,7 +139,15 @@ class SignalFilter:
         return np.zeros(0) if self._calls is None else self._calls.states
 
     def advance(self, values: np.ndarray, dt_s: float) -> np.ndarray:
-        """Return the filtered rows (steps, n)."""
+        """Return the filtered rows (steps, n).
+
+        Raises
+        ------
+        ConfigError
+            If the steps are too short for a delay.
+        """
+        for name, delay_s in self._delays:
+            check_reach(name, delay_s, dt_s)
         filtered = np.array(values, dtype=float, order="C")
         if self._calls is not None:
             run_signals(self._calls, filtered, dt_s)

@@ -40,7 +40,7 @@ class DeadTime(Effect):
     Textbook transport delay, and second order plus dead time of a line that disperses: ``delay_s`` is the mean time of
     arrival, ``dispersion`` its variance over ``delay_s`` squared, made by two equal lags after a shorter delay (no equation
     number checked). What spreads further is a lag or a tube. Exact for a delay of whole steps without dispersion,
-    interpolated linearly between; the step must exceed delay / 4094.
+    interpolated linearly between; steps shorter than delay / 4094 are refused.
     """
 
     site: ClassVar[str] = "valve"

@@ -27,7 +27,7 @@ def delay_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, d
 
 @dataclass(frozen=True)
 class Delay(Effect):
-    """Pure delay of the reported pose, exact for whole steps; the step must exceed delay / 4094.
+    """Pure delay of the reported pose, exact for whole steps; steps shorter than delay / 4094 are refused.
 
     Notes
     -----

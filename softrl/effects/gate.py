@@ -6,6 +6,7 @@ a chamber is still missing when the leak has closed. A valve on its way is gated
 it vents as slowly as it fills until it is down at the pressure.
 """
 
+import math
 from typing import Any
 
 import numba as nb
@@ -64,6 +65,42 @@ def gated_signal(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, d
     state[-1] = _after(state[-1], dt)
     for i in range(len(value)):
         value[i] = before[i] + late * _above(before[i], parameters) * (value[i] - before[i])
+
+
+@nb.njit(cache=True)
+def _turned(w: float, x: float, y: float, z: float, point: np.ndarray) -> np.ndarray:
+    """Return ``point`` (3,) turned by a unit quaternion."""
+    a, b, c = point
+    d, e, f = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    return np.array([a + w * d + y * f - z * e, b + w * e + z * d - x * f, c + w * f + x * e - y * d])
+
+
+@nb.njit(cache=True)
+def _product(a: float, b: float, c: float, d: float, turn: np.ndarray) -> tuple[float, float, float, float]:
+    """Return the quaternion a, b, c, d times ``turn`` (4,)."""
+    e, f, g, h = turn
+    w, x = a * e - b * f - c * g - d * h, a * f + b * e + c * h - d * g
+    return w, x, a * g - b * h + c * e + d * f, a * h + b * g - c * f + d * e
+
+
+@nb.njit(SIGNAL_KERNEL, cache=True)
+def gated_pose(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
+    """Let a share of the effect's turn of a pose count, about the same axis, and of its shift beside that."""
+    before = value.copy()
+    call_signal(_address(parameters), parameters[:-GATE], state[:-1], value, dt)
+    late = _late(state[-1], dt, parameters)
+    state[-1] = _after(state[-1], dt)
+    if late >= 1.0:
+        return
+    w, x, y, z = _product(value[3], value[4], value[5], value[6], before[3:] * np.array([1.0, -1.0, -1.0, -1.0]))
+    sine = math.sqrt(x * x + y * y + z * z)
+    size = math.sqrt(w * w + sine * sine)
+    shift = value[:3] - _turned(w / size, x / size, y / size, z / size, before[:3])
+    half = late * math.atan2(sine, w)
+    along = math.sin(half) / sine if sine > 1e-12 else 0.0
+    w, x, y, z = math.cos(half) if along > 0.0 else 1.0, along * x, along * y, along * z
+    value[:3] = _turned(w, x, y, z, before[:3]) + late * shift
+    value[3], value[4], value[5], value[6] = _product(w, x, y, z, before[3:])
 
 
 @nb.njit(SIGNAL_KERNEL, cache=True)
@@ -137,6 +174,8 @@ def _gate_of(effect: Effect) -> Any:
     """Return the kernel that gates ``effect``."""
     if effect.stores:
         return gated_flow
+    if effect.site == "sensor" and effect.channel == "pose":
+        return gated_pose
     on_its_way = effect.site == "valve" and (effect.piped or effect.shifts_time)
     return gated_way if on_its_way else KERNELS.get(effect.site, gated_signal)
 

@@ -33,7 +33,7 @@ class GaugeLag(Effect):
     -----
     Textbook first-order model of a pressure gauge behind a line or a filter, and transport delay of what is polled (no equation
     number checked). The motion does not change under the same commands; in a replay that puts the measured pressure behind the
-    valve, what acted was ahead of it. Exact for a delay of whole steps; the step must exceed delay / 4094.
+    valve, what acted was ahead of it. Exact for a delay of whole steps; steps shorter than delay / 4094 are refused.
     """
 
     site: ClassVar[str] = "sensor"

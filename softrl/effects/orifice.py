@@ -62,8 +62,9 @@ class Orifice(Effect):
 
     ``dp/dt = (1 - b) / tau p_1 phi(p_2 / p_1)`` with absolute pressures upstream (1) and downstream (2), ``phi = 1`` where
     ``p_2 / p_1`` is at most ``b`` and ``sqrt(1 - ((p_2 / p_1 - b) / (1 - b))^2)`` above. ``fill_s`` is the time in which the
-    robot's largest pressure is filled from none; a quarter of that pressure takes half as long. ``vent_s`` is the ``fill_s``
-    of the place through which it vents, the same where that is the same.
+    robot's largest pressure is filled from none; a quarter of that takes half as long where it is far below the room's, and
+    longer above (0.69 at 250 kPa). ``vent_s`` is the ``fill_s`` of the place through which it vents, the same where that is
+    the same.
 
     Notes
     -----

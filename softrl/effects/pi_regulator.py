@@ -12,6 +12,7 @@ from softrl.effects.free_motion import free_motion
 from softrl.robots.robot import Robot
 
 UNLIMITED = 1e4
+LEAST_S = 1e-4  # the lag of a regulator that has none: its integral and the bound of its flow act all the same
 
 
 @standing_as(SIGNAL_KERNEL)
@@ -21,8 +22,9 @@ def pi_regulator_kernel(parameters: np.ndarray, state: np.ndarray, value: np.nda
     At the lowest pressure an integral that asks for less is cut to what holds it there.
     """
     lag_s, integral_s, most, lowest, chamber = parameters[0], parameters[1], parameters[2] * dt, parameters[3], int(parameters[4])
-    if lag_s <= 0.0:
+    if lag_s <= 0.0 and math.isinf(integral_s) and math.isinf(most):
         return
+    lag_s = max(lag_s, LEAST_S)
     count, per_s = len(value), 1.0 / integral_s
     decay, stiff = 0.5 / lag_s, per_s / lag_s
     even, odd = free_motion(decay, decay * decay - stiff, dt)

@@ -11,6 +11,7 @@ import yaml
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from softrl.core.errors import ConfigError
 from softrl.core.simulator import Motion
 from softrl.effects import friction
 from softrl.effects.area_growth import AreaGrowth
@@ -235,6 +236,13 @@ def test_pi_regulator_follows_its_law(lag_s: float, integral_s: float, rate: flo
     assert supplied.max() > 1.05 * FULL
 
 
+def test_a_regulator_without_lag_is_the_limit_of_a_quick_one() -> None:
+    commands = np.vstack([step_to(FULL, 100), step_to(0.3 * FULL, 100)])
+    for rest in ({"integral_s": 0.5, "rate_per_s": 0.8}, {"integral_s": 1e4, "rate_per_s": 0.8}, {"integral_s": 0.5}):
+        none, quick = (signal(PiRegulator(lag_s=lag, **rest), commands) for lag in (0.0, 1e-3))
+        np.testing.assert_allclose(none, quick, atol=5e-3 * FULL)
+
+
 def test_chambers_share_one_pump_s_flow() -> None:
     """Alone a chamber fills at the pump's rate, three together at a third of it each; all vent at once."""
     alone = step_to(FULL, 100) * [1.0, 0.0, 0.0]
@@ -335,6 +343,27 @@ def test_a_valve_that_is_slow_above_a_pressure_vents_as_slowly_as_it_fills(valve
     assert not above[there:][low].any()
     near = np.vstack([step_to(0.5 * threshold, 100), step_to(0.0, 100)])
     np.testing.assert_array_equal(signal(replace(valve, above_share=0.3), near), near)
+
+
+@pytest.mark.parametrize("turn", [0.5, 3.0, 6.2])
+def test_a_frame_that_is_knocked_turns_on_its_way(turn: float) -> None:
+    knocked = Frame(0.0, 0.0, turn, 0.1, 0.0, 0.0, since_s=1.0, over_s=1.0)
+    tip = Rotation.from_rotvec([0.3, 0.5, 0.1]).as_quat(scalar_first=True)
+    seen = signal(knocked, np.tile(np.r_[0.03, 0.0, 0.17, tip], (250, 1)))
+    share = np.clip(DT * np.arange(1, 251) - 1.0, 0.0, 1.0)[:, None]
+    part = Rotation.from_rotvec(share * [0.0, 0.0, turn])
+    np.testing.assert_allclose(seen[:, :3], part.apply([0.03, 0.0, 0.17]) + share * [0.1 * ROBOT.length_m, 0.0, 0.0], atol=1e-12)
+    turned = part * Rotation.from_quat(tip, scalar_first=True)
+    np.testing.assert_allclose(seen[:, 3:], turned.as_quat(scalar_first=True), atol=1e-12)
+
+
+@pytest.mark.parametrize("effect", [DeadTime(1.0), Delay(1.0), GaugeLag(0.0, 1.0)], ids=lambda effect: effect.name())
+def test_a_delay_of_more_steps_than_are_remembered_is_refused(effect: Effect) -> None:
+    sites = ["gauge" if isinstance(effect, GaugeLag) else effect.site]
+    values = np.tile(np.eye(1, 7, 3), (3, 1)) if isinstance(effect, Delay) else np.zeros((3, 3))
+    with pytest.raises(ConfigError, match=r"delay_s=1 s is 10000 steps of 0.0001 s; expected at most 4094: take steps of 0.0002"):
+        SignalFilter(chain_of(ROBOT, [effect]), *sites).advance(values, 1e-4)
+    SignalFilter(chain_of(ROBOT, [effect]), *sites).advance(values, 2.5e-4)
 
 
 def test_what_is_late_above_a_pressure_arrives_late_when_it_is_vented_too() -> None:
