@@ -87,6 +87,18 @@ class Simulator(Protocol):
 
 
 @runtime_checkable
+class Hanging(Protocol):
+    """A body whose states know from which rest the effects in them see strains."""
+
+    def at_rest(self, load: Sequence[Hook]) -> Any:
+        """Return the state at rest under zero pressure, weight and ``load`` effects, where ``simulate`` begins.
+
+        No time passes for the hooks' own states, which are brought there in place. Strains count from there in every step on.
+        """
+        ...
+
+
+@runtime_checkable
 class Layered(Protocol):
     """A body whose wall is told apart in layers, which may be stiffer or softer than its model's."""
 

@@ -4,12 +4,13 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 
 from softrl.core.errors import ConfigError
 from softrl.core.identity import Same
-from softrl.core.simulator import Hook, Layered, Motion, Simulator
+from softrl.core.simulator import Hanging, Hook, Layered, Motion, Simulator
 from softrl.effects.call import pack, run_signals
 from softrl.effects.effect import SITES, Effect
 from softrl.effects.gate import hook_of
@@ -19,6 +20,8 @@ from softrl.robots.robot import Robot
 # At the valve a source comes before what fills from it: what a regulator is told, makes of that, and has at most. A valve with a
 # memory behind it fills towards what there is; before it, it would fill towards what never comes, and vent from there.
 SOURCE = ("command_map", "offset", "gain", "supply_limit")
+QUASI_STATIC_S = 1e9  # a step of this length ends at an equilibrium
+ROUNDS, STILL_M = 20, 1e-9  # of such steps, until the tip stands
 
 
 @dataclass(frozen=True)
@@ -93,6 +96,21 @@ class EffectChain:
             )
         scales = np.prod([e.layers(simulator.layers) for e in inside], axis=0)
         return _with_layers(Same(simulator), *map(float, scales))
+
+    def at_rest(self, simulator: Simulator, load: Sequence[Hook]) -> Any:
+        """Return the state from which ``simulator`` steps: at rest under the ``load`` hooks, as ``simulate`` begins.
+
+        Their states are brought there, and no time passes for them: a run's first step is the first of their clocks.
+        """
+        if isinstance(simulator, Hanging):
+            return simulator.at_rest(load)
+        state = simulator.reset()
+        for _ in range(ROUNDS if load else 0):
+            before = simulator.observe(state)[0]
+            state = simulator.step(state, np.zeros(self.robot.chambers), QUASI_STATIC_S, None, (), load)
+            if np.abs(simulator.observe(state)[0] - before).max() < STILL_M:
+                break
+        return state
 
     def filter(self, sites: Sequence[str], values: np.ndarray, dt_s: float) -> np.ndarray:
         """Return ``values`` (steps, n), one row per ``dt_s``, after the signal effects at ``sites``, from rest."""

@@ -24,14 +24,15 @@ _NONE = pack(())
 
 
 class PccState(NamedTuple):
-    """Coordinates (m,) and velocity (m,) 1/s.
+    """Coordinates (m,) and velocity (m,) 1/s, and the coordinates (m,) at rest, from which strains count.
 
     Bend to +x and +y in rad, elongation, and what the curvature loses from base to tip, of either, times the length; one chamber:
-    bend and loss of curvature in its plane.
+    bend and loss of curvature in its plane. Without a ``rest`` it is the equilibrium under gravity alone.
     """
 
     coordinates: np.ndarray
     velocity: np.ndarray
+    rest: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -241,6 +242,15 @@ class PccSimulator:
         rest = self._model.rest.copy()
         return PccState(rest, np.zeros_like(rest))
 
+    def at_rest(self, load: Sequence[Hook]) -> PccState:
+        """Return the state at rest under gravity and ``load`` effects, whose states follow; strains count from there."""
+        if not load:
+            return self.reset()
+        hooks = _NONE, pack(load)
+        rest = self._equilibrium(hooks)
+        unpack(hooks[1], load)
+        return PccState(rest, np.zeros_like(rest), rest)
+
     def step(
         self,
         state: PccState,
@@ -253,16 +263,17 @@ class PccSimulator:
         """Return the state after ``dt_s`` under ``pressure`` (chambers,) Pa and ``tip_force`` (3,) N.
 
         Several rows of both, (steps, chambers) and (steps, 3), are held for ``dt_s`` each. Strains that body effects see
-        count from the equilibrium under gravity alone.
+        count from the state's own rest.
         """
         y, velocity = state.coordinates.copy(), state.velocity.copy()
         held = np.array(pressure, dtype=float).reshape(-1, self.robot.chambers)
         force = np.zeros((len(held), 3)) if tip_force is None else np.array(tip_force, dtype=float).reshape(-1, 3)
         hooks = pack(body), pack(load)
-        self._run(y, velocity, float(dt_s), held, force, self._model, hooks)
+        model = self._model if state.rest is None else self._model._replace(rest=state.rest)
+        self._run(y, velocity, float(dt_s), held, force, model, hooks)
         unpack(hooks[0], body)
         unpack(hooks[1], load)
-        return PccState(y, velocity)
+        return PccState(y, velocity, state.rest)
 
     def observe(self, state: PccState) -> tuple[np.ndarray, np.ndarray]:
         """Return tip position (3,) m and quaternion (4,) w x y z."""

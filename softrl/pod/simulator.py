@@ -30,13 +30,15 @@ class RomState(NamedTuple):
     """Coordinates z (n + 3,), chambers' volumes then tip relative to stress-free rest, m^3 and m; their velocity.
 
     ``inner`` (2, 6) is how far the body's inside gives beyond what weight makes it give, and its rate, see ``pod.step.inside``.
-    ``gravity`` m/s^2 is that which acted last, as effects may have turned it: by it the tip turns.
+    ``gravity`` m/s^2 is that which acted last, as effects may have turned it: by it the tip turns. ``rest`` (n + 3,) are the
+    coordinates from which strains count; without it, those under weight alone.
     """
 
     coordinates: np.ndarray
     velocity: np.ndarray
     inner: np.ndarray
     gravity: tuple[float, ...]
+    rest: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -177,6 +179,18 @@ class RomSimulator:
         z = self.reduced_model.frame @ self._rest
         return RomState(z, np.zeros_like(z), STILL.copy(), self.robot.gravity_m_s2)
 
+    def at_rest(self, load: Sequence[Hook]) -> RomState:
+        """Return the state at rest under weight and ``load`` effects, whose states follow; strains count from there."""
+        if not load:
+            return self.reset()
+        hooks = NO_HOOKS[0], pack(load)
+        rest = self._equilibrium(hooks)
+        moving, none = (rest.copy(), np.zeros(len(rest)), STILL.copy()), np.zeros((1, len(rest)))
+        _, _, felt = self._run(*moving, rest, QUASI_STATIC_S, none, hooks, 0, what="equilibria")
+        unpack(hooks[1], load)
+        z = self.reduced_model.frame @ rest
+        return RomState(z, np.zeros_like(z), STILL.copy(), felt, z)
+
     def step(
         self,
         state: RomState,
@@ -189,17 +203,18 @@ class RomSimulator:
         """Return the state after ``dt_s`` under ``pressure`` (n,) Pa and ``tip_force`` (3,) N.
 
         Several rows of both, (steps, n) and (steps, 3), are held for ``dt_s`` each. Strains that body effects see count
-        from the equilibrium under weight alone.
+        from the state's own rest.
         """
         tables = self._tables
         y, velocity = (tables.inverse @ part for part in state[:2])
         inner = state.inner.copy()
         held = self._loads(pressure, tip_force)
         hooks = pack(body), pack(load)
-        _, _, felt = self._run(y, velocity, inner, self._rest, float(dt_s), held, hooks, 0)
+        rest = self._rest if state.rest is None else tables.inverse @ state.rest
+        _, _, felt = self._run(y, velocity, inner, rest, float(dt_s), held, hooks, 0)
         unpack(hooks[0], body)
         unpack(hooks[1], load)
-        return RomState(*(tables.frame @ part for part in (y, velocity)), inner, felt)
+        return RomState(*(tables.frame @ part for part in (y, velocity)), inner, felt, state.rest)
 
     def observe(self, state: RomState) -> tuple[np.ndarray, np.ndarray]:
         """Return tip position (3,) m and quaternion (4,) w x y z."""

@@ -12,7 +12,6 @@ from softrl.rl.filter import MovingAverage
 from softrl.rl.inversion import Route
 
 FAST = RomSimulator | PccSimulator  # they go over many steps in one call
-SETTLE_S = 5.0  # in which a robot that carries something comes to rest before it is switched on
 
 
 class _Moment(NamedTuple):
@@ -40,12 +39,8 @@ class Run:
         self._sensed = any(effect.channel == "pose" for effect in self._chain.at("sensor"))
         self._average = MovingAverage(route.average_window)
         self._sent = np.zeros(route.robot.chambers)
-        self._force: np.ndarray | None = None
-        self._state = self._body.reset()
         self._hooks = self._chain.hooks("body"), self._chain.hooks("load")
-        if self._hooks[1]:
-            self._state = self._go(np.zeros((round(SETTLE_S / route.step_s), route.robot.chambers)))
-            self._hooks = self._chain.hooks("body"), self._hooks[1]
+        self._state = self._chain.at_rest(self._body, self._hooks[1])
         self._force = None if tip_force is None else np.asarray(tip_force, dtype=float)
         self.tip = self._held(np.tile(self._sent, (route.hold, 1)))
         self._before: tuple[_Moment, np.ndarray] | None = None

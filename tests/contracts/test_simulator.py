@@ -13,10 +13,12 @@ import yaml
 
 from softrl.core.config import build, build_target
 from softrl.core.errors import ConfigError
-from softrl.core.simulator import Hook, Motion, Simulator
+from softrl.core.simulator import Hanging, Hook, Motion, Simulator
 from softrl.effects.chain import chain_of
 from softrl.effects.hysteresis import Hysteresis
+from softrl.effects.mount_tilt import MountTilt
 from softrl.effects.payload import Payload
+from softrl.effects.strain_stiffening import StrainStiffening
 from softrl.effects.tether import Tether
 from softrl.effects.viscoelasticity import Viscoelasticity
 from softrl.fem.simulator import FemSimulator
@@ -134,6 +136,29 @@ def test_it_comes_to_rest_under_a_load_where_the_simulation_starts(case: tuple[R
     sag = np.abs(start.position[0] - simulator.observe(simulator.reset())[0]).max()
     assert sag > 1e-5
     np.testing.assert_allclose(simulator.observe(state)[0], start.position[0], atol=0.02 * sag)
+
+
+def test_it_steps_from_rest_under_a_load_as_it_simulates(case: tuple[Robot, Simulator]) -> None:
+    """The wall sees strains from where it hangs, in both, and creeps nowhere before a pressure acts."""
+    robot, simulator = case
+    time, pressure = program(robot)
+    pressure[:20] = 0.0
+    pull = Tether(stiffness_n_per_m=30.0, offset_x=0.2, offset_y=-0.2, since_s=0.4, over_s=0.1)
+    load = [MountTilt(0.3, -0.2), Payload(0.2), pull]
+    wall = [StrainStiffening(2.0), Viscoelasticity(0.4, 0.3, 0.0, 1.0)] if isinstance(simulator, Hanging) else []
+    effects, poses = chain_of(robot, [*load, *wall]), []
+    whole = simulator.simulate(time, pressure, None, effects.hooks("body"), effects.hooks("load"))
+    body, on_tip = effects.hooks("body"), effects.hooks("load")
+    state = effects.at_rest(simulator, on_tip)
+    rest = simulator.observe(state)
+    for row in pressure:
+        state = simulator.step(state, row, DT_S, None, body, on_tip)
+        poses.append(simulator.observe(state))
+    position, quaternion = (np.stack(values) for values in zip(*poses, strict=True))
+    np.testing.assert_allclose(position, whole.position, atol=2e-8)
+    np.testing.assert_allclose(quaternion, whole.quaternion, atol=1e-6)
+    np.testing.assert_allclose(position[:20], np.tile(rest[0], (20, 1)), atol=1e-6)
+    np.testing.assert_allclose(quaternion[0], rest[1], atol=1e-4)
 
 
 def test_it_rests_under_zero_pressure(case: tuple[Robot, Simulator]) -> None:

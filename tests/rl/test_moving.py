@@ -11,10 +11,13 @@ import yaml
 from softrl.artifacts.surrogate import Surrogate
 from softrl.core.config import build_target
 from softrl.core.errors import ConfigError
+from softrl.effects.base_tilt import BaseTilt
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.delay import Delay
 from softrl.effects.effect import Effect
 from softrl.effects.lag import Lag
+from softrl.effects.payload import Payload
+from softrl.effects.strain_softening import StrainSoftening
 from softrl.effects.viscoelasticity import Viscoelasticity
 from softrl.pcc.simulator import PccSimulator
 from softrl.rl import stage
@@ -69,6 +72,25 @@ def test_step_by_step_it_goes_where_the_whole_sequence_goes(
             request = request[:3]
         stepped = np.stack([run.advance(row) for row in request])
         np.testing.assert_allclose(stepped, route.predict(request, force), atol=2e-7)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        (Payload(0.3), Viscoelasticity(0.8, 1.2, 0.0, 20.0)),
+        (Payload(0.3, since_s=1.5, over_s=0.1),),
+        (BaseTilt(0.3, 0.0, since_s=1.5, over_s=0.1), StrainSoftening(3.0)),
+    ],
+    ids=["creeping under it", "put on later", "both halves of a tilt"],
+)
+def test_what_loads_it_acts_from_its_time_on_and_walls_count_from_where_it_hangs(
+    robot: Robot, body: PccSimulator, effects: tuple[Effect, ...]
+) -> None:
+    leaning = replace(robot, gravity_m_s2=(3.0, 0.0, 9.3))
+    route = route_of(leaning, replace(body, robot=leaning), *effects)
+    request = np.random.default_rng(0).uniform(0.0, 20e3, (6, robot.chambers))
+    run = Run(route)
+    np.testing.assert_allclose(np.stack([run.advance(row) for row in request]), route.predict(request), atol=2e-7)
 
 
 class OneStepAtATime:

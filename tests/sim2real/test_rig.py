@@ -11,6 +11,10 @@ from softrl.core.simulator import Simulator
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.effect import Effect
 from softrl.effects.lag import Lag
+from softrl.effects.mount_tilt import MountTilt
+from softrl.effects.payload import Payload
+from softrl.effects.stiffness_scale import StiffnessScale
+from softrl.effects.viscoelasticity import Viscoelasticity
 from softrl.robots.robot import Robot
 from softrl.sim2real.drivers.rig import Hardware, Noise, Rig, Sensors, sample_of, turned
 
@@ -41,6 +45,20 @@ def test_with_effects_it_is_the_plant_at_its_own_rate(body: Simulator, tripod: R
     fine = Plant(body, chain_of(tripod, [lag])).simulate(0.0025 * np.arange(1, 601), np.tile(LEVEL, (600, 1)))
     rig = Rig(hardware(body, tripod, silence, lag), SEED)
     np.testing.assert_allclose(positions(rig), fine.position[3::4], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [(Payload(0.3), StiffnessScale(2.0)), (MountTilt(0.3, 0.0), Viscoelasticity(1.0, 2.0, 0.0, 20.0)),
+     (Payload(0.3, since_s=0.5, over_s=0.1),)],
+    ids=["stiffer", "creeping", "later"],
+)  # fmt: skip
+def test_a_loaded_rig_begins_where_its_plant_does(
+    body: Simulator, tripod: Robot, silence: Noise, effects: tuple[Effect, ...]
+) -> None:
+    alone = replace(hardware(body, tripod, silence, *effects), physics_rate_hz=100.0)
+    motion = Plant(body, chain_of(tripod, effects)).simulate(0.01 * np.arange(1, 151), np.tile(LEVEL, (150, 1)))
+    np.testing.assert_allclose(positions(Rig(alone, SEED)), motion.position, atol=2e-8)
 
 
 def test_hidden_effects_change_the_motion(body: Simulator, tripod: Robot, silence: Noise) -> None:

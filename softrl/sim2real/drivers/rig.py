@@ -20,7 +20,6 @@ from softrl.effects.chain import EffectChain, SignalFilter
 from softrl.sim2real.surface import Surface, force_on_tip
 
 log = logging.getLogger(__name__)
-SETTLE_S = 5.0
 LINE_S = 0.05  # in which a line that is pulled off or put on comes to its pressure
 
 
@@ -125,7 +124,7 @@ class Rig:
 
     def __init__(self, hardware: Hardware, seed: Sequence[int], surface: Surface | None = None) -> None:
         rng = np.random.default_rng(seed)
-        hidden = self._hidden = hardware.hidden
+        hidden = hardware.hidden
         self._body = hidden.body(hardware.body)
         self._substeps = round(hardware.physics_rate_hz / hardware.rate_hz)
         self._period_s = 1.0 / hardware.rate_hz
@@ -135,28 +134,15 @@ class Rig:
         self._sensors = Sensors(hardware.noise, hidden.robot.chambers, self._period_s, rng)
         self._setpoint = np.zeros(hidden.robot.chambers)
         self._ticks = self._silent_ticks = 0
-        # under its loads the robot hangs elsewhere than without; it has come to rest before it is switched on
-        self._state = self._body.reset(rng)
         self._robot, self._surface = hidden.robot, surface
         self._line, self._line_goal = np.ones(hidden.robot.chambers), np.ones(hidden.robot.chambers)
-        self._hook()
-        self._settle(SETTLE_S if self._load_hooks else self._period_s)
-        touched = self._load_hooks[-1].state.copy() if surface is not None else None
-        self._hook()
-        if surface is not None:
-            self._load_hooks[-1].state[:] = touched
-
-    def _hook(self) -> None:
-        """Make fresh hooks; the surface's is the last of those that load the tip."""
-        hidden = self._hidden
         self._body_hooks, self._load_hooks = hidden.hooks("body"), hidden.hooks("load")
-        if self._surface is not None:
-            self._load_hooks += EffectChain(hidden.robot, (self._surface,)).hooks("load")
-
-    def _settle(self, duration_s: float) -> None:
-        dt_s = self._period_s / self._substeps
-        for _ in range(round(duration_s / dt_s)):
-            self._step(np.zeros_like(self._setpoint), dt_s)
+        if surface is not None:  # its hook is the last of those that load the tip
+            self._load_hooks += EffectChain(hidden.robot, (surface,)).hooks("load")
+        # under its loads the robot hangs elsewhere than without; it has come to rest before it is switched on
+        self._state = hidden.at_rest(self._body, self._load_hooks)
+        # what takes long at a first step only is done before it is switched on, too
+        self._body.observe(self._body.step(self._state, self._setpoint, self._period_s / self._substeps))
 
     def _step(self, acting: np.ndarray, dt_s: float) -> None:
         self._state = self._body.step(self._state, acting, dt_s, None, body=self._body_hooks, load=self._load_hooks)
