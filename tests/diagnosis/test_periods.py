@@ -53,7 +53,10 @@ def test_one_chamber_alone_may_change_with_a_day() -> None:
     offered = in_some_sessions(["gain"], training, heldout, list("abcdef"), [0, 2])
     assert {choice.chamber for choice in offered} == {0, 2}
     assert {choice.sessions for choice in offered} == {("c", "d", "e", "f"), ("a", "b", "c")}, "to the last one, too"
-    assert in_some_sessions(["gain"], training, heldout, list("abcdef"), [1]) == [], "the only chamber is retuned"
+    alone = in_some_sessions(["gain"], training, heldout, list("abcdef"), [1])
+    assert {choice.chamber for choice in alone} == {-1}, "of the only chamber all that it weighs tells gain from stiffness"
+    assert {choice.sessions for choice in alone} == {("c", "d", "e", "f"), ("a", "b", "c")}
+    assert in_some_sessions(["gain"], training, heldout, list("abcdef"), []) == []
 
 
 def test_gauges_show_what_a_regulator_did_in_some_sessions_alone() -> None:

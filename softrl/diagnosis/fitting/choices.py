@@ -57,8 +57,8 @@ def in_some_sessions(
     """Return the effects out of ``names`` that may act in some sessions alone, for all periods that can show them.
 
     Of periods that act in the same fitted runs the longest is offered; see ``alike`` for the others. What acts in one chamber is
-    offered for each that was ``excited``, if there are several. ``gauges_only`` says that measured pressures are what is
-    compared: what a regulator does, in one chamber or in all, shows there alone.
+    offered for each that was ``excited``; where that is one alone, for all. ``gauges_only`` says that measured pressures are
+    what is compared: what a regulator does, in one chamber or in all, shows there alone.
 
     Parameters
     ----------
@@ -67,9 +67,11 @@ def in_some_sessions(
     order : sessions in the order of recording
     """
     alone = [Choice(name, before_gauge=gauges_only) for name in names if name in ALONE_BY_SESSION]
-    forms = alone if gauges_only else [Choice(name) for name in names if name in BY_SESSION]
+    forms = [] if gauges_only else [Choice(name) for name in names if name in BY_SESSION]
+    if gauges_only or len(excited) == 1:
+        forms += alone
     if len(excited) > 1:
-        forms = forms + [form._replace(chamber=chamber) for form in alone for chamber in excited]
+        forms += [form._replace(chamber=chamber) for form in alone for chamber in excited]
     found: dict[tuple[Choice, frozenset[str]], Choice] = {}
     for form in forms:
         for period in _periods_of(form, order):
