@@ -9,6 +9,7 @@ from scipy.stats import chi2
 from softrl.recordings.frame import axis_vector
 from softrl.recordings.marked import DISTURBED, OUTSIDE, without
 from softrl.recordings.recording import Recording, RecordingSet
+from softrl.recordings.scale import UNIT_FACTOR, scale_of
 from softrl.recordings.validate import SLOW_S
 from softrl.robots.robot import Robot
 
@@ -110,6 +111,7 @@ def check_run(recording: Recording, robot: Robot) -> RunCheck:
         *_sampling_warnings(gaps, period, float(np.ptp(recording.time))),
         *_excitation_warnings(excited, robot),
         *_held_warnings(held),
+        *_scale_warnings(recording, robot),
         *_clipping_warnings(recording),
         *jumped,
         *([misplaced] if misplaced else []),
@@ -271,6 +273,18 @@ def _held_warnings(held: dict[str, float]) -> Iterator[str]:
     for channel, share in held.items():
         if share > 0.3:
             yield f"{channel} repeats its last value in {share:.0%} of the samples: the sensor is slower"
+
+
+def _scale_warnings(recording: Recording, robot: Robot) -> Iterator[str]:
+    if recording.pressure_meas is None or robot.command != "pressure":
+        return
+    for i, (command, measured) in enumerate(zip(recording.pressure_cmd.T, recording.pressure_meas.T, strict=True)):
+        scale = scale_of(command, measured, robot)
+        if not 1.0 / UNIT_FACTOR < scale < UNIT_FACTOR:
+            yield (
+                f"the measured pressure of chamber {i + 1} follows its command but is {scale:.3g} times as large: "
+                "a hose or a regulator that is not sound, or a wrong unit of its column?"
+            )
 
 
 def _clipping_warnings(recording: Recording) -> Iterator[str]:

@@ -11,6 +11,7 @@ from softrl.effects.chain import Plant, chain_of
 from softrl.effects.library import effect_class
 from softrl.effects.replay import replay
 from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.check import check_run
 from softrl.recordings.recording import Recording
 from tests.diagnosis.conftest import made
 
@@ -69,6 +70,8 @@ def told(body: PccSimulator, runs: tuple[Recording, ...]) -> str | None:
         (early, "the motion comes before"),
         (lambda r: measured(r, lambda p: columns(p, [1, 0, 2])), "follows the command of chamber"),
         (lambda r: measured(r, lambda p: p / 6.895), "a wrong unit"),
+        (lambda r: measured(r, lambda p: 6.895 * p), "a wrong unit"),
+        (lambda r: measured(r, lambda p: p * [1.0, 0.01, 1.0]), "chamber 2 follows its command but is 0.00"),
         (lambda r: moved(r, lambda tip: columns(tip, [1, 0, 2])), "mirror image"),
         (lambda r: moved(r, lambda tip: columns(tip, [2, 1, 0])), "mirror image"),
         (lambda r: moved(r, lambda tip: tip * [1.0, 1.0, -1.0]), "mirror image"),
@@ -98,6 +101,27 @@ def test_chambers_in_a_ring_behind_slow_regulators_are_not_exchanged(body: PccSi
     steps = replace(run, pressure_cmd=level.repeat(200, axis=0)[:1500])
     exchanged = measured(replay(Plant(body, chain_of(body.robot, slow)), steps, 0.01), lambda p: columns(p, [1, 0, 2]))
     assert "follows the command of chamber" in str(told(body, (ring, exchanged)))
+
+
+def behind(body: PccSimulator, name: str, **parameters: float) -> Recording:
+    """Return 30 s of chambers that are filled ever faster, each by its own clock, and what they do behind an effect."""
+    time = 0.02 * np.arange(1500)
+    run = Recording("run", "day", time, body.robot.pressure_max_pa * ((time[:, None] / [5.0, 7.0, 9.0]) % 1.0) ** 2)
+    return replay(Plant(body, chain_of(body.robot, (effect_class(name)(**parameters),))), run, 0.01)
+
+
+def test_a_hose_that_gives_too_little_is_no_other_unit_but_warned_of(body: PccSimulator) -> None:
+    run = behind(body, "gain", gain=0.3, chamber=0, before_gauge=True)
+    assert told(body, (run,)) is None
+    warned = [line for line in check_run(run, body.robot).warnings if "times as large" in line]
+    assert len(warned) == 1 and "chamber 1 follows its command but is 0.3 times" in warned[0]
+
+
+def test_a_supply_that_gives_too_little_is_no_other_unit(body: PccSimulator) -> None:
+    """It bends the line, whose lower half is sound."""
+    run = behind(body, "supply_limit", ceiling=0.25, floor=1.0)
+    assert told(body, (run,)) is None
+    assert not any("times as large" in line for line in check_run(run, body.robot).warnings)
 
 
 @pytest.mark.parametrize(

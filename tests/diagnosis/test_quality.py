@@ -8,8 +8,10 @@ import pytest
 
 from softrl.core.config import build
 from softrl.core.tracking import NullTracker
-from softrl.diagnosis.checks.quality import unusable
+from softrl.diagnosis.checks.quality import mixed, unusable
 from softrl.diagnosis.stage import run
+from softrl.effects.chain import Plant, chain_of
+from softrl.effects.replay import replay
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.check import check_run
 from softrl.recordings.recording import Recording, RecordingSet
@@ -50,10 +52,10 @@ def in_metres(r: Recording) -> Recording:
     return replace(r, position=1e-3 * r.position)
 
 
-def another_robot(r: Recording) -> Recording:
+def another_robot(r: Recording, share: float = 6.0) -> Recording:
     assert r.position is not None
     rest = r.position[0]
-    return replace(r, position=rest + (6.0 if r.name == "run_1" else 1.0) * (r.position - rest))
+    return replace(r, position=rest + (share if r.name == "run_1" else 1.0) * (r.position - rest))
 
 
 @pytest.mark.parametrize(
@@ -92,6 +94,17 @@ def test_a_chamber_at_rest_is_not_clipped(body: PccSimulator) -> None:
     assert any("pressure_meas[0] is at its maximum" in warning for warning in check_run(limited, robot).warnings)
     stuck = replace(limited, position=np.minimum(np.asarray(plain.position), np.median(tip, axis=0) + 5e-4))
     assert "position[0] sits at its largest" in str(unusable([stuck], robot))
+
+
+@pytest.mark.parametrize(("same", "share", "refused"), [(True, 0.2, True), (False, 0.2, False), (False, 0.05, True)])
+def test_a_loose_hose_in_the_chamber_of_one_session_is_no_other_robot(
+    body: PccSimulator, good: RecordingSet, same: bool, share: float, refused: bool
+) -> None:
+    """Sessions that drive the same chambers are compared, others only where a gain could not explain it."""
+    alone = [replace(r, pressure_cmd=r.pressure_cmd * np.eye(3)[0 if same else k]) for k, r in enumerate(good.recordings)]
+    made = [replay(Plant(body, chain_of(body.robot, ())), run, 0.01) for run in alone]
+    loose = another_robot(made[1], share)
+    assert (mixed([made[0], loose, *made[2:]], made, body.robot) is not None) == refused
 
 
 def test_a_rest_between_poses_is_not_clipped() -> None:

@@ -8,12 +8,13 @@ from scipy.spatial.transform import Rotation
 from softrl.recordings.check import EXCITED_SHARE
 from softrl.recordings.frame import axis_vector, rotate
 from softrl.recordings.recording import Recording
+from softrl.recordings.scale import FOLLOWS, MIN_SHARE, UNIT_FACTOR, correlation, scale_of
 from softrl.robots.robot import Robot
 
 STEP_S = 0.05  # of the even times on which channels are compared
-MIN_SHARE = 0.1  # of the pressure range, or of the largest motion of any run: less says nothing
-FOLLOWS, FOREIGN = 0.8, 0.5  # correlation of a pressure with the command that it follows, and with one that it does not
-UNIT_FACTOR = 3.0  # by which a measured pressure may differ from the command that it follows, and a tip from its model
+FOREIGN = 0.5  # correlation of a pressure with a command that it does not follow
+PSI, LAGGING = 6.89, FOLLOWS**2  # kPa, and no unit is nearer; what lags moves less than what it follows, by so much at most
+NO_GAIN = 15.0  # another size than this no regulator has
 TURNED_RAD = 0.7  # a tip at rest this far off the robot's axis is told in a turned frame
 EXPLAINED = 0.5  # share of the sideways motion that a mirror image must explain to be one
 MIRROR_GAIN = 0.3  # by which it must explain more than the motion itself, in every turn of the frame
@@ -45,7 +46,7 @@ def _exchanged(runs: Sequence[Recording], robot: Robot) -> str | None:
     """
     for run, cmd, meas in _pressures(runs, robot):
         moved = np.flatnonzero(np.ptp(cmd, axis=0) > MIN_SHARE * (robot.pressure_max_pa - robot.pressure_min_pa))
-        alike = np.array([[_correlation(meas[:, i], cmd[:, j]) for j in moved] for i in moved])
+        alike = np.array([[correlation(meas[:, i], cmd[:, j]) for j in moved] for i in moved])
         for i, row in enumerate(alike):
             j = int(np.argmax(row))
             if row[j] > FOLLOWS and row[i] < FOREIGN:
@@ -62,25 +63,31 @@ def _exchanged(runs: Sequence[Recording], robot: Robot) -> str | None:
 def _delayed(cause: np.ndarray, effect: np.ndarray) -> float:
     """Return the correlation of ``effect`` (steps,) with ``cause`` (steps,), delayed as suits best, by up to ``LONGEST_S``."""
     delays = range(min(round(LONGEST_S / STEP_S) + 1, len(cause) // 2))
-    return max(_correlation(cause[: len(cause) - k], effect[k:]) for k in delays)
+    return max(correlation(cause[: len(cause) - k], effect[k:]) for k in delays)
 
 
 def _unlike(runs: Sequence[Recording], robot: Robot) -> str | None:
-    """Return by how much a measured pressure that follows its command differs from it in size."""
+    """Return by how much measured pressures that follow their commands differ from them in size, as another unit does.
+
+    That is in all chambers alike. What is wrong in one chamber alone may be its hose or regulator, unless it is beyond either.
+    """
     if robot.command != "pressure":
         return None
     pairs = [pair[1:] for pair in _pressures(runs, robot)]
+    scales = {}
     for chamber in range(robot.chambers if pairs else 0):
         x, y = (np.concatenate([pair[side][:, chamber] for pair in pairs]) for side in (0, 1))
-        if np.ptp(x) < MIN_SHARE * (robot.pressure_max_pa - robot.pressure_min_pa) or _correlation(x, y) < FOLLOWS:
-            continue
-        slope = float(np.polyfit(x, y, 1)[0])
-        if not 1.0 / UNIT_FACTOR < slope < UNIT_FACTOR:
-            return (
-                f"the measured pressure of chamber {chamber + 1} follows its command but is {slope:.3g} times as large: "
-                "a wrong unit of one of them (psi is 6.89 kPa, bar 100 kPa)?"
-            )
-    return None
+        if np.ptp(x) >= MIN_SHARE * (robot.pressure_max_pa - robot.pressure_min_pa) and correlation(x, y) >= FOLLOWS:
+            scales[chamber] = scale_of(x, y, robot)
+    far = {c: scale for c, scale in scales.items() if not 1.0 / NO_GAIN < scale < NO_GAIN}
+    least, most = min(scales.values(), default=1.0), max(scales.values(), default=1.0)
+    if not far and most > 1.1 / PSI and least < LAGGING * PSI:
+        return None
+    chamber, scale = next(iter((far or scales).items()))
+    return (
+        f"the measured pressure of chamber {chamber + 1} follows its command but is {scale:.3g} times as large: "
+        "a wrong unit of one of them (psi is 6.89 kPa, bar 100 kPa)?"
+    )
 
 
 def _early(runs: Sequence[Recording], simulated: Sequence[Recording], robot: Robot) -> str | None:
@@ -162,13 +169,13 @@ def _opposed(runs: Sequence[Recording], simulated: Sequence[Recording], robot: R
         seen, made = (np.concatenate([_motion(run, robot)[:, 0] for run in side]) for side in zip(*pairs, strict=True))
         if np.std(made) < driven:
             continue
-        alike, place = _correlation(seen, made), f"session {where}: " if where else ""
+        alike, place = correlation(seen, made), f"session {where}: " if where else ""
         if alike < -OPPOSED:
             return (
                 f"{place}the angle falls where pressure bends the tip (correlation {alike:.2f} with what is simulated): expected "
                 "positive there; change its sign, or robot.chamber_angle_deg"
             )
-        if _correlation(seen, np.abs(made)) > max(OPPOSED, alike + MIRROR_GAIN):
+        if correlation(seen, np.abs(made)) > max(OPPOSED, alike + MIRROR_GAIN):
             return (
                 f"{place}the angle has no sign, though pressures bend the tip both ways: expected positive where pressure in "
                 "chamber 1 bends it, and negative the other way"
@@ -244,8 +251,3 @@ def _motion(run: Recording, robot: Robot) -> np.ndarray:
     if robot.output == "bend_angle":
         return np.asarray(run.bend_angle)[:, None]
     return np.asarray(run.position)
-
-
-def _correlation(a: np.ndarray, b: np.ndarray) -> float:
-    a, b = a - a.mean(), b - b.mean()
-    return float(a @ b / max(float(np.sqrt((a @ a) * (b @ b))), 1e-300))

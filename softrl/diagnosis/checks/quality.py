@@ -16,7 +16,8 @@ MIN_PRESSURE_SHARE = 1.0 / 200.0
 MAX_TRAVEL = 5.0  # lengths of the robot
 MIN_TRAVEL = 1e-3
 MAX_TURN_RAD = 4.0 * np.pi
-MIXED_FACTOR = 3.0  # by which two sessions may differ in their response to the same pressures
+MIXED_FACTOR = 3.0  # by which two sessions may differ in their response to pressures in the same chambers
+HOSE_FACTOR = 10.0  # and to pressures in others: one chamber may have a loose hose
 
 
 def unusable(runs: Sequence[Recording], robot: Robot) -> str | None:
@@ -56,22 +57,25 @@ def torn(
 
 
 def mixed(runs: Sequence[Recording], simulated: Sequence[Recording], robot: Robot) -> str | None:
-    """Return why ``runs`` cannot be of one robot: sessions that respond to pressure much more than others; or None."""
-    scales = {}
+    """Return why ``runs`` cannot be of one robot: sessions that respond to pressure much more than others; or None.
+
+    Where sessions drive other chambers, one chamber may do less than the others without being another robot's.
+    """
+    scales, chambers = {}, {}
     for session in dict.fromkeys(run.session for run in runs):
         mine = [k for k, run in enumerate(runs) if run.session == session]
         size = [_size(np.concatenate([_motion(side[k], robot) for k in mine])) for side in (runs, simulated)]
         if min(size) > MIN_TRAVEL * robot.length_m:  # a session at rest has no size
-            scales[session] = size[0] / size[1]
-    if len(scales) < 2:
-        return None
-    most, least = max(scales, key=lambda s: scales[s]), min(scales, key=lambda s: scales[s])
-    if scales[most] <= MIXED_FACTOR * scales[least]:
-        return None
-    return (
-        f"session {most} moves {scales[most]:.3g} times as far as the simulator and session {least} "
-        f"{scales[least]:.3g} times, which no one robot does: mixed robots, or mixed units"
-    )
+            scales[session], chambers[session] = size[0] / size[1], driven([runs[k] for k in mine], robot)
+    groups = [([s for s in scales if chambers[s] == some], MIXED_FACTOR) for some in dict.fromkeys(chambers.values())]
+    for sessions, factor in (*groups, (list(scales), HOSE_FACTOR)):
+        ordered = sorted(sessions, key=lambda s: scales[s])
+        if len(ordered) > 1 and scales[ordered[-1]] > factor * scales[ordered[0]]:
+            return (
+                f"session {ordered[-1]} moves {scales[ordered[-1]]:.3g} times as far as the simulator and session {ordered[0]} "
+                f"{scales[ordered[0]]:.3g} times, which no one robot does: mixed robots, or mixed units"
+            )
+    return None
 
 
 def _clipped(runs: Sequence[Recording]) -> str | None:
