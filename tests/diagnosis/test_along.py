@@ -40,9 +40,9 @@ def bent(shape: np.ndarray, length_m: float, softer: np.ndarray) -> list[np.ndar
     return [points[:, end] + (0.0 if end == 299 else beside[:, end]) for end in (99, 199, 299)]
 
 
-def recorded(body: PccSimulator, softer: list[float], seed: int = 1) -> Problem:
+def recorded(body: PccSimulator, softer: list[float], seed: int = 1, count: int = 2) -> Problem:
     rng, runs = np.random.default_rng(seed), []
-    for number in range(2):
+    for number in range(count):
         time, pressure = programs(body.robot, rng, 0.02)
         pressure[:25] = 0.0
         made = replay(Plant(body, chain_of(body.robot, ())), Recording(f"run{number}", "day", time, pressure), 0.01)
@@ -72,7 +72,7 @@ def shape_of(body: PccSimulator, state: PccState) -> np.ndarray:
 def test_the_piece_that_bends_otherwise_is_found(body: PccSimulator, piece: int, factor: float) -> None:
     softer = [1.0, 1.0, 1.0]
     softer[piece] = factor
-    found = along_the_body(recorded(body, softer), BARE, "motion")
+    found = along_the_body(recorded(body, softer, count=3), BARE, "motion")
     assert len(found) == 3
     assert found[piece].effect_size > 0.6 and found[piece].p_value < 1e-6, found
     assert ("more" if factor > 1.0 else "less") in str(found[piece].region)

@@ -41,19 +41,26 @@ def slope_test(target: np.ndarray, regressor: np.ndarray, blocks: np.ndarray) ->
 
     Notes
     -----
-    Least-squares slope with a covariance clustered by blocks and Student's t with blocks - 2 degrees of freedom, so
-    that samples of one block may depend on each other in any way.
+    Least-squares slope with a covariance clustered by blocks, so that samples of one block may depend on each other in any
+    way. Of a regressor that moves in a few blocks only these tell alone, and the slope follows them: each block's score is
+    scaled by ``1 / sqrt(1 - h)``, h its share of the regressor's power, and Student's t has the degrees of freedom of that
+    (Bell and McCaffrey, Survey Methodology 28, 2002, of one regressor; derived here, no equation number checked), less one
+    for the mean: blocks - 2 where all tell alike. Fewer than ``MIN_BLOCKS`` blocks as effective as equal ones say nothing.
     """
     x, y = regressor - regressor.mean(), target - target.mean()
     blocks = np.unique(blocks, return_inverse=True)[1]
-    count = int(blocks.max()) + 1
     power = float(x @ x)
-    if count < MIN_BLOCKS or power <= 0.0 or not y.any():
+    if power <= 0.0 or not y.any():
         return 0.0, 1.0
-    slope = float(x @ y) / power
-    score = block_sums(x * (y - slope * x), blocks)
-    spread = np.sqrt(count / (count - 1) * float(score @ score)) / power
-    p_value = float(2.0 * stats.t.sf(abs(slope) / max(spread, 1e-300), count - 2))
+    share = block_sums(x**2, blocks) / power
+    if float(share @ share) > 1.0 / MIN_BLOCKS:
+        return 0.0, 1.0
+    slope, rest = float(x @ y) / power, 1.0 - share
+    score = block_sums(x * (y - slope * x), blocks) / np.sqrt(rest)
+    spread = float(np.linalg.norm(score)) / power
+    pull = share**2 / rest  # of the slope, which each block has a part in, on the others' scores
+    freedom = 1.0 / float(share @ share + pull.sum() ** 2 - pull @ pull) - 1.0
+    p_value = float(2.0 * stats.t.sf(abs(slope) / max(spread, 1e-300), freedom))
     return slope * float(np.sqrt(power / (y @ y))), p_value
 
 
