@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import PORT_KERNEL, Effect, multiply_body, parameter
+from softrl.effects.effect import ANY_MOMENT_S, PORT_KERNEL, Effect, multiply_body, parameter
 from softrl.robots.robot import Robot
 
 LONG_S = 1e6  # after which it levels off no more within any recording
@@ -46,7 +46,7 @@ class Drift(Effect):
     lasts: ClassVar[bool] = True
 
     rate_per_s: float = parameter("1/s", -0.05, 0.05, 0.0, typical=0.003)
-    onset_s: float = parameter("s", 0.0, 3.6e4, 0.0, typical=0.0, default=0.0, scale=60.0)
+    onset_s: float = parameter("s", 0.0, ANY_MOMENT_S, 0.0, typical=0.0, default=0.0, scale=60.0)
     levels_s: float = parameter("s", 1.0, LONG_S, LONG_S, typical=LONG_S, default=LONG_S, log=True)
     chamber: int = -1
 

@@ -31,6 +31,7 @@ _matrix = nb.types.Array(nb.float64, 2, "C")
 SIGNAL_KERNEL = nb.void(_vector, _vector, _vector, nb.float64)
 PORT_KERNEL = nb.void(_vector, _vector, _matrix, nb.float64, nb.boolean)
 
+ANY_MOMENT_S = 3.2e7  # a year: what goes on from run to run may begin after as long a pause, and no recordings take longer
 EVERYWHERE = -1.0  # as ``above_share``: no pressure is below it
 TURN = 2.0 * math.pi  # rad, either way: bounds of a direction, so that a search may pass where it would jump
 
@@ -202,7 +203,7 @@ class Effect:
 
     above_share: float = dataclasses.field(default=EVERYWHERE, kw_only=True, metadata=_gate("1", EVERYWHERE, 1.0, 0.3))
     over_s: float = dataclasses.field(default=1.0, kw_only=True, metadata=_gate("s", 0.05, 20.0, 1.0, log=True))
-    since_s: float = dataclasses.field(default=0.0, kw_only=True, metadata=_gate("s", 0.0, 3.6e4, 10.0))
+    since_s: float = dataclasses.field(default=0.0, kw_only=True, metadata=_gate("s", 0.0, ANY_MOMENT_S, 10.0))
     begun_s: float = dataclasses.field(default=0.0, kw_only=True)
     before_gauge: bool = dataclasses.field(default=False, kw_only=True)
     behind_gauge: bool = dataclasses.field(default=False, kw_only=True)

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
+from softrl.effects.effect import ANY_MOMENT_S, SIGNAL_KERNEL, Effect, parameter
 
 
 @standing_as(SIGNAL_KERNEL)
@@ -39,5 +39,5 @@ class Failure(Effect):
     onset_of: ClassVar[str] = "gain"
 
     loss: float = parameter("1", 0.0, 1.0, 0.0, typical=0.4)
-    onset_s: float = parameter("s", 0.0, 3.6e4, 5.0, typical=5.0, scale=60.0)
+    onset_s: float = parameter("s", 0.0, ANY_MOMENT_S, 5.0, typical=5.0, scale=60.0)
     chamber: int = -1

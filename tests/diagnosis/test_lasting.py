@@ -7,7 +7,7 @@ import pytest
 
 from softrl.core.tracking import NullTracker
 from softrl.diagnosis.fitting.choices import that_last
-from softrl.diagnosis.fitting.hypothesis import Choice, Gate, Hypothesis, Space
+from softrl.diagnosis.fitting.hypothesis import MOMENTS, Choice, Gate, Hypothesis, Space
 from softrl.diagnosis.fitting.intervals import intervals
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.fitting.trial import axes_of, fit_trials
@@ -68,6 +68,23 @@ def test_a_clock_goes_on_where_something_lasts(body: PccSimulator) -> None:
     for lasting, begun in (("", 2.0), ("session", 7.0), ("ever", 40.0)):
         space = Space(Hypothesis((Choice("failure", 1, lasting=lasting),), ()), body, 4.0)
         assert space.effects(np.zeros(2), "a", (2.0, 7.0, 40.0))[0].begun_s == begun
+
+
+@pytest.mark.parametrize(
+    "choice",
+    [
+        Choice("gain", 0, gate=Gate("since_s", 5.0), lasting="ever"),
+        Choice("failure", lasting="ever"),
+        Choice("drift", lasting="ever"),
+    ],
+)
+def test_what_lasts_may_begin_after_a_pause_of_weeks(body: PccSimulator, choice: Choice) -> None:
+    weeks_s = 21 * 24 * 3600.0
+    space = Space(Hypothesis((choice,), ()), body, 4.0)
+    begins = next(k for k, axis in enumerate(space.axes) if axis.name in MOMENTS)
+    point = np.clip(np.array([axis.scaled(weeks_s) if k == begins else 0.0 for k, axis in enumerate(space.axes)]), *space.bounds)
+    assert space.values(point)[begins] == pytest.approx(weeks_s)
+    assert getattr(space.effects(point)[0], space.axes[begins].name) == pytest.approx(weeks_s)
 
 
 def test_a_chamber_that_fails_and_stays_so_that_day(body: PccSimulator) -> None:
