@@ -8,7 +8,7 @@ import pytest
 from softrl.core.tracking import NullTracker
 from softrl.diagnosis.fitting.choices import that_last
 from softrl.diagnosis.fitting.hypothesis import MOMENTS, Choice, Gate, Hypothesis, Space
-from softrl.diagnosis.fitting.intervals import intervals
+from softrl.diagnosis.fitting.intervals import _flat, intervals
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.fitting.trial import axes_of, fit_trials
 from softrl.diagnosis.search.look import bases_of
@@ -22,6 +22,7 @@ from softrl.effects.drift import Drift
 from softrl.effects.effect import Effect
 from softrl.effects.failure import Failure
 from softrl.effects.frame import Frame
+from softrl.effects.gain import Gain
 from softrl.effects.leak import Leak
 from softrl.effects.replay import replay
 from softrl.pcc.simulator import PccSimulator
@@ -85,6 +86,23 @@ def test_what_lasts_may_begin_after_a_pause_of_weeks(body: PccSimulator, choice:
     point = np.clip(np.array([axis.scaled(weeks_s) if k == begins else 0.0 for k, axis in enumerate(space.axes)]), *space.bounds)
     assert space.values(point)[begins] == pytest.approx(weeks_s)
     assert getattr(space.effects(point)[0], space.axes[begins].name) == pytest.approx(weeks_s)
+
+
+def test_a_moment_within_a_pause_lies_between_the_runs_beside_it(body: PccSimulator) -> None:
+    pause_s, choice = 3600.0, Choice("gain", 0, gate=Gate("since_s", 5.0), lasting="ever", before_gauge=True)
+    sound, off = (made(body, acts, seed=3, sessions=4, measured=True).recordings
+                  for acts in ((), (Gain(0.7, chamber=0, before_gauge=True),)))  # fmt: skip
+    runs = [replace(r, session="week", time=r.time + k * pause_s) for k, r in enumerate((*sound[:2], *off[2:]))]
+    problem = Problem(body.robot, body, tuple(in_order(runs)), configured().numerics, "pressure", "command", False, False)
+    hypothesis = Hypothesis((choice,), ())
+    axes = problem.space(hypothesis).axes
+    wanted = {"gain": 0.7, "since_s": pause_s + 100.0, "over_s": 1.0}
+    point = np.array([axis.scaled(wanted[axis.name]) for axis in axes])
+    [trial] = fit_trials(problem, None, [(hypothesis, [point])], configured().search)
+    column = [axis.name for axis in axes].index("since_s")
+    low, high = (axes[column].physical(end) for end in _flat(problem, trial, column))
+    assert pause_s + 10.0 < low < pause_s + np.ptp(runs[1].time) + 1.0
+    assert 2.0 * pause_s <= high < 2.0 * pause_s + 10.0
 
 
 def test_a_chamber_that_fails_and_stays_so_that_day(body: PccSimulator) -> None:

@@ -1,5 +1,6 @@
 """How certain the parameters of a fit are: errors that stay alike, what is pinned, the body's form, the time step."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -8,7 +9,7 @@ from scipy import stats
 
 from softrl.core.errors import SolverError
 from softrl.diagnosis.fitting.form import pinned_jacobian, taken_up, weight_error
-from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, effect_axes
+from softrl.diagnosis.fitting.hypothesis import LASTING, MOMENTS, Choice, Hypothesis, effect_axes
 from softrl.diagnosis.fitting.judge import Thresholds
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.fitting.trial import Trial, columns_of
@@ -17,7 +18,7 @@ from softrl.diagnosis.series.least_squares import UNSEEN, jackknife, sandwich
 
 AT_BOUND = 1e-3  # share of a range at whose ends a parameter is said to be at a bound
 NEAR = 0.02  # scaled, at most: the first minute is not the beginning of ten hours
-WIDER, WORSE = 0.02 * 2.0 ** np.arange(10), 1.02  # steps, scaled, from where nothing changes; times the cost that is a change
+WIDER, WORSE = 0.02, 1.02  # first of steps, scaled, that double from where nothing changes; times the cost that is a change
 POOLED = 0.25  # level of the test by which runs differ
 ALONE = 0.98  # of the squared derivatives by a parameter: told by one fold
 FORM_SHARE = 0.05  # of the residual; found on single hidden effects, each fitted by its own law
@@ -73,20 +74,56 @@ def _in_the_log(problem: Problem, trial: Trial) -> np.ndarray:
 def _flat(problem: Problem, trial: Trial, k: int) -> tuple[float, float]:
     """Return the scaled values of parameter ``k``, which has hardly any influence where it is, at which it begins to have one.
 
-    A dead time between a quick valve and a slow log changes nothing until it reaches the next row.
+    A dead time between a quick valve and a slow log changes nothing until it reaches the next row, nor does a moment within a
+    pause until it reaches a run: how long the pause was says nothing of how far into the run.
     """
     low, high = problem.space(trial.hypothesis).bounds
-    ends = []
-    for towards, bound in ((-1.0, low[k]), (1.0, high[k])):
-        end = float(bound)
-        for step in WIDER:
-            point = trial.fit.point.copy()
-            point[k] = np.clip(point[k] + towards * step, low[k], high[k])
-            if _worse(problem, trial, point):
-                end = float(point[k])
+    down, up = _edges(problem, trial, k)
+    return _end(problem, trial, k, float(low[k]), down[::-1]), _end(problem, trial, k, float(high[k]), up)
+
+
+def _end(problem: Problem, trial: Trial, k: int, bound: float, edges: Sequence[float]) -> float:
+    """Return the scaled value towards ``bound`` at which parameter ``k`` has an influence, or ``bound``.
+
+    It is found to within its distance from the last of the ``edges``, in order, at which it has none.
+    """
+    begin = fine = float(trial.fit.point[k])
+    worse = _first_worse(problem, trial, k, begin, bound)
+    for edge in edges:
+        if min(fine, worse) < edge < max(fine, worse):
+            if _worse(problem, trial, _moved(trial, k, edge)):
+                worse = edge
                 break
-        ends.append(end)
-    return ends[0], ends[1]
+            fine = edge
+    return worse if fine == begin else _first_worse(problem, trial, k, fine, worse)
+
+
+def _first_worse(problem: Problem, trial: Trial, k: int, begin: float, bound: float) -> float:
+    """Return the first scaled value of parameter ``k`` with an influence, in steps from ``begin`` that double; or ``bound``."""
+    step = WIDER
+    while step < abs(bound - begin):
+        value = begin + float(np.copysign(step, bound - begin))
+        if _worse(problem, trial, _moved(trial, k, value)):
+            return value
+        step *= 2.0
+    return bound
+
+
+def _edges(problem: Problem, trial: Trial, k: int) -> tuple[list[float], list[float]]:
+    """Return where runs end, and where they begin, in scaled units of a moment ``k`` that lasts; of what does not, none."""
+    axis = problem.space(trial.hypothesis).axes[k]
+    choice = next((choice for choice in trial.hypothesis.effects if k in columns_of(trial, choice)), None)
+    if choice is None or not choice.lasting or axis.name not in MOMENTS:
+        return [], []
+    clock = ("", *LASTING).index(choice.lasting)
+    spans = [(run.gone_s[clock], run.gone_s[clock] + float(np.ptp(run.time))) for run in problem.runs]
+    return sorted(axis.scaled(end) for _, end in spans), sorted(axis.scaled(begin) for begin, _ in spans)
+
+
+def _moved(trial: Trial, k: int, value: float) -> np.ndarray:
+    point = trial.fit.point.copy()
+    point[k] = value
+    return point
 
 
 def _worse(problem: Problem, trial: Trial, point: np.ndarray) -> bool:
