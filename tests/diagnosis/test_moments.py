@@ -17,6 +17,17 @@ def test_noise_of_any_memory_has_a_moment_as_often_as_the_level_says() -> None:
     assert 0.05 < np.mean(np.array(found) > 0.0) < 0.18
 
 
+def test_a_planar_robot_has_a_moment_in_noise_no_oftener_and_those_that_are_there() -> None:
+    rng, level = np.random.default_rng(6), 0.1
+    flat = np.diag([1.0, 1.0, 0.0])
+    found = [at_moments([noise(rng, memory) @ flat for _ in range(2)], level) for memory in 60 * [0.0, 0.6, 0.95]]
+    assert 0.05 < np.mean(np.array(found) > 0.0) < 0.18
+    struck = rng.standard_normal((300, 3)) @ flat
+    struck[100] = 12.0, -12.0, 0.0
+    assert abs(at_moments([struck], 0.001) - 288.0 / (288.0 + 600.0)) < 0.1
+    assert at_moments([np.zeros((300, 3))], 0.001) == 0.0
+
+
 def test_moments_hold_their_share_of_the_power_wherever_they_come() -> None:
     rng = np.random.default_rng(2)
     quiet = [rng.standard_normal((300, 3)) for _ in range(2)]

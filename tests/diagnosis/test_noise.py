@@ -38,6 +38,20 @@ def test_the_share_in_excess_is_that_of_the_jumps_and_of_what_comes_with_motion(
     assert unlike_noise([quiet + jumps], [drive], 39, rng).share == pytest.approx(0.5, abs=0.12)
 
 
+ONE_WAY = np.outer([1.0, 0.5, 0.3], [1.0, 0.0, 0.0]) + 0.01 * np.eye(3)
+
+
+@pytest.mark.parametrize("mix", [np.eye(3), ONE_WAY, np.diag([1.0, 1.0, 0.0])])
+def test_the_share_in_excess_is_the_same_whether_noise_points_all_ways_or_mainly_one(mix: np.ndarray) -> None:
+    rng = np.random.default_rng(19)
+    drive = np.repeat(rng.uniform(size=(120, 1)), 10, axis=0)
+    quiet = [rng.standard_normal((1200, 3)) @ mix.T for _ in range(6)]
+    assert unlike_noise(quiet, [drive] * 6, 39, rng).share < 0.08
+    jumps = [rng.choice([-1.0, 1.0], (1200, 1)) * (np.arange(1200) % 40 == 7)[:, None] for _ in range(6)]
+    struck = [run + np.sqrt(40.0) * run.std(axis=0) * jump for run, jump in zip(quiet, jumps, strict=True)]
+    assert unlike_noise(struck, [drive] * 6, 39, rng).share == pytest.approx(0.5, abs=0.05)
+
+
 def test_noise_is_told_from_jumps_and_from_what_comes_with_motion() -> None:
     rng = np.random.default_rng(13)
     drive = np.repeat(rng.uniform(size=(20, 1)), 15, axis=0)

@@ -11,6 +11,7 @@ from softrl.diagnosis.series.least_squares import UNSEEN
 
 MAX_ORDER = 8  # of an autoregression
 STILL, AFTER, MANY = 0.02, 4, 8  # share of the largest move, over so many steps: a rest; so many samples of it tell
+CALM = 3.0  # times the median size of a sample: noise is seldom larger
 BAND = 0.2  # share of a frequency over which the spectrum of noise drawn anew is averaged
 
 
@@ -88,9 +89,9 @@ def unlike_noise(
     Notes
     -----
     Innovations are those of an autoregression fitted to the runs, compared with Gaussian ones of the same correlations
-    between channels. Of ``n`` Gaussian channels the median of the summed squares is that of chi-squared with ``n`` degrees
-    of freedom (textbook form, no equation number checked). A small chance says that there is structure, not that it is
-    large: every simulator's body leaves some, which the share tells.
+    between channels. Of Gaussian channels the median of the summed squares is that of chi-squared with as many degrees of
+    freedom as there are ``directions`` (Satterthwaite's form, exact for equal ones; no equation number checked). A small
+    chance says that there is structure, not that it is large: every simulator's body leaves some, which the share tells.
     """
     runs = [run - run.mean(axis=0) for run in runs]
     memories = [autoregression([run[:, k] for run in runs]) for k in range(runs[0].shape[1])]
@@ -121,12 +122,27 @@ def unlike_noise(
     mix = (basis * np.sqrt(np.maximum(seen, 0.0))).T
     drawn = np.array([uneven(squares(rng.standard_normal(new.shape) @ mix)) for _ in range(draws)])
     ranks = (1.0 + np.sum(drawn >= uneven(found), axis=0)) / (draws + 1.0)
-    return Uneven(float(min(1.0, len(ranks) * ranks.min())), _in_excess(found, moves, still))
+    return Uneven(float(min(1.0, len(ranks) * ranks.min())), _in_excess(found, directions(_calm(new)), moves, still))
 
 
-def _in_excess(square: np.ndarray, moves: np.ndarray, still: np.ndarray) -> float:
-    """Return the share of the power of ``square`` (steps, n) beyond that of quiet samples, of no ``moves`` (steps,) or rests."""
-    channels, power = square.shape[1], square.sum(axis=1)
+def directions(series: np.ndarray) -> float:
+    """Return in how many independent, equally large directions ``series`` (steps, n) points, in sum as one of that many."""
+    spread = series.T @ series
+    return float(max(np.trace(spread) ** 2 / max(float(np.sum(spread**2)), 1e-300), 1.0))
+
+
+def _calm(series: np.ndarray) -> np.ndarray:
+    """Return ``series`` (steps, n) with samples larger than ``CALM`` times the median made as large: jumps have their own way."""
+    size = np.linalg.norm(series, axis=1)
+    return np.asarray(series * np.minimum(1.0, CALM * np.median(size) / np.maximum(size, 1e-300))[:, None])
+
+
+def _in_excess(square: np.ndarray, channels: float, moves: np.ndarray, still: np.ndarray) -> float:
+    """Return the share of the power of ``square`` (steps, n) beyond that of quiet samples, of no ``moves`` (steps,) or rests.
+
+    ``channels`` is how many independent ones there are in it.
+    """
+    power = square.sum(axis=1)
     quiet = float(np.median(power)) * channels / float(stats.chi2.median(channels))
     change = moves - moves.mean()
     slope = max(float(change @ power) / max(float(change @ change), 1e-300), 0.0)

@@ -12,6 +12,7 @@ from softrl.diagnosis.fitting.hypothesis import Choice
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.judging.correct import Traces, seen
 from softrl.diagnosis.judging.examine import Finding
+from softrl.diagnosis.series.noise import directions
 from softrl.diagnosis.telling.entries import shown_in
 from softrl.effects.effect import SITES
 from softrl.robots.robot import Robot
@@ -176,9 +177,7 @@ def _white_band(runs: Sequence[np.ndarray]) -> float:
     Of n independent channels that are equally large there are n times as many numbers as samples.
     """
     centred = np.concatenate([run - run.mean(axis=0) for run in runs])
-    spread = centred.T @ centred
-    channels = np.trace(spread) ** 2 / max(float(np.sum(spread**2)), 1e-300)
-    return float(1.96 / np.sqrt(max(channels, 1.0) * len(centred)))
+    return float(1.96 / np.sqrt(directions(centred) * len(centred)))
 
 
 def draw_errors(diagnosis: Diagnosis) -> Figure:
