@@ -161,7 +161,7 @@ def _as_measured(
         if recording.position is not None:
             ends.append(_sampled(when, time, dt_s, motion.position))
         else:
-            ends.append(bend_angle(robot, _sampled(when, time, dt_s, motion.quaternion))[:, None])
+            ends.append(_bent(robot, when, time, dt_s, motion.quaternion)[:, None])
     late, early, seen = (rows - rows.mean(axis=0) for rows in (*ends, measured.reshape(len(latest), -1)))
     middle, back = 0.5 * (late + early), early - late
     if not np.isfinite(middle).all():
@@ -203,28 +203,36 @@ def _reported(
     taken_at = _as_measured(recording, robot, time, dt_s, motion, taken)
     reports_angle = "bend_angle" in channels and (robot.output == "bend_angle" or recording.bend_angle is not None)
     quaternion = None
-    if reports_angle or "quaternion" in channels:
+    if "quaternion" in channels:
         quaternion = _sampled(taken_at, time, dt_s, motion.quaternion)
         quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
     return replace(
         recording,
         pressure_meas=_held(recording.time, time, dt_s, motion.pressure) if "pressure_meas" in channels else None,
         position=_sampled(taken_at, time, dt_s, motion.position) if "position" in channels else None,
-        quaternion=quaternion if "quaternion" in channels else None,
-        bend_angle=bend_angle(robot, quaternion) if reports_angle and quaternion is not None else None,
+        quaternion=quaternion,
+        bend_angle=_bent(robot, taken_at, time, dt_s, motion.quaternion) if reports_angle else None,
         markers={},
     )
+
+
+def _bent(robot: Robot, wanted: np.ndarray, time: np.ndarray, dt_s: float, quaternion: np.ndarray) -> np.ndarray:
+    """Return the bend angle (samples,) rad at the times ``wanted``; the steps of the grid tell how often it has gone round."""
+    angle, counted = bend_angle(robot, _sampled(wanted, time, dt_s, quaternion)), bend_angle(robot, quaternion)
+    counted = _sampled(wanted, time, dt_s, counted[:, None])[:, 0]
+    return np.asarray(angle + 2.0 * np.pi * np.round((counted - angle) / (2.0 * np.pi)))
 
 
 def bend_angle(robot: Robot, quaternion: np.ndarray) -> np.ndarray:
     """Return the angle (steps,) rad between the tip's axis and the base's z axis.
 
-    Where all chambers lie on one line it has a sign: positive where pressure in chamber 1 bends the tip.
+    Where all chambers lie on one line it has a sign: positive where pressure in chamber 1 bends the tip. It is then counted on
+    beyond half a turn, from a first step less than that on.
     """
     w, x, y, z = quaternion.T
     tangent = np.stack([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)], axis=1)
     if robot.bends_in_a_plane:
-        return np.arctan2(-tangent[:, :2] @ robot.chamber_direction[0], tangent[:, 2])
+        return np.unwrap(np.arctan2(-tangent[:, :2] @ robot.chamber_direction[0], tangent[:, 2]))
     return np.arctan2(np.hypot(tangent[:, 0], tangent[:, 1]), tangent[:, 2])
 
 

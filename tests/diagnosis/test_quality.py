@@ -121,6 +121,15 @@ def test_a_rest_between_poses_is_not_clipped() -> None:
     assert "bend_angle[0] sits at its largest" in str(unusable([low], finger))
 
 
+def test_an_angle_that_jumps_by_a_turn_is_told() -> None:
+    finger = build(node("robot/single_chamber_finger.yaml"), Robot, "robot")
+    time, turn = 0.05 * np.arange(400), np.linspace(0.0, 4.0, 400)
+    curling = Recording("curl", "day", time, turn[:, None] / 4.0 * finger.pressure_max_pa, bend_angle=turn)
+    assert unusable([curling], finger) is None
+    wrapped = replace(curling, bend_angle=np.arctan2(np.sin(turn), np.cos(turn)))
+    assert "run curl jumps by a turn at 180 deg" in str(unusable([wrapped], finger))
+
+
 def test_a_turned_frame_is_seen_and_does_not_become_physics(body: PccSimulator, good: RecordingSet) -> None:
     turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     runs = tuple(replace(r, position=r.position @ turn.T, quaternion=None) for r in good.recordings)

@@ -116,6 +116,17 @@ def test_bend_angle_is_the_tips_turn() -> None:
         np.testing.assert_allclose(bend_angle(finger.robot, quaternion[None]), [angle], atol=1e-12)
 
 
+@pytest.mark.parametrize("every_s", [0.02, 6.0])
+def test_an_angle_is_counted_on_beyond_half_a_turn(every_s: float) -> None:
+    """Also where every row is another pose, at rest or bent by about 4 rad."""
+    curling = replace(simulator("single_chamber_finger"), bend_at_full_pressure_rad=3.8)
+    time = np.arange(every_s, 60.0, every_s)
+    level = curling.robot.pressure_max_pa * (np.floor(time / 6.0 + 1e-9) % 2.0)[:, None]
+    seen = replay(Plant(curling, chain_of(curling.robot, [])), Recording("a", "s", time, level), 0.01).bend_angle
+    assert 3.8 < seen.max() < 4.5 and seen.min() > -0.5
+    assert every_s > 1.0 or np.abs(np.diff(seen)).max() < 1.0
+
+
 @pytest.mark.parametrize("angles", [(0.0, 180.0), (180.0, 0.0), (60.0, 240.0)])
 def test_the_angle_of_opposite_chambers_has_the_sign_of_the_first(angles: tuple[float, float]) -> None:
     """Each chamber alone bends the tip by as much as the other, the first one to the positive side."""

@@ -16,6 +16,7 @@ MIN_PRESSURE_SHARE = 1.0 / 200.0
 MAX_TRAVEL = 5.0  # lengths of the robot
 MIN_TRAVEL = 1e-3
 MAX_TURN_RAD = 4.0 * np.pi
+WRAPPED_RAD, WRAPPED_S = 1.5 * np.pi, 0.2  # an angle that changes by more within less has not gone on beyond half a turn
 MIXED_FACTOR = 3.0  # by which two sessions may differ in their response to pressures in the same chambers
 HOSE_FACTOR = 10.0  # and to pressures in others: one chamber may have a loose hose
 
@@ -128,6 +129,9 @@ def _wrong_motion(runs: Sequence[Recording], robot: Robot) -> str | None:
         turn = travel / robot.length_m
         if turn == 0.0:
             return "the bend angle never changes: a sensor that stands still?"
+        wrapped = [run.name for run in runs if _wraps(run.time, np.asarray(run.bend_angle))]
+        if wrapped:
+            return f"the bend angle of run {wrapped[0]} jumps by a turn at 180 deg; expected it to count on beyond half a turn"
         return f"the bend angle spans {turn:.3g} rad: degrees taken for rad?" if turn > MAX_TURN_RAD else None
     if MIN_TRAVEL * robot.length_m <= travel <= MAX_TRAVEL * robot.length_m:
         return None
@@ -135,6 +139,12 @@ def _wrong_motion(runs: Sequence[Recording], robot: Robot) -> str | None:
         f"the tip travels {1e3 * travel:.3g} mm where robot {robot.name} is {1e3 * robot.length_m:.3g} mm long: "
         f"{'a sensor that stands still?' if travel == 0.0 else 'a wrong unit (m, mm or um)?'}"
     )
+
+
+def _wraps(time: np.ndarray, angle: np.ndarray) -> bool:
+    """Return whether ``angle`` (steps,) rad jumps from one end of a turn to the other."""
+    jumps = (np.abs(np.diff(angle)) > WRAPPED_RAD) & (np.diff(time) < WRAPPED_S)
+    return bool(jumps.any() and np.abs(angle).max() < np.pi + 0.1)
 
 
 def _seen(run: Recording) -> list[tuple[str, np.ndarray]]:
