@@ -100,6 +100,15 @@ def test_a_run_of_two_rows_tells_no_noise(body: PccSimulator) -> None:
     assert isinstance(plain, Data) and isinstance(found, Data) and found.noise == pytest.approx(plain.noise, rel=0.1)
 
 
+def test_runs_of_two_rows_alone_are_refused_and_may_join_others(body: PccSimulator) -> None:
+    whole = made(body, sessions=3)
+    pairs = tuple(rows(run, np.array([0, 300])) for run in whole.recordings)
+    found = prepare(replace(whole, recordings=pairs), body.robot, 0.34, 0)
+    assert isinstance(found, Refusal) and "no run has 3 rows or more" in found.reason
+    third = rows(whole.recordings[0], np.array([0, 500, 1000]))
+    assert isinstance(prepare(replace(whole, recordings=(third, *pairs[1:])), body.robot, 0.34, 0), Data | Refusal)
+
+
 def test_where_every_run_is_marked_that_is_the_reason(body: PccSimulator) -> None:
     whole = made(body, sessions=3)
     for mark in ("disturbed", "out_of_distribution"):

@@ -8,7 +8,7 @@ import numpy as np
 
 from softrl.core.errors import RecordingError
 from softrl.diagnosis.checks.dead import without_dead_gauges
-from softrl.diagnosis.checks.floor import floor_of
+from softrl.diagnosis.checks.floor import LEAST, floor_of
 from softrl.diagnosis.checks.gaps import mend_all, rows
 from softrl.diagnosis.checks.quality import torn, unusable
 from softrl.diagnosis.checks.spikes import without_spikes
@@ -321,6 +321,8 @@ def _refuse(usable: Sequence[Recording], found: DataCheck, robot: Robot, channel
         return "every run that could be used is marked as disturbed or out of distribution: none is left to be fitted"
     if not usable:
         return f"no run of {MIN_RUN_S:g} s or more holds {channel}, which robot {robot.name} is said to report"
+    if max(len(run.time) for run in usable) < LEAST:
+        return f"no run has {LEAST} rows or more, without which motion and noise are one; join rows to longer runs"
     if not found.excited:
         return "no chamber is driven in any run"
     if len(usable) < 2:

@@ -10,7 +10,7 @@ from softrl.recordings.check import DataCheck, resolution
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
-TELLING = 8  # rows of a run, from which on it tells what is noise
+TELLING, LEAST = 8, 3  # rows of a run, from which on it tells what is noise, and without which it tells nothing of it
 LOUD = 0.1  # of the motion, above which noise is asked for beside what commands foretell
 PAST, RIDGE = 3, 1e-6  # rows of commands that foretell a row; share of a column's square by which that is regularised
 FEW_READINGS = 20  # a sensor that reports fewer values than this tells no noise by their differences
@@ -35,7 +35,7 @@ class Floor(NamedTuple):
 def floor_of(found: DataCheck, usable: Sequence[Recording], robot: Robot, channel: str) -> Floor:
     """Return the noise of a channel, as holds or neighbouring samples tell it, whichever is less, or repeats."""
     series = [_columns(run, channel) for run in usable if getattr(run, channel) is not None]
-    series = [values for values in series if len(values) >= TELLING] or series
+    series = [values for values in series if len(values) >= TELLING] or [values for values in series if len(values) >= LEAST]
     if not series:
         return Floor(0.0, 0.0)
     quick = float(np.median([jitter(_readings(values)) for values in series]))
