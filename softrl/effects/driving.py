@@ -8,9 +8,10 @@ import numpy as np
 from softrl.core.errors import RecordingError
 from softrl.effects.chain import EffectChain
 from softrl.recordings.recording import Recording
+from softrl.recordings.rhythm import SLOWER, periods
 
 MAX_STEPS = 5_000_000
-LOST_PERIODS, LOST_S = 1.8, 2.0  # median periods, s: a pause between these is of rows that were lost, not of a log that waits
+LOST_PERIODS, LOST_S = SLOWER, 2.0  # periods, s: a pause between these is of rows that were lost, not of a log that waits
 
 
 class Supply(NamedTuple):
@@ -68,11 +69,11 @@ def _bridged(stamps: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarr
     A command is held until its time: the first one after a pause would act from before it.
     """
     apart = np.diff(stamps)
-    period = float(np.median(apart))
+    period = periods(apart)
     lost = np.flatnonzero((apart > LOST_PERIODS * period) & (apart <= LOST_S))
     if not len(lost):
         return stamps, rows
-    between = [np.arange(stamps[k] + period, stamps[k + 1] - 0.5 * period, period) for k in lost]
+    between = [np.arange(stamps[k] + period[k], stamps[k + 1] - 0.5 * period[k], period[k]) for k in lost]
     filled = np.union1d(stamps, np.concatenate(between))
     return filled, evenly(filled, stamps, rows)
 

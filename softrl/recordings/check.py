@@ -9,12 +9,13 @@ from scipy.stats import chi2
 from softrl.recordings.frame import axis_vector
 from softrl.recordings.marked import DISTURBED, OUTSIDE, without
 from softrl.recordings.recording import Recording, RecordingSet
+from softrl.recordings.rhythm import periods
 from softrl.recordings.scale import UNIT_FACTOR, scale_of
 from softrl.recordings.validate import SLOW_S
 from softrl.robots.robot import Robot
 
 LONG_S = 7200.0  # a run of slow rows that lasts longer: milliseconds may have been taken for seconds
-GAP_PERIODS = 5.0  # a pause of more than this many median periods is a gap
+GAP_PERIODS = 5.0  # a pause of more than this many periods of the log is a gap
 HOLD_S = 1.0  # a command unchanged for twice this long ends in a window of this length at rest
 MANY, FREE = 8, 8  # rows of such a window, or else degrees of freedom of all second halves of holds
 EXCITED_SHARE = 0.02  # a chamber that moves less than this share of the pressure range is not excited
@@ -98,7 +99,7 @@ def check_run(recording: Recording, robot: Robot) -> RunCheck:
     """Return the findings of one run."""
     step = np.diff(recording.time)
     period = float(np.median(step))
-    pauses = np.flatnonzero(step > GAP_PERIODS * period)
+    pauses = np.flatnonzero(step > GAP_PERIODS * periods(step))
     gaps = tuple((float(recording.time[k]), float(step[k])) for k in pauses)
     excited = driven([recording], robot)
     windows = _hold_windows(recording)

@@ -175,3 +175,18 @@ def test_a_valve_that_is_understood_begins_at_what_was_measured() -> None:
     supply = Supply(plant.chain, 0.0, np.zeros_like(left.pressure_meas))
     grid, drive, _ = drive_on_grid(left, 0.01, "measured", 20.0, supply=supply)
     np.testing.assert_allclose(drive[grid > left.time[0] - 0.005], left.pressure_meas, atol=20.0)
+
+
+@pytest.mark.parametrize("slow_s", [0.1, 0.2, 0.5])
+def test_commands_are_held_where_a_log_is_written_more_slowly(slow_s: float) -> None:
+    """Rows that it loses there are as any others: the command changes evenly across them."""
+    time = np.r_[0.02 * np.arange(1, 1001), 20.0 + slow_s * np.arange(1, 41)]
+    command = 5e3 * (1.0 + np.sin(np.outer(time, [1.1, 0.7, 0.4])))
+    grid, acts, _ = drive_on_grid(Recording("run", "day", time, command), 0.01, "command", 0.0)
+    held = command[np.searchsorted(time, grid - 1e-6)]
+    np.testing.assert_allclose(acts[1:-1], held[1:-1], atol=60.0)
+    kept = np.arange(len(time)) != 1020
+    grid, acts, _ = drive_on_grid(Recording("run", "day", time[kept], command[kept]), 0.01, "command", 0.0)
+    lost = (grid > time[1019] + 1e-6) & (grid < time[1021] - 1e-6)
+    levels = np.unique(acts[lost].round(3), axis=0)
+    np.testing.assert_allclose(levels.mean(axis=0), 0.25 * command[1019] + 0.75 * command[1021], atol=1.0)

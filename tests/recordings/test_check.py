@@ -65,6 +65,10 @@ def test_gap_hold_and_clipping_are_reported() -> None:
     found = check_run(replace(clean, time=late), TRIPOD)
     assert len(found.gaps) == 1
     np.testing.assert_allclose(found.gaps[0], (10.0, 0.71), atol=1e-9)
+    slower = np.r_[clean.time[:2000], 20.0 + 0.3 * np.arange(1, 1001)]  # a log that writes fewer rows for a while has no gaps
+    assert not check_run(replace(clean, time=slower), TRIPOD).gaps
+    found = check_run(replace(clean, time=np.where(np.arange(3000) < 2500, slower, slower + 1.7)), TRIPOD)
+    np.testing.assert_allclose(found.gaps, [(20.0 + 0.3 * 500, 2.0)], atol=1e-9)
     held = check_run(replace(clean, position=np.repeat(clean.position[::4], 4, axis=0)), TRIPOD)
     assert abs(held.held["position"] - 0.75) < 0.02
     clipped = np.minimum(clean.position, [0.012, 1.0, 1.0])
