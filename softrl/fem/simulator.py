@@ -51,11 +51,15 @@ class Hooks(NamedTuple):
 
 
 class FemState(NamedTuple):
-    """A moving body, its volumes (n,) m^3 one step ago, its tip's velocity (3,) m/s."""
+    """A moving body, its volumes (n,) m^3 one step ago, its tip's velocity (3,) m/s, and the volumes from which strains count.
+
+    Those are, without them, the ones under weight alone.
+    """
 
     body: State
     volume_before: np.ndarray
     tip_velocity: np.ndarray
+    rest: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -187,7 +191,8 @@ class FemSimulator:
     ) -> FemState:
         """Return the state after ``dt_s`` under ``pressure`` (n,) Pa and ``tip_force`` (3,) N."""
         self.model.forget()  # so that a step depends on nothing but its arguments
-        return self._step(state, pressure, dt_s, tip_force, Hooks(body, load, self.model.volumes(self._rest)))
+        rest = self.model.volumes(self._rest) if state.rest is None else state.rest
+        return self._step(state, pressure, dt_s, tip_force, Hooks(body, load, rest))._replace(rest=state.rest)
 
     def _step(
         self, state: FemState, pressure: np.ndarray, dt_s: float, tip_force: np.ndarray | None, hooks: Hooks
@@ -263,6 +268,11 @@ class FemSimulator:
         slope[:n, :n] = np.diag(-port[ADDED_SLOPE] / scale)
         slope[n:, n:] = tip[FORCE_SLOPE : FORCE_SLOPE + 3]
         return np.r_[-port[ADDED], tip[FORCE]], slope, tip[GRAVITY].copy()
+
+    def at_rest(self, load: Sequence[Hook]) -> FemState:
+        """Return the state at rest under weight and ``load`` effects, whose states follow; strains count from there."""
+        state = self._rest_under(load)
+        return state._replace(rest=self.model.volumes(state.body.pose))
 
     def _rest_under(self, load: Sequence[Hook]) -> FemState:
         """Return the state at rest under weight and the load effects, by steps so long that nothing moves freely."""
