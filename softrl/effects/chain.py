@@ -20,8 +20,6 @@ from softrl.robots.robot import Robot
 # At the valve a source comes before what fills from it: what a regulator is told, makes of that, and has at most. A valve with a
 # memory behind it fills towards what there is; before it, it would fill towards what never comes, and vent from there.
 SOURCE = ("command_map", "offset", "gain", "supply_limit")
-QUASI_STATIC_S = 1e9  # a step of this length ends at an equilibrium
-ROUNDS, STILL_M = 20, 1e-9  # of such steps, until the tip stands
 
 
 @dataclass(frozen=True)
@@ -102,15 +100,7 @@ class EffectChain:
 
         Their states are brought there, and no time passes for them: a run's first step is the first of their clocks.
         """
-        if isinstance(simulator, Hanging):
-            return simulator.at_rest(load)
-        state = simulator.reset()
-        for _ in range(ROUNDS if load else 0):
-            before = simulator.observe(state)[0]
-            state = simulator.step(state, np.zeros(self.robot.chambers), QUASI_STATIC_S, None, (), load)
-            if np.abs(simulator.observe(state)[0] - before).max() < STILL_M:
-                break
-        return state
+        return simulator.at_rest(load) if isinstance(simulator, Hanging) else simulator.reset()  # the others take no hooks
 
     def filter(self, sites: Sequence[str], values: np.ndarray, dt_s: float) -> np.ndarray:
         """Return ``values`` (steps, n), one row per ``dt_s``, after the signal effects at ``sites``, from rest."""

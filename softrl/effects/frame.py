@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from softrl.core.compiled import standing_as
 from softrl.effects.effect import SIGNAL_KERNEL, TURN, Effect, parameter
+from softrl.effects.quaternion import product
 from softrl.robots.robot import Robot
 
 
@@ -18,9 +19,7 @@ def frame_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, d
     for k in range(3):
         value[k] = parameters[3 * k] * x + parameters[3 * k + 1] * y + parameters[3 * k + 2] * z + parameters[13 + k]
     a, b, c, d = parameters[9], parameters[10], parameters[11], parameters[12]
-    e, f, g, h = value[3], value[4], value[5], value[6]
-    value[3], value[4] = a * e - b * f - c * g - d * h, a * f + b * e + c * h - d * g
-    value[5], value[6] = a * g - b * h + c * e + d * f, a * h + b * g - c * f + d * e
+    value[3], value[4], value[5], value[6] = product(a, b, c, d, value[3:])
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from softrl.effects.effect import (
     UNEVEN,
     Effect,
 )
+from softrl.effects.quaternion import product
 from softrl.robots.robot import Robot
 
 GATES = {"above_share": "above a pressure", "since_s": "from a time on"}  # the fields of an effect, in words
@@ -56,13 +57,20 @@ def _address(parameters: np.ndarray) -> int:
     return parameters[-1:].view(np.int64)[0]
 
 
+@nb.njit(cache=True)
+def _run(parameters: np.ndarray, state: np.ndarray, own: int, value: np.ndarray, dt: float) -> float:
+    """Run the effect, whose are the first ``own`` numbers of the state, on ``value``; return what share acts by now."""
+    call_signal(_address(parameters), parameters[:-GATE], state[:own], value, dt)
+    late = _late(state[-1], dt, parameters)
+    state[-1] = _after(state[-1], dt)
+    return late
+
+
 @nb.njit(SIGNAL_KERNEL, cache=True)
 def gated_signal(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
     """Let a share of the effect's change of ``value`` count, by the pressure before it."""
     before = value.copy()
-    call_signal(_address(parameters), parameters[:-GATE], state[:-1], value, dt)
-    late = _late(state[-1], dt, parameters)
-    state[-1] = _after(state[-1], dt)
+    late = _run(parameters, state, len(state) - 1, value, dt)
     for i in range(len(value)):
         value[i] = before[i] + late * _above(before[i], parameters) * (value[i] - before[i])
 
@@ -75,24 +83,14 @@ def _turned(w: float, x: float, y: float, z: float, point: np.ndarray) -> np.nda
     return np.array([a + w * d + y * f - z * e, b + w * e + z * d - x * f, c + w * f + x * e - y * d])
 
 
-@nb.njit(cache=True)
-def _product(a: float, b: float, c: float, d: float, turn: np.ndarray) -> tuple[float, float, float, float]:
-    """Return the quaternion a, b, c, d times ``turn`` (4,)."""
-    e, f, g, h = turn
-    w, x = a * e - b * f - c * g - d * h, a * f + b * e + c * h - d * g
-    return w, x, a * g - b * h + c * e + d * f, a * h + b * g - c * f + d * e
-
-
 @nb.njit(SIGNAL_KERNEL, cache=True)
 def gated_pose(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
     """Let a share of the effect's turn of a pose count, about the same axis, and of its shift beside that."""
     before = value.copy()
-    call_signal(_address(parameters), parameters[:-GATE], state[:-1], value, dt)
-    late = _late(state[-1], dt, parameters)
-    state[-1] = _after(state[-1], dt)
+    late = _run(parameters, state, len(state) - 1, value, dt)
     if late >= 1.0:
         return
-    w, x, y, z = _product(value[3], value[4], value[5], value[6], before[3:] * np.array([1.0, -1.0, -1.0, -1.0]))
+    w, x, y, z = product(value[3], value[4], value[5], value[6], before[3:] * np.array([1.0, -1.0, -1.0, -1.0]))
     sine = math.sqrt(x * x + y * y + z * z)
     size = math.sqrt(w * w + sine * sine)
     shift = value[:3] - _turned(w / size, x / size, y / size, z / size, before[:3])
@@ -100,7 +98,7 @@ def gated_pose(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt:
     along = math.sin(half) / sine if sine > 1e-12 else 0.0
     w, x, y, z = math.cos(half) if along > 0.0 else 1.0, along * x, along * y, along * z
     value[:3] = _turned(w, x, y, z, before[:3]) + late * shift
-    value[3], value[4], value[5], value[6] = _product(w, x, y, z, before[3:])
+    value[3], value[4], value[5], value[6] = product(w, x, y, z, before[3:])
 
 
 @nb.njit(SIGNAL_KERNEL, cache=True)
@@ -112,9 +110,7 @@ def gated_way(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: 
     """
     before = value.copy()
     shares = state[len(state) - 1 - len(value) : len(state) - 1]
-    call_signal(_address(parameters), parameters[:-GATE], state[: len(state) - 1 - len(value)], value, dt)
-    late = _late(state[-1], dt, parameters)
-    state[-1] = _after(state[-1], dt)
+    late = _run(parameters, state, len(state) - 1 - len(value), value, dt)
     for i in range(len(value)):
         shares[i] = max(_above(before[i], parameters), min(shares[i], _above(value[i], parameters)))
         value[i] = before[i] + late * shares[i] * (value[i] - before[i])

@@ -7,7 +7,9 @@ from pathlib import Path
 from softrl.core.errors import ConfigError
 from softrl.effects.effect import SITES, Effect
 
-NOT_EFFECTS = ("__init__", "effect", "call", "chain", "library", "history", "driving", "free_motion", "gate", "replay")
+NOT_EFFECTS = (
+    "__init__", "effect", "call", "chain", "library", "history", "driving", "free_motion", "gate", "quaternion", "replay",
+)  # fmt: skip
 
 
 @cache

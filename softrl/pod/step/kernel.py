@@ -207,8 +207,9 @@ def run_kernel(
         fill_potential(rest, tables, work, gradient, hessian)
         fill_elastic(gradient, tables, values, ports)
         ports.settled[:] = ports.elastic
+        ports.elastic[:] = 0.0
         fill_potential(y, tables, work, gradient, hessian)
-        fill_ports(y, rest, gradient, hessian, dt, load[0, :n], tables, ports, values, True)
+        fill_ports(y, rest, gradient, hessian, dt, load[0, :n], tables, ports, True)
         go_on(ports)
     farthest = to_ball(y, point)
     fill_amplitudes(y - dt * velocity, 0, False, tables, work, course.before, course.lead)

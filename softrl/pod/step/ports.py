@@ -94,16 +94,14 @@ def fill_ports(
     pressure: np.ndarray,
     tables: Any,
     ports: Any,
-    values: np.ndarray,
     slopes: bool,
 ) -> None:
-    """Fill the inputs of both ports from the bare body's trial state; trial strains and tip go to row 1.
+    """Fill the inputs of both ports from the bare body's trial state, and ``ports.elastic``; trial strains and tip go to row 1.
 
     The slope of the elastic pressure is found anew where ``slopes`` asks for it: it only speeds the iteration.
     """
     body, load, strains, tips = ports.body, ports.load, ports.strains, ports.tips
     n, r = len(pressure), len(y)
-    fill_elastic(gradient, tables, values, ports)
     if slopes:
         _hessian_of_coordinate(hessian, tables.inverse, ports.half, ports.slopes)
         for i in range(n):
@@ -175,7 +173,9 @@ def commit_effects(
     values: np.ndarray,
 ) -> None:
     """Let the effects take the trial state as the state; ``gradient`` and ``hessian`` are the bare body's."""
-    fill_ports(y, rest, gradient, hessian, dt, pressure, tables, ports, values, False)
+    if len(hooks[0].kernels) > 0:
+        fill_elastic(gradient, tables, values, ports)
+    fill_ports(y, rest, gradient, hessian, dt, pressure, tables, ports, False)
     run_ports(hooks[0], ports.body, dt, True)
     run_ports(hooks[1], ports.load, dt, True)
     go_on(ports)
@@ -210,7 +210,9 @@ def add_effects(
     depends on all coordinates: that share is found by a second call with the elastic pressure raised, where ``probe``
     asks for it, else it is the share found last. It speeds Newton's iteration and does not change its end.
     """
-    fill_ports(y, rest, gradient, hessian, dt, pressure, tables, ports, values, probe)
+    if len(hooks[0].kernels) > 0:
+        fill_elastic(gradient, tables, values, ports)
+    fill_ports(y, rest, gradient, hessian, dt, pressure, tables, ports, probe)
     if len(hooks[0].kernels) > 0:
         _add_body(gradient, hessian, dt, tables, hooks[0], ports, jacobian, probe)
     if len(hooks[1].kernels) > 0:
