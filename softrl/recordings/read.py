@@ -12,7 +12,8 @@ from softrl.recordings.recording import RecordingSet
 from softrl.recordings.store import DATASET, OF_SESSIONS
 from softrl.robots.robot import Robot
 
-READ = ("robot", "sessions", ACTS, DISTURBED, OUTSIDE)  # keys that mean something; any other is a note of the user's own
+OF_ALL = (ACTS, DISTURBED, OUTSIDE)  # what is said of the whole dataset
+READ = ("robot", "sessions", *OF_ALL)  # keys that mean something; any other is a note of the user's own
 READ_OF_SESSION = ("runs", "axis")
 ALIKE, ALIKE_SHORT = 0.85, 0.7  # similarity, of 1, from which another key is one of these misspelt
 
@@ -65,7 +66,10 @@ def _refuse_misspelt(recordings: RecordingSet, folder: Path) -> None:
         raise RecordingError(f"{folder / DATASET}: key 'axis' would be a note without effect; expected it within a session")
     _refuse_alike(recordings.notes, READ, ALIKE, f"{folder / DATASET}:")
     for name, notes in recordings.notes.get(OF_SESSIONS, {}).items():
-        _refuse_alike(notes, READ_OF_SESSION, ALIKE_SHORT, f"{folder / DATASET}: session '{name}':")
+        where = f"{folder / DATASET}: session '{name}':"
+        for key in (key for key in OF_ALL if key in notes):
+            raise RecordingError(f"{where} key '{key}' would be a note without effect; expected it at the top, beside robot")
+        _refuse_alike(notes, READ_OF_SESSION, ALIKE_SHORT, where)
 
 
 def _refuse_alike(notes: Iterable[str], known: Sequence[str], alike: float, where: str) -> None:

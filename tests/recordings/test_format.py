@@ -220,6 +220,10 @@ def test_bad_file_is_refused_in_one_line(
         ("robot: tripod\nsessions: {s: {runs: [a]}, t: {runs: [a]}}\n", ["run 'a'", "2 times"]),
         ("robot: tripod\nsessions: {s: {runs: [a], axis: up}}\n", ["axis 'up'", "+z"]),
         ("robot: tripod\nsessions: {s: {runs: [a], axes: +y}}\n", ["session 's'", "key 'axes'", "did you mean axis"]),
+        *(
+            (f"robot: tripod\nsessions: {{s: {{runs: [a], {key}: [a]}}}}\n", ["session 's'", f"key '{key}'", "at the top"])
+            for key in ("command_acts", "disturbed", "out_of_distribution")
+        ),
         ("robot: tripod\nsessions:\n  s: [a]\n  s: [a]\n", ["key 's' is there 2 times"]),
         ("robot: tripod\naxis: +y\n", ["key 'axis'", "within a session"]),
         ("robot: tripod\nsessions: [a]\n", ["sessions must map"]),
