@@ -51,7 +51,7 @@ def plain(found: Diagnosis) -> Answer:
     return {
         "verdict": "cannot tell" if "cannot_tell" in found.unexplained else found.verdict,
         "effects": [
-            {"name": e["name"], "site": e["site"], "chamber": e["chamber"], "parameters": e["parameters"]}
+            {key: e[key] for key in ("name", "site", "chamber", "parameters")} | {"pinned": e.get("pinned", {})}
             for e in found.effects
         ],
         "rivals": found.rivals,

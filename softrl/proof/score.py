@@ -1,6 +1,6 @@
 """From frozen answers and the opened key to numbers: one row a case, then shares with Wilson intervals."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -71,6 +71,7 @@ def row_of(key: dict[str, Any], given: dict[str, Any], errors: dict[str, Any], d
         "found_something": given["verdict"] != "nothing missing",
         "covered": covered,
         "intervals": intervals,
+        "pinned": pinned(key, given),
         "body_discrepancy_mm": round(key["body_discrepancy_mm"], 4),
         **{f"{split}_{model}_mm": round(value, 4) for split in errors for model, value in errors[split].items()},
         "seconds": given["seconds"],
@@ -81,18 +82,28 @@ def row_of(key: dict[str, Any], given: dict[str, Any], errors: dict[str, Any], d
 def coverage(key: dict[str, Any], given: dict[str, Any]) -> tuple[int, int]:
     """Return (covered, counted) intervals of parameters that mean the same in both forms, of effects named rightly."""
     covered = counted = 0
+    for parameter, value, effect in _told(key, given):
+        entry = effect["parameters"].get(parameter)
+        if entry is None or not np.isfinite([entry["low"], entry["high"]]).all():
+            continue  # not free, or beyond what the data tell
+        counted += 1
+        covered += entry["low"] <= value <= entry["high"]
+    return covered, counted
+
+
+def pinned(key: dict[str, Any], given: dict[str, Any]) -> int:
+    """Return how many such parameters were held where they do nothing: hidden, and told as neutral without an interval."""
+    return sum(parameter in effect.get("pinned", {}) for parameter, _, effect in _told(key, given))
+
+
+def _told(key: dict[str, Any], given: dict[str, Any]) -> Iterator[tuple[str, float, dict[str, Any]]]:
+    """Yield (parameter, its true value, the effect as named) of what means the same in both forms and was named rightly."""
     found = {effect["name"]: effect for effect in given.get("effects", [])}
     for hidden in key["hidden"]:
         for name, value in hidden["parameters"].items():
             effect, parameter = name.split(".")
-            if effect not in found or found[effect]["chamber"] not in (hidden["chamber"], -1):
-                continue
-            entry = found[effect]["parameters"].get(parameter)
-            if entry is None or not np.isfinite([entry["low"], entry["high"]]).all():
-                continue  # not free, or beyond what the data tell
-            counted += 1
-            covered += entry["low"] <= value <= entry["high"]
-    return covered, counted
+            if effect in found and found[effect]["chamber"] in (hidden["chamber"], -1):
+                yield parameter, value, found[effect]
 
 
 def metrics(rows: Sequence[Row], shuffled_finds: int, shuffled_cases: int) -> dict[str, float]:
@@ -114,6 +125,7 @@ def metrics(rows: Sequence[Row], shuffled_finds: int, shuffled_cases: int) -> di
         "false_alarm_pct": wilson(sum(r["found_something"] for r in nulls), len(nulls)).pct,
         "unknown_flagged_pct": wilson(sum(r["verdict"] == "unknown" for r in beyond), len(beyond)).pct,
         "interval_coverage_pct": wilson(covered, counted).pct,
+        "hidden_parameters_pinned": sum(r["pinned"] for r in rows),  # that have no interval, which the coverage leaves out
         "gap_closed_heldout_median_pct": _median([gap_closed(r, "heldout") for r in known]),
         "gap_closed_ood_median_pct": _median([gap_closed(r, "outside") for r in known]),
         "blackbox_ood_ratio": _median([_ratio(r, "blackbox") for r in known]),

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from softrl.artifacts.diagnosis import Diagnosis
 from softrl.proof.generator.catalogue import draw
 from softrl.proof.generator.plan import Case
-from softrl.proof.judging import redrawn
+from softrl.proof.judging import plain, redrawn
 from softrl.proof.trial import _entry
 
 
@@ -25,3 +26,10 @@ def test_a_hidden_payload_counts_in_masses_of_the_robot_as_described(mass: float
     law = draw("mass", "everywhere", 30.0, 3, np.random.default_rng(0))
     entry = _entry(law, 0.4, Case(0, "single", (("mass", "everywhere"),), 5.0, False, 0), 5.0, mass)
     assert entry["parameters"]["payload.mass"] == pytest.approx(0.4 * mass)
+
+
+def test_an_answer_keeps_what_was_told_as_neutral() -> None:
+    turn = {"value": 0.02, "low": 0.01, "high": 0.03, "unit": "rad", "at_bound": False}
+    told = {"name": "frame", "site": "sensor", "chamber": -1, "parameters": {"turn_z_rad": turn}, "pinned": {"shift_x": 0.0}}
+    found = Diagnosis("tripod", "PccSimulator", "named", [], [told | {"evidence": "much"}], {}, {}, [], [], {}, {}, {}, None, {})
+    assert plain(found)["effects"] == [told]
