@@ -5,6 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from softrl.effects.library import effect_class
+
 Row = dict[str, Any]
 CONFIDENCE = 1.959963984540054  # standard normal quantile of a two-sided 95 % interval
 
@@ -44,11 +46,12 @@ def row_of(key: dict[str, Any], given: dict[str, Any], errors: dict[str, Any], d
     inside = bool(rights) and all(rights)
     hits = [bool(told and right & set(named)) for right in rights] if inside else []
     chambers = [
-        effect["chamber"] == hidden["chamber"]
+        (hidden["chamber"], effect["chamber"])
         for hidden in key["hidden"]
         for effect in given.get("effects", [])
-        if effect["name"] in hidden["right"]
+        if effect["name"] in hidden["right"] and "chamber" in effect_class(effect["name"]).__dataclass_fields__
     ]
+    alone = [said == true for true, said in chambers if true >= 0]
     covered, intervals = coverage(key, given)
     return {
         "case": key["case"],
@@ -67,7 +70,8 @@ def row_of(key: dict[str, Any], given: dict[str, Any], errors: dict[str, Any], d
         "in_set": inside and told and any(right & (set(named) | set(alike)) for right in rights),
         "all_named": inside and all(hits),
         "wrong_named": sum(not any(name in right for right in rights) for name in named),
-        "chamber_right": all(chambers) if chambers else None,
+        "chamber_right": all(said == true for true, said in chambers) if chambers else None,
+        "one_chamber_right": all(alone) if alone else None,
         "found_something": given["verdict"] != "nothing missing",
         "covered": covered,
         "intervals": intervals,
@@ -154,6 +158,7 @@ def shares(rows: Sequence[Row]) -> dict[str, Share]:
         "nuisance/false_alarm": [r["found_something"] for r in rows if r["stratum"] == "nuisance"],
         "outside/unknown": [r["verdict"] == "unknown" for r in rows if r["stratum"] == "outside" and r["detectable"]],
         "named/chamber_right": [r["chamber_right"] for r in rows if r["chamber_right"] is not None],
+        "named/one_chamber_right": [r["one_chamber_right"] for r in rows if r["one_chamber_right"] is not None],
     }
     return {name: wilson(sum(hits), len(hits)) for name, hits in groups.items()}
 

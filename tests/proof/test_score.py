@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softrl.proof.score import coverage, gap_closed, metrics, misses, pinned, row_of, wilson
+from softrl.proof.score import coverage, gap_closed, metrics, misses, pinned, row_of, shares, wilson
 
 ERRORS = {
     split: {"oracle": 0.2, "nominal": 4.2, "retuned": 2.0, "corrected": 0.6, "blackbox": 3.0}
@@ -88,3 +88,26 @@ def test_a_hidden_parameter_that_is_told_as_neutral_has_no_interval_and_is_count
     assert pinned(hidden, said("named", "tether")) == 0
     found = metrics([row_of(hidden, answers, ERRORS, 1.0)] * 3, 0, 0)
     assert found["interval_coverage_pct"] == 100.0 and found["hidden_parameters_pinned"] == 6
+
+
+@pytest.mark.parametrize(
+    ("right", "hidden_in", "told", "chamber_right", "one_chamber_right"),
+    [
+        ("gain", 1, ("gain", 1), True, True),
+        ("gain", 1, ("gain", 2), False, False),
+        ("gain", 1, ("gain", -1), False, False),
+        ("lag", -1, ("lag", -1), True, None),
+        ("lag", -1, ("lag", 0), False, None),
+        ("payload", -1, ("payload", -1), None, None),  # has no chamber, so that it cannot be wrong
+        ("gain", 1, ("lag", 1), None, None),
+    ],
+)
+def test_only_an_effect_that_has_a_chamber_can_be_right_about_it(
+    right: str, hidden_in: int, told: tuple[str, int], chamber_right: bool | None, one_chamber_right: bool | None
+) -> None:
+    hidden, answers = key(0, "single", ("law", (right,))), said("named", told[0])
+    hidden["hidden"][0]["chamber"], answers["effects"][0]["chamber"] = hidden_in, told[1]
+    row = row_of(hidden, answers, ERRORS, 1.0)
+    assert (row["chamber_right"], row["one_chamber_right"]) == (chamber_right, one_chamber_right)
+    assert shares([row])["named/chamber_right"].trials == (chamber_right is not None)
+    assert shares([row])["named/one_chamber_right"].trials == (one_chamber_right is not None)
