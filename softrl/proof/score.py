@@ -130,8 +130,8 @@ def metrics(rows: Sequence[Row], shuffled_finds: int, shuffled_cases: int) -> di
         "unknown_flagged_pct": wilson(sum(r["verdict"] == "unknown" for r in beyond), len(beyond)).pct,
         "interval_coverage_pct": wilson(covered, counted).pct,
         "hidden_parameters_pinned": sum(r["pinned"] for r in rows),  # that have no interval, which the coverage leaves out
-        "gap_closed_heldout_median_pct": _median([gap_closed(r, "heldout") for r in known]),
-        "gap_closed_ood_median_pct": _median([gap_closed(r, "outside") for r in known]),
+        **_gaps(known, "heldout", "heldout"),
+        **_gaps(known, "outside", "ood"),
         "blackbox_ood_ratio": _median([_ratio(r, "blackbox") for r in known]),
         "retuned_ood_ratio": _median([_ratio(r, "retuned") for r in known]),
         "shuffled_finds": shuffled_finds,
@@ -163,13 +163,24 @@ def shares(rows: Sequence[Row]) -> dict[str, Share]:
     return {name: wilson(sum(hits), len(hits)) for name, hits in groups.items()}
 
 
-def gap_closed(row: Row, split: str) -> float:
-    """Return the share, per cent, of the way from the nominal's rms error to the oracle's that the correction goes."""
-    names = [f"{split}_{model}_mm" for model in ("nominal", "corrected", "oracle")]
+def gap_closed(row: Row, split: str, model: str = "corrected") -> float:
+    """Return the share, per cent, of the way from the nominal's rms error to the oracle's that ``model`` goes."""
+    names = [f"{split}_{name}_mm" for name in ("nominal", model, "oracle")]
     if not all(name in row for name in names):
-        return 0.0  # a crash, or a correction that cannot run, closes nothing
-    nominal, corrected, oracle = (row[name] for name in names)
-    return 100.0 * (nominal - corrected) / (nominal - oracle) if nominal > oracle else np.nan
+        return 0.0  # a crash, or a model that cannot run, closes nothing
+    nominal, found, oracle = (row[name] for name in names)
+    return 100.0 * (nominal - found) / (nominal - oracle) if nominal > oracle else np.nan
+
+
+def _gaps(rows: Sequence[Row], split: str, short: str) -> dict[str, float]:
+    """Return the gap closed over ``rows``, per cent: median and lower quartile of the correction, medians of its baselines."""
+    found = {model: [gap_closed(row, split, model) for row in rows] for model in ("corrected", "retuned", "blackbox")}
+    return {
+        f"gap_closed_{short}_median_pct": _median(found["corrected"]),
+        f"gap_closed_{short}_lower_quartile_pct": _lower_quartile(found["corrected"]),
+        f"gap_closed_{short}_retuned_median_pct": _median(found["retuned"]),
+        f"gap_closed_{short}_blackbox_median_pct": _median(found["blackbox"]),
+    }
 
 
 def misses(rows: Sequence[Row]) -> list[str]:
@@ -206,6 +217,11 @@ def _ratio(row: Row, model: str) -> float:
 def _median(values: Sequence[float]) -> float:
     known = [v for v in values if not np.isnan(v)]
     return float(np.median(known)) if known else np.nan
+
+
+def _lower_quartile(values: Sequence[float]) -> float:
+    known = [v for v in values if not np.isnan(v)]
+    return float(np.quantile(known, 0.25)) if known else np.nan
 
 
 def _located(given: dict[str, Any]) -> str:

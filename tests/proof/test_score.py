@@ -53,6 +53,8 @@ def test_a_table_by_hand() -> None:
     assert found["top1_pct"] == 50.0 and found["top1_low_pct"] == pytest.approx(9.5, abs=0.06)
     assert found["pairs_both_pct"] == 50.0 and found["false_alarm_pct"] == 50.0 and found["unknown_flagged_pct"] == 50.0
     assert found["gap_closed_heldout_median_pct"] == pytest.approx(90.0) == found["gap_closed_ood_median_pct"]
+    assert found["gap_closed_ood_retuned_median_pct"] == pytest.approx(55.0)
+    assert found["gap_closed_ood_blackbox_median_pct"] == pytest.approx(30.0)
     assert found["blackbox_ood_ratio"] == pytest.approx(5.0) and found["retuned_ood_ratio"] == pytest.approx(2.0 / 0.6)
     assert (found["shuffled_finds"], found["shuffled_cases"], found["seconds_per_case"]) == (1, 4, 10.0)
     assert np.isnan(found["interval_coverage_pct"])
@@ -66,6 +68,19 @@ def test_a_crash_is_a_miss_that_closes_no_gap() -> None:
     found = metrics([row], 0, 0)
     assert found["top1_pct"] == found["gap_closed_ood_median_pct"] == found["blackbox_ood_ratio"] == 0.0
     assert "ValueError" in misses([row])[0]
+
+
+def test_the_gap_closed_stands_beside_its_baselines_and_the_worse_cases() -> None:
+    """Retuning alone may close most of the gap, and a median does not see a correction that closes none."""
+    rows = []
+    for number, error in enumerate((0.2, 0.2, 0.2, 4.2)):
+        errors = {"outside": ERRORS["outside"], "heldout": ERRORS["heldout"] | {"corrected": error, "retuned": 0.2 + number}}
+        rows.append(row_of(key(number, "single", ("spool", ("lag",))), said("named", "lag"), errors, 1.0))
+    found = metrics(rows, 0, 0)
+    assert found["gap_closed_heldout_median_pct"] == pytest.approx(100.0)
+    assert found["gap_closed_heldout_lower_quartile_pct"] == pytest.approx(75.0)
+    assert found["gap_closed_heldout_retuned_median_pct"] == pytest.approx(62.5)  # of 100, 75, 50, 25
+    assert found["gap_closed_heldout_blackbox_median_pct"] == pytest.approx(30.0)
 
 
 def test_intervals_count_where_both_forms_mean_the_same() -> None:
