@@ -10,7 +10,9 @@ from softrl.pcc.simulator import PccSimulator
 from softrl.proof.generator import laws
 from softrl.proof.generator.catalogue import OUTSIDE, RIGHT, draw
 from softrl.proof.generator.plant import simulate, trace
+from softrl.proof.generator.program import Range, _block
 from softrl.proof.generator.sensing import reported
+from softrl.proof.trial import Nuisance, _body
 from softrl.robots.robot import Robot
 from tests.proof.conftest import body_of, loaded
 
@@ -55,6 +57,28 @@ def test_a_chain_of_many_links_moves_as_the_lumped_body_does(tripod: Robot, grav
     axis = Rotation.from_quat(lumped.quaternion, scalar_first=True).as_matrix()[:, :, 2]
     lean = np.arccos(np.clip(np.sum(axis * chain.rotation[1:, :, 2], axis=1), -1.0, 1.0))
     assert np.rad2deg(np.sqrt(np.mean(lean**2))) < 0.1, np.rad2deg(lean).round(2).tolist()
+
+
+def test_a_body_of_one_chamber_stretches_no_more_than_the_lumped_one(tripod: Robot) -> None:
+    """Whatever elongation the nominal is told, it has none of one chamber: a stretch would be missing physics in every case."""
+    robot = dataclasses.replace(tripod, chamber_angle_deg=(0.0,))
+    nominal = PccSimulator(robot, **{k: v for k, v in loaded("simulator/pcc.yaml").items() if k != "_target_"})
+    assert nominal.elongation_at_full_pressure > 0.0
+    time = 0.01 * np.arange(301)
+    command = np.repeat(np.random.default_rng(0).uniform(0.0, 3e4, (6, 1)), 51, axis=0)[:301]
+    chain = simulate(_body(robot, nominal, Nuisance(), 16), laws.neutral_table(), time, command, 1e-3)
+    apart = np.linalg.norm(nominal.simulate(time[1:], command[1:]).position - chain.position[1:], axis=1)
+    moved = np.linalg.norm(chain.position - chain.position.mean(axis=0), axis=1)
+    assert np.sqrt(np.mean(apart**2)) < 0.01 * np.sqrt(np.mean(moved**2)), (1e3 * apart).round(2).tolist()
+
+
+@pytest.mark.parametrize("chambers", [1, 2, 3])
+def test_ramps_are_four_triangles_of_their_chamber(chambers: int) -> None:
+    """What another chamber holds meanwhile does not take their place where there is no other."""
+    for chamber in range(chambers):
+        made = _block(Range(-20e3, 35e3, 1e6, chambers), "ramps", chamber, 400, 1.0, np.random.default_rng(0))
+        slope = np.sign(np.diff(made[:, chamber]))
+        assert np.count_nonzero(np.diff(slope[slope != 0.0])) == 7 and made[:, chamber].max() > 0.75 * 35e3
 
 
 def test_the_integrator_converges(tripod: Robot) -> None:

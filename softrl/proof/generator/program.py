@@ -108,7 +108,7 @@ def _block(limits: Range, kind: str, chamber: int, ticks: int, share: float, rng
     start = np.r_[0.0, np.cumsum(period)]
     which = np.clip(np.searchsorted(start, phase, side="left") - 1, 0, 3)
     local = np.clip((phase - start[which]) / period[which], 0.0, 1.0)
-    other = (chamber + 1) % limits.chambers
     made[:, chamber] = rng.uniform(0.8, 1.0) * high * (1.0 - np.abs(2.0 * local - 1.0))
-    made[:, other] = rng.uniform(0.0, 0.4) * high * np.minimum(1.0, 5.0 * phase)
+    if limits.chambers > 1:
+        made[:, (chamber + 1) % limits.chambers] = rng.uniform(0.0, 0.4) * high * np.minimum(1.0, 5.0 * phase)
     return made
