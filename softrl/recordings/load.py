@@ -1,5 +1,6 @@
 """Read a dataset folder, ``dataset.yaml`` and one CSV a run, into recordings in SI units."""
 
+import itertools
 import logging
 import re
 from collections.abc import Sequence
@@ -21,6 +22,7 @@ from softrl.robots.robot import AXES, Robot
 log = logging.getLogger(__name__)
 
 EPOCH_S = 1e8  # a later time counts from an epoch, as Unix time does: no session goes on for three years
+SAME_ROW_S = 1e-3  # by which a run may begin before the end of another: the row at which a log was cut stands in both
 NAMING = ("disturbed", "out_of_distribution")  # notes that hold names of runs or sessions, as they are written
 
 
@@ -43,9 +45,9 @@ def load_runs(folder: Path | str, robot: Robot | None) -> tuple[str, tuple[Recor
             f"{folder / DATASET}: robot '{head['robot']}' made these recordings, but '{robot.name}' is chosen; "
             f"choose robot={head['robot']}"
         )
-    recordings = _since_each_session(
-        [_read_run(folder / f"{run}.csv", run, session, robot) for session in sessions for run in session.runs]
-    )
+    recorded = [_read_run(folder / f"{run}.csv", run, session, robot) for session in sessions for run in session.runs]
+    _require_order(recorded, folder / DATASET)
+    recordings = _since_each_session(recorded)
     if not recordings:
         raise RecordingError(f"{folder} names no runs; expected one CSV file a run beside {DATASET}")
     extras = {s.name: s.notes for s in sessions if s.notes}
@@ -136,6 +138,28 @@ def _read_run(path: Path, name: str, session: Session, robot: Robot | None) -> R
         if flat in arrays:
             arrays[flat] = arrays[flat][:, 0]
     return Recording(name=name, session=session.name, markers=markers, **arrays)
+
+
+def _require_order(recordings: Sequence[Recording], path: Path) -> None:
+    """Refuse runs of a session that by a clock were recorded before the one listed before them ended; warn of such sessions.
+
+    What drifts, fails or begins at a moment is dated by the order of runs. A clock may be set back between two sessions.
+    """
+    timed = [run for run in recordings if run.time[0] >= EPOCH_S]
+    for before, run in itertools.pairwise(timed):
+        early_s = float(before.time[-1] - run.time[0])
+        if early_s <= SAME_ROW_S:
+            continue
+        if run.session == before.session:
+            raise RecordingError(
+                f"{path}: session '{run.session}': run '{run.name}' begins {early_s:g} s before the end of run '{before.name}', "
+                "which is listed before it; list runs in the order of recording"
+            )
+        log.warning(
+            "%s: session '%s' begins %g s before the end of session '%s', which counts as recorded before it; list sessions in "
+            "the order of recording (without the key sessions it is that of the names)",
+            path, run.session, early_s, before.session,
+        )  # fmt: skip
 
 
 def _since_each_session(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
