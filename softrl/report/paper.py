@@ -98,7 +98,7 @@ ROWS = (
 
 def collect(results: Mapping[str, Sequence[Mapping[str, float]]], why_not: Mapping[str, str],
             commands: Mapping[str, str], profile: str) -> list[dict[str, Any]]:  # fmt: skip
-    """Return every row with our mean and spread over seeds; one that was not measured says why.
+    """Return every row with our mean and spread over seeds; one that was not measured, or not by all seeds, says why.
 
     Parameters
     ----------
@@ -118,8 +118,8 @@ def collect(results: Mapping[str, Sequence[Mapping[str, float]]], why_not: Mappi
         if not found:
             reason = why_not.get(row.run) or row.missing or f"{row.metric} was not measured by {row.run}"
             entry["reason"] = reason
-        elif shortfall := _shortfall(len(found), profile):
-            entry["reason"] = shortfall
+        elif lacks := [*filter(None, (_shortfall(len(found), profile), why_not.get(row.run)))]:
+            entry["reason"] = "; ".join(lacks)  # a mean over seeds that were left says so
         rows.append(entry)
     return rows
 

@@ -29,6 +29,21 @@ def test_rows_carry_mean_and_spread_or_a_reason() -> None:
     assert json.loads(json.dumps(found)) == found and "not measured" in table_of(found)
 
 
+@pytest.mark.parametrize(
+    ("left", "profile", "reason"),
+    [
+        (5, "paper", "seed 3: the fit diverged"),
+        (4, "paper", "4 of 5 seeds; seed 3: the fit diverged"),
+        (4, "quick", "reduced sizes (profile=quick), 4 of 5 seeds; seed 3: the fit diverged"),
+        (0, "paper", "seed 3: the fit diverged"),
+    ],
+)
+def test_a_mean_over_the_seeds_that_are_left_says_so(left: int, profile: str, reason: str) -> None:
+    found = collect({"surrogate": [{"heldout/tip_error_mm": 0.1}] * left}, {"surrogate": "seed 3: the fit diverged"}, {}, profile)
+    ours = next(row for row in found if row["row"] == "f_SP, position")
+    assert (ours["seeds"], ours["reason"]) == (left, reason) and reason in table_of(found)
+
+
 def settings(**changes: Any) -> dict[str, Any]:
     stage = {
         "seeds": [0, 1],
