@@ -210,6 +210,11 @@ class Assembly:
         wanted = (self._effects_mark(), NOMINAL) if kind is Policy else (NOMINAL,)
         return next(filter(None, (self.store.find(tags | {"effects": mark}) for mark in wanted)), None)
 
+    def newer(self, kind: type[Artifact], run: Any) -> Any:
+        """Return the run after ``run`` whose ``kind`` other stages take for the latest, or None."""
+        latest = self._latest(kind)
+        return latest if latest is not None and latest.info.start_time > run.info.start_time else None
+
     def _effects_mark(self) -> str:
         """Return what tells the chosen effects from others; those of a diagnosis are known by its run."""
         node = self._effects

@@ -57,6 +57,8 @@ def run_stage(stage: str, cfg: Mapping[str, Any], folder: Path, made: Mapping[st
     if task.before is not None:
         run_id = task.before.info.run_id
         log.info("%s: run %s did the same already and is reused (force=true runs it again)", stage, run_id[:8])
+        if made is None and PARENT_VARIABLE not in os.environ:  # else nobody goes on with the latest
+            _warn_of_newer(stage, assembly, task.before)
         if task.write_out is not None:
             task.write_out(*_loaded(store, task.before, stage))
         _copy(store, run_id, task.out)
@@ -103,6 +105,16 @@ def _kinds(stage: str) -> list[type[Artifact]]:
 def _loaded(store: Store, run: Any, stage: str) -> list[Artifact]:
     """Return the artifacts that a finished run made."""
     return [kind.load(store.folder(run, kind.key())) for kind in _kinds(stage)]
+
+
+def _warn_of_newer(stage: str, assembly: Assembly, before: Any) -> None:
+    """Tell that other stages take a newer run than the one that was reused, and how to choose it."""
+    found = {kind.key(): assembly.newer(kind, before) for kind in _kinds(stage)} if stage in STAGES else {}
+    names, newer = [name for name, run in found.items() if run], next(filter(None, found.values()), None)
+    if newer:
+        chosen = " ".join(f"inputs.{name}=run:{before.info.run_id[:8]}" for name in names)
+        log.warning("%s: run %s is newer, and what other stages take; give them %s for the reused one", stage,
+                    newer.info.run_id[:8], chosen)  # fmt: skip
 
 
 class _Prepared(NamedTuple):

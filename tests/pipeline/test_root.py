@@ -11,6 +11,7 @@ import pytest
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import OmegaConf
 
+from softrl import pipeline
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.artifacts.policy import Policy
 from softrl.assembly import NOMINAL, Assembly, _corrected_by
@@ -18,7 +19,7 @@ from softrl.core.errors import ArtifactError, ConfigError
 from softrl.core.simulator import Simulator
 from softrl.effects.chain import EffectChain
 from softrl.loop import _compose
-from softrl.pipeline import EXTRA, STAGES, _copy, _own_folder
+from softrl.pipeline import EXTRA, STAGES, _copy, _own_folder, _Prepared, run_stage
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
 
@@ -69,6 +70,30 @@ def test_the_latest_diagnosis_is_found_where_its_effects_are_asked_for() -> None
     assembly = Assembly(store, composed("stage=rl", "effect=identified"), {})
     assert assembly._latest(Diagnosis) is found
     assert assembly._latest(Policy) is found, "the mark of its effects asks for the diagnosis"
+
+
+@pytest.mark.parametrize(
+    ("stage", "taken", "made", "told"),
+    [
+        ("mesh", "later", None, "run later is newer, and what other stages take; give them inputs.mesh=run:before for"),
+        ("mesh", "before", None, ""),
+        ("calibration", "earlier", None, ""),  # one with effects, beside which the nominal one is taken
+        ("mesh", "later", {}, ""),  # in a loop the run of each stage goes on
+        ("proof", "later", None, ""),  # which no stage takes
+    ],
+)
+def test_a_run_that_is_reused_tells_which_newer_one_is_taken(
+    stage: str, taken: str, made: dict[str, str] | None, told: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+) -> None:  # fmt: skip
+    runs = {name: SimpleNamespace(info=SimpleNamespace(run_id=name, start_time=k))
+            for k, name in enumerate(("earlier", "before", "later"))}  # fmt: skip
+    assembly = Assembly(SimpleNamespace(find=lambda tags: runs[taken]), composed(f"stage={stage}"), {})
+    task = _Prepared(assembly.store, assembly, None, None, {}, "", runs["before"], None, None)
+    monkeypatch.setattr(pipeline, "_prepare", lambda *_: task)
+    monkeypatch.setattr(pipeline, "_reused", lambda *_: None)
+    run_stage(stage, {}, tmp_path, made)
+    assert told in caplog.text if told else "newer" not in caplog.text
 
 
 def test_a_correction_of_another_body_is_refused() -> None:
