@@ -128,7 +128,8 @@ def without_relation(
     The residual keeps its size and colour and loses all relation to the commands: there is nothing to be found. Without measured
     pressures a log may be late by one interval, beside them by one against each; what is later than that would be physics.
     """
-    recorded, rng, taken = read(source, robot), np.random.default_rng(seed), []
+    # the folder's name tells cases apart: of equal lengths all would draw the same phases, and count as one control
+    recorded, rng, taken = read(source, robot), np.random.default_rng([seed, *source.name.encode()]), []
     interval_s = float(np.median([np.median(np.diff(run.time)) for run in recorded.recordings]))
     plant = built(late(min(given["retuned_late_s"], interval_s)), given["retuned"], robot, nominal)
     for run in recorded.recordings:

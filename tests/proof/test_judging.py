@@ -1,13 +1,20 @@
 """A control's residual keeps size and colour, and neither lines nor jumps; the key means what the library means."""
 
+from pathlib import Path
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from softrl.artifacts.diagnosis import Diagnosis
+from softrl.proof import judging
 from softrl.proof.generator.catalogue import draw
 from softrl.proof.generator.plan import Case
 from softrl.proof.judging import plain, redrawn
 from softrl.proof.trial import _entry
+from softrl.recordings.recording import Recording, RecordingSet
+from softrl.recordings.write import write
+from softrl.robots.robot import Robot
 
 
 def test_a_control_keeps_size_and_colour_but_no_line() -> None:
@@ -19,6 +26,32 @@ def test_a_control_keeps_size_and_colour_but_no_line() -> None:
     assert power[:20].sum() > 3.0 * power[300:].sum(), "slow as before"
     share = power[30] / power[24:37].sum(axis=0)
     assert share.max() < 0.6, "the swing of 1 Hz is spread over its neighbours"
+
+
+def test_controls_of_a_proof_are_drawn_apart_and_each_again_alike(
+    tmp_path: Path, tripod: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of equal recordings two cases would else be one control: what is drawn depends on the case, too."""
+    time, noise = 0.02 * np.arange(1, 800), np.random.default_rng(5).standard_normal((799, 3))
+    tip = np.array([0.0, 0.0, tripod.length_m]) + 1e-4 * np.cumsum(noise, axis=0)
+    for name in ("0a1b", "7f3c"):
+        write(tmp_path / name, RecordingSet("tripod", (Recording("run", "s", time, np.zeros((799, 3)), position=tip),)))
+    still = SimpleNamespace(position=np.tile([0.0, 0.0, tripod.length_m], (799, 1)))
+    monkeypatch.setattr(judging, "built", lambda *_: None)
+    monkeypatch.setattr(judging, "replay", lambda *_: still)
+    given = {"retuned_late_s": 0.0, "retuned": {}}
+
+    def phases(name: str, seed: int) -> np.ndarray:
+        made = judging.without_relation(tmp_path / name, given, tripod, None, 0.01, seed).recordings[0]
+        lines = np.fft.rfft(made.position - still.position, axis=0)[1:300]
+        return lines / abs(lines)
+
+    def alike(*ones: np.ndarray) -> float:
+        return float(np.mean((ones[0] * ones[1].conj()).real))
+
+    one = phases("0a1b", 39)
+    assert alike(one, phases("0a1b", 39)) > 0.999
+    assert abs(alike(one, phases("7f3c", 39))) < 0.2 and abs(alike(one, phases("0a1b", 40))) < 0.2
 
 
 @pytest.mark.parametrize("mass", [1.0, 1.05])
