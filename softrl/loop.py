@@ -4,6 +4,7 @@ import json
 import logging
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -97,15 +98,30 @@ def _plain(cfg: DictConfig) -> dict[str, Any]:
     for key in container:
         if key not in ROOT_KEYS:
             raise ConfigError(f"{key}={container[key]} is an unknown key; expected one of {', '.join(ROOT_KEYS)}")
-    for key, (kinds, low, high, expected) in ROOT_RANGES.items():
-        value = container[key]
-        if type(value) not in kinds or not low <= value <= high:
-            raise ConfigError(f"{key}={value} is refused; expected {expected}")
+    for key in ROOT_RANGES:
+        _require(key, container[key], key)
+    for path, value in _seeds(container["stage"], "stage"):
+        _require("seed", value, path)
     for key in ("recordings", "out"):
         if container[key] is not None and not isinstance(container[key], str):
             raise ConfigError(f"{key}={container[key]} is refused; expected a folder, such as {key}=./{container[key]}")
     check_inputs(container["inputs"])
     return _apart({key: value for key, value in container.items() if key != "hydra"})
+
+
+def _require(key: str, value: Any, path: str) -> None:
+    kinds, low, high, expected = ROOT_RANGES[key]
+    if type(value) not in kinds or not low <= value <= high:
+        raise ConfigError(f"{path}={value} is refused; expected {expected}")
+
+
+def _seeds(node: dict[str, Any], path: str) -> Iterator[tuple[str, Any]]:
+    """Yield (path, value) of each seed in a stage's configuration: most are the root's, but may be set apart."""
+    for key, value in node.items():
+        if key == "seed":
+            yield f"{path}.{key}", value
+        elif isinstance(value, dict):
+            yield from _seeds(value, f"{path}.{key}")
 
 
 def _apart(config: dict[str, Any]) -> dict[str, Any]:

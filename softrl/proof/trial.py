@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from softrl.core.errors import ConfigError
 from softrl.pcc.simulator import PccSimulator
 from softrl.proof.generator import laws
 from softrl.proof.generator.catalogue import SAME_MEANING, Hidden, answers, draw
@@ -20,6 +21,7 @@ from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.write import write
 from softrl.robots.robot import Robot
 
+SHORTEST_S = 7.0  # a session: four pauses of a second, and three blocks
 PROBES = 4  # sessions on which a hidden effect's size is measured
 OF_OWN_MASS = ("payload.mass",)  # hidden as a share of the mass that the body has, named as one of the robot's in its data
 RECORDINGS, OUTSIDE, TRUTH = "recordings", "outside", "truth"
@@ -58,6 +60,25 @@ class Generator:
     dropped_share: float
     late_share: float
     says_when: bool
+
+    def __post_init__(self) -> None:
+        said = "stage.generator."
+        if self.links < 1 or not self.session_s >= SHORTEST_S:
+            raise ConfigError(
+                f"{said}links={self.links}, session_s={self.session_s:g}; expected 1 or more, and {SHORTEST_S:g} s or more, of "
+                "which the pauses take 4"
+            )
+        for name in ("step_s", "share", "position_noise_m", "noise_memory_s"):  # effects are hidden as multiples of the noise
+            if getattr(self, name) <= 0.0:
+                raise ConfigError(f"{said}{name}={getattr(self, name):g} must be positive")
+        for name in ("orientation_noise_rad", "pressure_noise_pa"):
+            if getattr(self, name) < 0.0:
+                raise ConfigError(f"{said}{name}={getattr(self, name):g} must not be negative")
+        for name in ("share", "coloured_share", "late_share"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ConfigError(f"{said}{name}={getattr(self, name):g} must lie between 0 and 1")
+        if not 0.0 <= self.dropped_share < 1.0:
+            raise ConfigError(f"{said}dropped_share={self.dropped_share:g}; expected 0 or more, and below 1")
 
 
 @dataclass(frozen=True)

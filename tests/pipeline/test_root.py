@@ -73,6 +73,17 @@ def test_the_latest_diagnosis_is_found_where_its_effects_are_asked_for() -> None
 
 
 @pytest.mark.parametrize(
+    ("stage", "word"),
+    [("excite", "stage.seed=-1"), ("diagnosis", "stage.seed=1.5"), ("proof", "stage.seed=4294967296"),
+     ("proof", "stage.diagnosis.seed=-1")],
+)
+def test_a_seed_of_a_stage_is_refused_as_the_roots_is(stage: str, word: str) -> None:
+    with pytest.raises(ConfigError, match=f"{word} is refused; expected a whole number from 0 to 4294967295"):
+        composed(f"stage={stage}", word)
+    assert composed(f"stage={stage}", "stage.seed=7")["stage"]["seed"] == 7
+
+
+@pytest.mark.parametrize(
     ("stage", "taken", "made", "told"),
     [
         ("mesh", "later", None, "run later is newer, and what other stages take; give them inputs.mesh=run:before for"),

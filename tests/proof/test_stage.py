@@ -11,8 +11,10 @@ import pytest
 from softrl.core.errors import ArtifactError, ConfigError
 from softrl.core.tracking import NullTracker
 from softrl.proof import blackbox, stage
+from softrl.proof.generator.program import Range, outside, sessions
 from softrl.proof.ledger import digest, open_key, require_untouched, seal
 from softrl.proof.shelf import kept
+from softrl.proof.trial import SHORTEST_S
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 from tests.proof.conftest import configured
@@ -35,6 +37,29 @@ def test_a_robot_that_reports_an_angle_is_refused_at_once(tmp_path: Path, tripod
     with pytest.raises(ConfigError, match=r"robot=tripod reports bend_angle, .*; choose a robot whose output is tip_position"):
         stage.run(config, finger, tracker=NullTracker())
     assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"session_s": 3.0}, r"session_s=3; expected .* 7 s or more, of which the pauses take 4"),
+        ({"links": 0}, "links=0, .*; expected 1 or more"),
+        ({"position_noise_m": 0.0}, "position_noise_m=0 must be positive"),
+        ({"pressure_noise_pa": -1.0}, "pressure_noise_pa=-1 must not be negative"),
+        ({"share": 1.5}, "share=1.5 must lie between 0 and 1"),
+        ({"dropped_share": 1.0}, "dropped_share=1; expected 0 or more, and below 1"),
+    ],
+)
+def test_what_no_session_can_be_drawn_from_is_refused_with_its_key(changed: dict[str, Any], told: str) -> None:
+    with pytest.raises(ConfigError, match=rf"stage.generator\..*{told}") as error:
+        configured(generator=changed)
+    assert "\n" not in str(error.value)
+
+
+def test_the_shortest_sessions_can_be_drawn() -> None:
+    rng, limits = np.random.default_rng(0), Range(-20e3, 35e3, 1e6, 3)
+    for session in [*sessions(limits, 8, SHORTEST_S, 0.75, rng), outside(limits, SHORTEST_S, 0.4, rng)]:
+        assert np.isfinite(session.command).all() and (np.ptp(session.command, axis=0).max() > 0.0).all()
 
 
 def test_a_key_that_was_changed_does_not_open(tmp_path: Path) -> None:
