@@ -26,6 +26,8 @@ _PATTERNS: tuple[tuple[str, str, str], ...] = (
     (r"(?P<marker>marker[a-z0-9]+)_(?P<xyz>[xyz])_(?P<unit>[a-z]+)", "markers", "m"),
     (r"temp_c", "temperature", ""),
 )
+MARKERS = [f"marker{number}_{axis}_mm" for number in range(1, 33) for axis in "xyz"]  # usual names
+MARKER_ALIKE = 0.85  # similarity, of 1, from which a column is a marker's misspelt: marker_id and such are the user's own
 _WIDTH = {"time": 1, "position": 3, "quaternion": 4, "bend_angle": 1, "tip_force": 3, "temperature": 1}
 
 
@@ -91,13 +93,24 @@ def _match(name: str, number: int, robot: Robot | None, path: Path) -> tuple[str
     hint = ""
     if re.fullmatch(r"[a-z_]+\d*_cmd", name) and robot is not None:
         hint = f"; robot.command={robot.command} of {robot.name}: set it to '{name[:-4]}' if this is its command"
-    usual = _names(robot)
-    near = [n for n in usual if n.startswith(f"{name.lower()}_")] or difflib.get_close_matches(name.lower(), usual, n=1)
-    if not hint and near:
-        hint = f"; did you mean '{near[0]}'?"
+    if not hint and (near := _near(name.lower(), robot)):
+        hint = f"; did you mean '{near}'?"
     if not hint:
         return None
     raise RecordingError(f"{path}, line 1, column {number + 1}: unknown column '{name}'; expected {EXPECTED}{hint}")
+
+
+def _near(name: str, robot: Robot | None) -> str:
+    """Return the usual name that ``name`` is nearly; empty if there is none."""
+    usual = _names(robot)
+    short = (whole for whole in (*usual, *MARKERS) if whole.startswith(f"{name}_"))
+    marker = max(MARKERS, key=lambda whole: _alike(whole, name))
+    near = (*short, *difflib.get_close_matches(name, usual, n=1), *([marker] if _alike(marker, name) >= MARKER_ALIKE else []))
+    return next(iter(near), "")
+
+
+def _alike(one: str, other: str) -> float:
+    return difflib.SequenceMatcher(None, one, other).ratio()
 
 
 def _names(robot: Robot | None) -> list[str]:

@@ -187,6 +187,13 @@ ROWS = "0.01,5,0,0,0,0,176\n0.02,5,1,0,0,0,176\n0.03,5,2,0,1,0,176\n"
         (GOOD.replace(",", "\t"), ROWS.replace(",", "\t"), ["line 1", "tabs", "expected commas"]),
         (GOOD, ROWS.replace(".", ","), ["line 2", "8 values for 7 columns", "expected 7", "decimals"]),
         (GOOD.replace("tip_x_mm", "tip_x"), ROWS, ["column 5", "unknown column 'tip_x'", "did you mean 'tip_x_mm'"]),
+        *(
+            (GOOD.replace("\n", f",{name}\n"), ROWS.replace("\n", ",0\n"), ["column 8", f"'{name}'", f"did you mean '{meant}'?"])
+            for name, meant in (
+                ("marker1_x", "marker1_x_mm"), ("marker_2_y_mm", "marker2_y_mm"), ("Marker3_z_mm", "marker3_z_mm"),
+                ("marker_x_mm", "marker1_x_mm"), ("mark1_x_mm", "marker1_x_mm"), ("marker12_x", "marker12_x_mm"),
+            )
+        ),
         (GOOD.replace("time_s", "Time_s"), ROWS, ["column 1", "did you mean 'time_s'"]),
         (GOOD.replace("time_s", "time_us"), ROWS, ["'time_us' is in 'us'", "expected s, ms"]),
         (GOOD.replace("time_s", "time_ms"), ROWS, ["'time_ms'", "1e-05 s", "time_s"]),
@@ -248,10 +255,10 @@ def test_columns_of_other_names_are_left_out_and_told(tripod: Robot, tmp_path: P
     (tmp_path / "a.csv").write_text(GOOD + ROWS)
     plain = read(tmp_path, tripod)
     lines = (GOOD + ROWS).splitlines()
-    more = [f"operator,{line},flow_slpm" if k == 0 else f"anna,{line},0.5" for k, line in enumerate(lines)]
+    more = [f"operator,{line},flow_slpm,marker_id" if k == 0 else f"anna,{line},0.5,3" for k, line in enumerate(lines)]
     (tmp_path / "a.csv").write_text("\n".join(more) + "\n")
     assert_same(read(tmp_path, tripod), plain)
-    assert "left out: operator, flow_slpm" in caplog.text
+    assert "left out: operator, flow_slpm, marker_id" in caplog.text
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-8"])
