@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 import typing
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,6 +18,9 @@ import numpy as np
 from softrl.core.errors import ArtifactError
 
 META, ARRAYS = "meta.json", "arrays.npz"
+# what readers of JSON and of compressed archives raise where a file is not what was written (RuntimeError: a method of
+# compression that there is not, a password)
+DAMAGE = (KeyError, TypeError, ValueError, OSError, EOFError, RuntimeError, BadZipFile, zlib.error)
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,7 @@ def _told_as_damage(folder: Path, kind: type[Artifact]) -> Iterator[None]:
     """Turn what files that are not whole raise into the message of one line."""
     try:
         yield
-    except (KeyError, TypeError, ValueError, OSError, BadZipFile) as error:
+    except DAMAGE as error:
         raise ArtifactError(
             f"{folder} holds a damaged {kind.kind()} ({type(error).__name__}: {error}); rerun stage={kind.stage}"
         ) from error

@@ -75,3 +75,15 @@ def test_a_damaged_artifact_is_told_in_one_line(damage: str, sample: Sample, tmp
         meta.write_text(damage)
     with pytest.raises(ArtifactError, match=r"holds a damaged Sample .*; rerun stage=fem"):
         Sample.load(tmp_path / "x")
+
+
+def test_a_page_that_was_lost_is_told_in_one_line(sample: Sample, tmp_path: Path) -> None:
+    """As a power cut leaves it: zeros within a file of the right length."""
+    large = replace(sample, table=np.random.default_rng(0).random((2000, 3)))
+    large.save(tmp_path / "x")
+    arrays = tmp_path / "x/arrays.npz"
+    whole = arrays.read_bytes()
+    for start in np.linspace(0, len(whole) - 4096, 100).astype(int):
+        arrays.write_bytes(whole[:start] + bytes(4096) + whole[start + 4096 :])
+        with pytest.raises(ArtifactError, match=r"holds a damaged Sample .*; rerun stage=fem"):
+            Sample.load(tmp_path / "x")
