@@ -101,9 +101,11 @@ class Runs:
         began = time.monotonic()
         try:
             outcome = run_stage(step.stage, self.configuration(step), folder, made)
-        except SoftrlError as error:
-            log.warning("%s with seed %d failed: %s", step.name, step.seed, error)
-            self.why_not[step.name] = f"seed {step.seed}: {error}"
+        except Exception as error:  # hours of the other runs do not hang on it, whatever it is
+            known = isinstance(error, SoftrlError)
+            said = str(error) if known else f"{type(error).__name__}: {error}"
+            log.warning("%s with seed %d failed: %s", step.name, step.seed, said, exc_info=not known)
+            self.why_not[step.name] = f"seed {step.seed}: {said}"
             return None
         self.results.setdefault(step.name, []).append(outcome.metrics)
         self.finished.append(outcome)
@@ -115,7 +117,7 @@ class Runs:
         """Return the id of the run that a step would reuse, or None."""
         try:
             return finished_before(step.stage, self.configuration(step), made)
-        except SoftrlError:  # told when it is run
+        except Exception:  # told when it is run
             return None
 
     def configuration(self, step: Step) -> dict[str, Any]:
@@ -239,7 +241,7 @@ def _write(runs: Runs, cfg: Mapping[str, Any], config: Config, folder: Path, wai
         write_text(place / "paper.json", text)
         write_text(place / "paper.md", table_of(rows))
     if config.keep:
-        write_text(Path(config.keep), text)
+        write_text(Path(config.keep).expanduser(), text)
     measured = sum(row["ours_mean"] is not None for row in rows)
     left = f"; {len(waiting)} runs to go{runs.estimate(len(waiting))}" if waiting else ""
     log.info("paper: %d of %d rows measured, %s%s", measured, len(rows), folder / "paper.md", left)

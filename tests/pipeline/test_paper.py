@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from softrl import paper
@@ -155,6 +156,34 @@ def test_what_stands_on_a_failure_says_so(monkeypatch: pytest.MonkeyPatch, tmp_p
     paper.run_paper(settings(seeds=[0]), ["stage=paper"], tmp_path, lambda w: w)
     rows = {row["row"]: row for row in json.loads((tmp_path / "paper.json").read_text())}
     assert rows["simulation, circle"]["reason"] == "seed 0: left out, since surrogate failed"
+
+
+def test_an_error_of_any_kind_costs_its_own_rows_only(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    def run_stage(stage: str, cfg: list[str], folder: Path, made: dict[str, str]) -> Outcome:
+        if stage == "dynamics" and "seed=0" in cfg:
+            raise np.linalg.LinAlgError("Singular matrix")
+        return Outcome(stage, stage, False, 1.0, {}, folder)
+
+    def finished_before(stage: str, cfg: list[str], made: dict[str, str]) -> None:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(paper, "run_stage", run_stage)
+    monkeypatch.setattr(paper, "finished_before", finished_before)
+    done = paper.run_paper(settings(), ["stage=paper"], tmp_path, lambda w: w)
+    assert [outcome.stage for outcome in done].count("dynamics") == 1 and "Traceback" in caplog.text
+    rows = {row["row"]: row for row in json.loads((tmp_path / "paper.json").read_text())}
+    assert rows["f_S, position, one step"]["reason"] == "seed 0: LinAlgError: Singular matrix"
+
+
+def test_rows_are_kept_in_the_home_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(paper, "run_stage", lambda stage, cfg, folder, made: Outcome(stage, stage, False, 1.0, {}, folder))
+    monkeypatch.setattr(paper, "finished_before", lambda stage, cfg, made: None)
+    paper.run_paper(settings(seeds=[0], keep="~/rows.json"), ["stage=paper"], tmp_path / "made", lambda w: w)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["home", "made"] and (tmp_path / "home/rows.json").is_file()
 
 
 def test_seeds_that_repeat_are_refused(tmp_path: Path) -> None:
