@@ -2,6 +2,7 @@
 
 import logging
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -136,12 +137,23 @@ def write_out(config: Config, robot: Robot, simulated: RecordingSet) -> None:
 
 
 def require_own(folder: Path) -> None:
-    """Raise ``RecordingError`` unless ``folder`` is new, empty, or holds an earlier simulated dataset."""
+    """Raise ``RecordingError`` unless ``folder`` is new, empty, or holds an earlier simulated dataset and no other runs."""
     if (folder / DATASET).is_file():
-        if SIMULATED not in (yaml.safe_load((folder / DATASET).read_text()) or {}):
+        head = yaml.safe_load((folder / DATASET).read_text()) or {}
+        if SIMULATED not in head:
             raise RecordingError(f"out={folder} holds recordings that were not simulated; choose another folder")
+        if others := sorted({file.name for file in folder.glob("*.csv")} - _files_of(head)):
+            raise RecordingError(
+                f"out={folder} holds {', '.join(others)}, which its {DATASET} does not list as simulated; choose another folder"
+            )
     elif folder.exists() and (folder.is_file() or any(folder.iterdir())):
         raise RecordingError(f"out={folder} holds something else than a simulated dataset; choose another folder")
+
+
+def _files_of(head: Mapping[str, Any]) -> set[str]:
+    """Return the names of the files of the runs that a simulated dataset lists."""
+    sessions = (head.get("sessions") or {}).values()
+    return {f"{run}.csv" for session in sessions for run in (session["runs"] if isinstance(session, Mapping) else session)}
 
 
 def write_dataset(folder: Path, simulated: RecordingSet) -> None:

@@ -261,6 +261,10 @@ def test_recordings_of_a_robot_are_not_overwritten(tmp_path: Path) -> None:
     for _ in range(2):
         write_out(config(out=str(tmp_path / "made")), body.robot, made)
     assert len(list((tmp_path / "made").glob("*.csv"))) == 2
+    (tmp_path / "made" / "monday.csv").write_text("mine")
+    with pytest.raises(RecordingError, match=r"made holds monday.csv, which its dataset.yaml does not list"):
+        write_out(config(out=str(tmp_path / "made")), body.robot, made)
+    assert (tmp_path / "made" / "monday.csv").read_text() == "mine"
 
 
 def test_what_is_odd_about_recordings_is_warned_of(caplog: pytest.LogCaptureFixture) -> None:
