@@ -1,11 +1,19 @@
 """Laws of what may be sent."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from softrl.core.errors import DriverError
+from softrl.core.simulator import Simulator
+from softrl.effects.chain import chain_of
+from softrl.recordings.program import limited
 from softrl.robots.robot import Robot
 from softrl.sim2real.drivers.limits import Setpoint
+from softrl.sim2real.drivers.protocol import PRESSURE_PA, Decoder, Flag, Frame, Kind, State, counts
+from softrl.sim2real.drivers.regulator import Regulator
+from softrl.sim2real.drivers.rig import Hardware, Noise
 
 
 def test_what_is_sent_ramps_to_the_clipped_request(tripod: Robot) -> None:
@@ -16,6 +24,27 @@ def test_what_is_sent_ramps_to_the_clipped_request(tripod: Robot) -> None:
     np.testing.assert_array_equal(rows[-1], [tripod.pressure_max_pa, tripod.pressure_min_pa, 3e3])
     assert np.abs(np.diff(rows, axis=0)).max() <= 0.01 * tripod.slew_pa_per_s * (1 + 1e-12)
     assert len(rows) == 18, "35 kPa at 2 kPa a period take 18 periods, and then nothing more is sent"
+
+
+@pytest.mark.parametrize(("low", "high"), [(5e3, 35e3), (-35e3, -5e3)])
+def test_nothing_outside_of_the_range_is_sent_to_a_robot_that_is_never_without_pressure(
+    tripod: Robot, body: Simulator, silence: Noise, low: float, high: float
+) -> None:
+    robot, period_s = replace(tripod, pressure_min_pa=low, pressure_max_pa=high), 0.01
+    asked = np.full((20, robot.chambers), 0.6 * (low + high))
+    setpoint, device = Setpoint(robot, period_s), Regulator(
+        Hardware(body, chain_of(robot, []), silence, 100.0, 100.0, 0.08), 0
+    )
+    setpoint.request(asked[0])
+    rows = setpoint.advance(20)
+    np.testing.assert_array_equal(rows, limited(robot, asked, period_s)[: len(rows)], "as programs do")
+    assert low <= rows.min() and rows.max() <= high
+    device.take(Frame(Kind.HELLO, 1, 1, bytes([robot.chambers])))
+    for number, row in enumerate(rows):
+        device.take(Frame(Kind.SETPOINT, 1, number + 2, counts(row, PRESSURE_PA)))
+        device.tick()
+    (state,) = Decoder().feed(device.tick() or b"")
+    assert State.decode(state.payload, robot.chambers).flags == Flag(0)
 
 
 def test_asking_often_does_not_move_faster(tripod: Robot) -> None:

@@ -12,6 +12,9 @@ WATCHDOG_MS = 100  # longest time without a setpoint in which a device may stay 
 class Setpoint:
     """The pressure last sent and the one it is on its way to; one step a period of the device.
 
+    A vented robot whose range leaves out zero begins at the limit next to it, at once, as programs do
+    (``recordings.program.limited``).
+
     Attributes
     ----------
     sent : (chambers,) Pa, zero at the start
@@ -57,7 +60,8 @@ class Setpoint:
         return np.array(rows).reshape(len(rows), self._robot.chambers)
 
     def _next(self) -> np.ndarray:
-        return self.sent + np.clip(self.goal - self.sent, -self._reach_pa, self._reach_pa)
+        begun = np.clip(self.sent, self._robot.pressure_min_pa, self._robot.pressure_max_pa)
+        return begun + np.clip(self.goal - begun, -self._reach_pa, self._reach_pa)
 
 
 def require_safe(device: Welcome, robot: Robot) -> None:
