@@ -20,6 +20,7 @@ class Row(NamedTuple):
     run : the run that measures it: a stage, or ``rl:<task>``
     metric : the name it has there
     missing : why it is not measured, where it is not
+    share : the metric that says whether there was such a number;  lacks : in words, of a seed without one
     """
 
     table: str
@@ -30,6 +31,8 @@ class Row(NamedTuple):
     run: str
     metric: str
     missing: str = ""
+    share: str = ""
+    lacks: str = "reports no such number"
 
 
 ROWS = (
@@ -85,9 +88,11 @@ ROWS = (
     Row("7.4", "simulation, unseen 3-D figure-eight", "mm", 5.34, 0.3, "rl:track", "heldout/figure_eight_position_rmse_mm"),
     Row("7.4", "rig, unseen 3-D figure-eight", "mm", None, 0.45, "sim2real", "figure_eight_mm"),
     Row("7.4", "recovery after a cut air line", "s", 5.0, 2.0, "sim2real", "recovery_s",
-        "the stage sim2real reports no such number in this run"),
-    Row("7.4", "recovery after a cut air line, after the diagnosis", "s", 5.0, 2.0, "sim2real:corrected", "recovery_s"),
-    Row("7.4", "rig, bandwidth at -3 dB", "Hz", None, None, "sim2real", "bandwidth_hz"),
+        "the stage sim2real reports no such number in this run", "recovery/recovered_share", "did not recover"),
+    Row("7.4", "recovery after a cut air line, after the diagnosis", "s", 5.0, 2.0, "sim2real:corrected", "recovery_s", "",
+        "recovery/recovered_share", "did not recover"),
+    Row("7.4", "rig, bandwidth at -3 dB", "Hz", None, None, "sim2real", "bandwidth_hz", "", "bandwidth/found_share",
+        "has none among the tones"),
     Row("7.4", "policy, inference", "Hz", 300.0, 5000.0, "bench", "policy_hz"),
     Row("7.4", "surrogate in PyBullet, control steps of 20 sub-steps", "Hz", 1000.0, None, "bench",
         "pybullet_control_steps_per_s"),
@@ -108,18 +113,23 @@ def collect(results: Mapping[str, Sequence[Mapping[str, float]]], why_not: Mappi
     """
     rows = []
     for row in ROWS:
-        found = [metrics[row.metric] for metrics in results.get(row.run, ()) if row.metric in metrics]
+        runs = results.get(row.run, ())
+        found = [metrics[row.metric] for metrics in runs if row.metric in metrics]
+        tried = len(runs) if found or any(row.share in metrics for metrics in runs) else 0
+        whole = found if len(found) == tried else []  # no mean over those that did well
         entry: dict[str, Any] = {
             "table": row.table, "row": row.row, "unit": row.unit, "paper": row.paper,
-            "ours_mean": float(np.mean(found)) if found else None,
-            "ours_std": float(np.std(found, ddof=1)) if len(found) > 1 else None,
-            "seeds": len(found), "goal": row.goal, "command": commands.get(row.run, ""), "profile": profile,
+            "ours_mean": float(np.mean(whole)) if whole else None,
+            "ours_std": float(np.std(whole, ddof=1)) if len(whole) > 1 else None,
+            "seeds": tried, "goal": row.goal, "command": commands.get(row.run, ""), "profile": profile,
         }  # fmt: skip
-        if not found:
+        if not tried:
             reason = why_not.get(row.run) or row.missing or f"{row.metric} was not measured by {row.run}"
             entry["reason"] = reason
-        elif lacks := [*filter(None, (_shortfall(len(found), profile), why_not.get(row.run)))]:
-            entry["reason"] = "; ".join(lacks)  # a mean over seeds that were left says so
+        else:  # a mean over seeds that were left says so
+            missed = f"{tried - len(found)} of {tried} {row.lacks}" if len(found) < tried else ""
+            if lacks := [*filter(None, (missed, _shortfall(tried, profile), why_not.get(row.run)))]:
+                entry["reason"] = "; ".join(lacks)
         rows.append(entry)
     return rows
 
@@ -135,7 +145,8 @@ def table_of(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return the rows as a Markdown table."""
     lines = ["| table | row | paper | ours | seeds | goal | unit | note |", "|---|---|---|---|---|---|---|---|"]
     for row in rows:
-        ours = "not measured" if row["ours_mean"] is None else f"{row['ours_mean']:.4g}"
+        lacking = "no mean" if row["seeds"] else "not measured"
+        ours = lacking if row["ours_mean"] is None else f"{row['ours_mean']:.4g}"
         spread = "" if row["ours_std"] is None else f" ± {row['ours_std']:.2g}"
         paper, goal = ("-" if row[key] is None else f"{row[key]:g}" for key in ("paper", "goal"))
         lines.append(

@@ -15,6 +15,8 @@ from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
 KNEE = 1.0 / np.sqrt(2.0)  # -3 dB
+HEARD = 5.0  # times what moves at other frequencies: the slowest tone is noise below
+LEAST_M = 1e-9  # what a tip that stands still moves by rounding
 OFF_SHARE = 0.01  # of a sweep's duration: by more its tones were others than the ones that are fitted
 
 
@@ -74,7 +76,7 @@ class Response:
 
     Attributes
     ----------
-    knee_hz : infinite if the amplitude stays above
+    knee_hz : infinite if the amplitude stays above; not a number if the slowest tone cannot be told from noise
     """
 
     frequency_hz: np.ndarray
@@ -104,17 +106,29 @@ def _tones(settings: Bandwidth) -> Iterator[tuple[float, int]]:
 
 def response(settings: Bandwidth, time: np.ndarray, position: np.ndarray) -> Response:
     """Return the response in tips (samples, 3) m at ``time`` (samples,) s since the program began."""
-    found, start = [], 0.0
+    found, noise_m, start = list[float](), 0.0, 0.0
     for frequency, count in _tones(settings):
         middle, start = start + 0.5 * count * settings.dt_s, start + count * settings.dt_s
         mine = (time > middle) & (time <= start)
-        phase = 2.0 * np.pi * frequency * time[mine]
-        columns = np.column_stack([np.sin(phase), np.cos(phase), np.ones(mine.sum()), time[mine] - middle])
-        sine, cosine = np.linalg.lstsq(columns, position[mine], rcond=None)[0][:2]
-        found.append(np.sqrt(np.sum(sine**2 + cosine**2)))
-    ratio = np.array(found) / found[0]
-    frequency_hz = np.array(settings.frequencies_hz)
+        trend = np.column_stack([np.ones(mine.sum()), time[mine] - middle])
+        tone, left = _tone(frequency, time[mine], position[mine], trend)
+        if not found:  # at whole numbers of cycles beside the slowest tone's, where noise is about as large, white or not
+            beside = frequency + np.array([1.0, 2.0]) / (start - middle)
+            noise_m = float(np.sqrt(np.mean([_tone(other, time[mine], left, trend)[0] ** 2 for other in beside])))
+        found.append(tone)
+    frequency_hz, amplitude = np.array(settings.frequencies_hz), np.array(found)
+    if amplitude[0] <= HEARD * noise_m + LEAST_M:
+        return Response(frequency_hz, np.full(len(amplitude), np.nan), float("nan"))
+    ratio = amplitude / amplitude[0]
     return Response(frequency_hz, ratio, _knee(frequency_hz, ratio))
+
+
+def _tone(frequency: float, time: np.ndarray, position: np.ndarray, trend: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the amplitude in m of a tone in tips (samples, 3) beside a ``trend`` (samples, n), and what is left of them."""
+    phase = 2.0 * np.pi * frequency * time
+    columns = np.column_stack([np.sin(phase), np.cos(phase), trend])
+    fitted = np.linalg.lstsq(columns, position, rcond=None)[0]
+    return float(np.sqrt(np.sum(fitted[:2] ** 2))), position - columns @ fitted
 
 
 def _knee(frequency_hz: np.ndarray, ratio: np.ndarray) -> float:

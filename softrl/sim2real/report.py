@@ -34,13 +34,14 @@ def report_rollouts(rollouts: dict[str, dict[str, Rollout]], window: int, tracke
 def report_recovery(
     rollouts: dict[str, Rollout], disturbance: Disturbance, period_s: float, tracker: Tracker
 ) -> None:
-    """Log how long each controller took to come back; one that did not has no such number."""
+    """Log how long each controller took to come back, and whether it did: one that did not has no such time."""
     for controller, rollout in rollouts.items():
         cut, back = disturbance.steps(len(rollout.reached), period_s)
         found = recovery(rollout, cut, back, period_s)
         name = "recovery" if controller == "policy" else f"recovery_{controller}"
         tracker.metric(f"{name}_before_mm", found.before_mm)
         tracker.metric(f"{name}_worst_mm", found.worst_mm)
+        tracker.metric(f"{name}/recovered_share", float(np.isfinite(found.back_s)))
         for label, seconds in (("", found.back_s), ("_each", found.each_s), ("_near", found.near_s)):
             if np.isfinite(seconds):
                 tracker.metric(f"{name}{label}_s", seconds)
@@ -49,9 +50,16 @@ def report_recovery(
 
 
 def report_bandwidth(measured: Response, predicted: dict[str, Response], tracker: Tracker) -> None:
-    """Log where the amplitude falls by 3 dB, measured and predicted; a knee beyond the last tone has no number."""
+    """Log where the amplitude falls by 3 dB, measured and predicted, and whether it does: beyond the last tone has no number."""
     for name, found in {"measured": measured, **predicted}.items():
+        metric = "bandwidth" if name == "measured" else f"bandwidth_{name}"
+        tracker.metric(f"{metric}/found_share", float(np.isfinite(found.knee_hz)))
         if np.isfinite(found.knee_hz):
-            tracker.metric("bandwidth_hz" if name == "measured" else f"bandwidth_{name}_hz", found.knee_hz)
-        else:
+            tracker.metric(f"{metric}_hz", found.knee_hz)
+        elif np.isinf(found.knee_hz):
             log.info("bandwidth, %s: above %g Hz", name, found.frequency_hz[-1])
+        else:
+            log.warning(
+                "bandwidth, %s: unknown, since the tip's motion at %g Hz cannot be told from noise; look at the air line of "
+                "the chamber, or raise stage.bandwidth.amplitude_kpa", name, found.frequency_hz[0],
+            )  # fmt: skip

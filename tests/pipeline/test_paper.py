@@ -10,7 +10,7 @@ import pytest
 from softrl import paper
 from softrl.core.errors import ConfigError, SolverError
 from softrl.pipeline import Outcome
-from softrl.report.paper import ROWS, collect, table_of
+from softrl.report.paper import FULL_SIZE, ROWS, collect, table_of
 
 KEYS = {"table", "row", "unit", "paper", "ours_mean", "ours_std", "seeds", "goal", "command"}
 
@@ -43,6 +43,17 @@ def test_a_mean_over_the_seeds_that_are_left_says_so(left: int, profile: str, re
     found = collect({"surrogate": [{"heldout/tip_error_mm": 0.1}] * left}, {"surrogate": "seed 3: the fit diverged"}, {}, profile)
     ours = next(row for row in found if row["row"] == "f_SP, position")
     assert (ours["seeds"], ours["reason"]) == (left, reason) and reason in table_of(found)
+
+
+@pytest.mark.parametrize(("recovered", "told"), [(3, "2 of 5 did not recover"), (0, "5 of 5 did not recover"), (5, None)])
+def test_no_mean_is_taken_over_those_that_recovered(recovered: int, told: str | None) -> None:
+    never, back = {"recovery/recovered_share": 0.0}, {"recovery/recovered_share": 1.0, "recovery_s": 1.5}
+    runs = [back] * recovered + [never] * (5 - recovered)
+    rows = {row["row"]: row for row in collect({"sim2real": runs}, {}, {}, FULL_SIZE)}
+    ours = rows["recovery after a cut air line"]
+    assert ours["ours_mean"] == (1.5 if told is None else None) and ours["seeds"] == 5 and ours.get("reason") == told
+    assert told is None or f"no mean | 5 | 2 | s | {told}" in table_of(list(rows.values()))
+    assert rows["rig, circle"]["seeds"] == 0, "what was not measured at all is told as such"
 
 
 def settings(**changes: Any) -> dict[str, Any]:

@@ -19,11 +19,13 @@ from softrl.recordings.keep import keeping
 from softrl.recordings.program import recording_of
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.robots.robot import Robot
-from softrl.sim2real.bandwidth import Bandwidth, measure, predict, sweep
+from softrl.sim2real.bandwidth import Bandwidth, measure, predict, response, sweep
 from softrl.sim2real.course import Course
 from softrl.sim2real.disturbance import Disturbance, recovery
 from softrl.sim2real.drivers.rig import Hardware, Noise, Rig, sample_of
+from softrl.sim2real.report import report_bandwidth, report_recovery
 from softrl.sim2real.rollout import Rollout
+from softrl.simulate.stage import coloured_noise
 from tests.sim2real.conftest import CONF, BenchDriver
 
 TONES = Bandwidth((0.2, 0.5, 1.0, 2.0, 4.0), 12.0, 4.0, 1, 1.0, 0.01)
@@ -46,6 +48,33 @@ def test_effects_of_one_name_are_left_out_together_whatever_their_order(tripod: 
         found = predict(tripod, Plant(body, chain_of(tripod, order)), TONES)
         assert found["predicted"].knee_hz < 0.7 * without.knee_hz
         np.testing.assert_allclose(found["without_lag"].ratio, without.ratio)
+
+
+@pytest.mark.parametrize("noise_mm", [(0.0, 0.0), (0.05, 0.0), (0.05, 0.05)])
+def test_a_chamber_that_does_not_move_has_no_bandwidth(
+    tripod: Robot, noise_mm: tuple[float, float], caplog: pytest.LogCaptureFixture
+) -> None:
+    settings, tracker = replace(TONES, cycles=2), NullTracker()
+    time, _ = sweep(tripod, settings)
+    for seed, height in enumerate(2 * [0.0, 0.1765]):
+        rng = np.random.default_rng(seed)
+        white, coloured = (1e-3 * size for size in noise_mm)
+        still = [0.0, 0.0, height] + white * rng.normal(size=(len(time), 3))
+        still += coloured * coloured_noise(time, still.shape, 1.0, rng)
+        found = response(settings, time, still)
+        assert np.isnan(found.knee_hz) and np.isnan(found.ratio).all()
+    report_bandwidth(found, {}, tracker)
+    assert tracker.metrics == {"bandwidth/found_share": 0.0} and "cannot be told from noise; look at the air line" in caplog.text
+
+
+def test_a_bandwidth_beyond_the_last_tone_is_told_as_such(
+    tripod: Robot, body: Simulator, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    slow, tracker = replace(TONES, frequencies_hz=(0.2, 0.3, 0.4)), NullTracker()
+    beyond = predict(tripod, Plant(body, chain_of(tripod, [])), slow)["predicted"]
+    report_bandwidth(beyond, {}, tracker)
+    assert np.isinf(beyond.knee_hz) and tracker.metrics == {"bandwidth/found_share": 0.0} and "above 0.4 Hz" in caplog.text
 
 
 def test_a_sweep_that_takes_longer_than_meant_is_told(
@@ -124,6 +153,15 @@ def test_recovery_counts_from_the_reconnection_to_the_end_of_the_first_quiet_ste
     assert found.back_s == pytest.approx(2.0), "a step that is near by chance does not count"
     assert found.each_s == pytest.approx(2.0) and found.near_s == pytest.approx(2.0)
     assert recovery(rollout_with([1, 1, 9, 9, 9, 9, 9], recorded), 2, 3, 0.5)[2:] == (np.inf, np.inf, np.inf)
+
+
+def test_whether_a_controller_recovered_is_logged(recorded: Recording) -> None:
+    cut, tracker = Disturbance("line", 0, 0.25, 1.0), NullTracker()
+    back = rollout_with([1, 1, 1, 9, 9, 1, 1, 1, 1, 1, 1, 1], recorded)
+    never = rollout_with([1, 1, 1, 9, 9, 9, 9, 9, 9, 9, 9, 9], recorded)
+    report_recovery({"policy": back, "planned": never}, cut, 0.5, tracker)
+    assert tracker.metrics["recovery/recovered_share"] == 1.0 and tracker.metrics["recovery_s"] > 0.0
+    assert tracker.metrics["recovery_planned/recovered_share"] == 0.0 and "recovery_planned_s" not in tracker.metrics
 
 
 def test_noise_does_not_pass_for_a_robot_that_is_not_back(recorded: Recording) -> None:
