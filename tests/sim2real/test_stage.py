@@ -135,10 +135,17 @@ def test_the_average_is_what_is_sent(everything: Stage, silence: Noise) -> None:
 
 
 def test_the_policy_sees_the_curve_as_closed(everything: Stage) -> None:
+    """After the last target comes the first: at the last step a policy that looks ahead heeds where the curve begins."""
     policy, surrogate, calibration = everything.inputs
+    size = observation_size(policy.horizon, policy.memory)
+    weight = np.random.default_rng(0).normal(size=(len(policy.weights["weight_0"]), size)) / 4.0
+    ahead = replace(policy, weights=policy.weights | {"weight_0": weight})
     course = Course.free("five", surrogate.sample_tip[:5])
-    last = PolicyController(policy, surrogate, calibration, course).pressure(course.position[0], 4)
-    assert np.isfinite(last).all()
+    moved = replace(course, position=np.vstack([surrogate.sample_tip[5:6], course.position[1:]]))
+    tip = course.position[3]
+    for step, heeds in ((4, True), (3, False)):
+        one, other = (PolicyController(ahead, surrogate, calibration, c).pressure(tip, step) for c in (course, moved))
+        assert (np.abs(one - other).max() > 1.0) == heeds, f"step {step}"
 
 
 def test_a_policy_with_a_memory_learns_nothing_from_a_broken_line(everything: Stage) -> None:

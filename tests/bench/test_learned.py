@@ -1,0 +1,39 @@
+"""The benches of what is learned run, and report what the paper's rows and README take from them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from softrl.artifacts.calibration import Calibration
+from softrl.artifacts.policy import Policy
+from softrl.artifacts.surrogate import Surrogate
+from softrl.bench.policy import PolicyBench
+from softrl.bench.rl import RlBench
+from softrl.bench.stage import Bench, Config, run
+from softrl.bench.surrogate import SurrogateBench
+from softrl.core.config import build_target
+from softrl.core.tracking import NullTracker
+from softrl.robots.robot import Robot
+from softrl.surrogate.simulator import SurrogateSimulator
+
+CONF = Path(__file__).parents[2] / "conf"
+
+
+@pytest.mark.slow
+def test_what_is_quoted_of_them_is_reported(
+    tripod: Robot, surrogate: Surrogate, policy: Policy, calibration: Calibration
+) -> None:
+    task = build_target(yaml.safe_load((CONF / "task/track.yaml").read_text()) | {"alpha": 0.5}, "task")
+    small = {"hidden": 16, "envs": 8, "learning_starts": 100, "gradient_steps": 1}
+    agent = build_target(yaml.safe_load((CONF / "agent/sac.yaml").read_text()) | small, "agent")
+    benches: dict[str, Bench] = {
+        "policy": PolicyBench(policy, surrogate, calibration, 20),
+        "surrogate": SurrogateBench(SurrogateSimulator(tripod, surrogate, 1.0, 24.0, 1.0), task, 20, 10, 20, 8, 80),
+        "rl": RlBench(surrogate, task, agent, 200),
+    }
+    made = run(Config(1, "cpu", 0), tripod, benches, tracker=NullTracker())
+    promised = {"policy_hz", "policy_latency_p99_ms", "pybullet_control_steps_per_s", "twin_env_steps_per_s", "sac_steps_per_s"}
+    assert promised <= set(made.metrics) and all(np.isfinite(made.metrics[name]) for name in made.metrics)
+    assert all(made.metrics[name] > 0.0 for name in promised)
