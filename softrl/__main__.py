@@ -123,7 +123,7 @@ def _one_line(error: Exception) -> str:
         whole = not any(word.startswith("stage=") and word != "stage=all" for word in sys.argv)
         hint = "a key of one stage needs that stage alone: stage=<name>" if whole else "`--cfg job` prints every key"
         if "'inputs." in lines[0]:
-            from softrl.assembly import inputs_in_words
+            from softrl.artifacts.makers import inputs_in_words
 
             hint = f"expected one of {inputs_in_words()}"
         return f"{lines[0].rstrip('.')}: there is no such key; {hint}"

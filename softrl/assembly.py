@@ -1,24 +1,22 @@
 """Fills the parameters of a stage by their types: artifacts from the store, objects from the configuration."""
 
 import dataclasses
-import importlib
 import inspect
 import logging
-import pkgutil
 import types
 import typing
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from softrl import artifacts
 from softrl.artifacts.artifact import Artifact
 from softrl.artifacts.calibration import Calibration
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.artifacts.policy import Policy
 from softrl.core import fingerprint
-from softrl.core.config import TARGET, UNFILLED, build, build_target, constructor_hints, target_class
+from softrl.core.config import TARGET, UNFILLED, build, build_target, constructor_hints, target_modules
 from softrl.core.errors import ArtifactError, ConfigError
+from softrl.core.origin import Origin, in_words, is_real
 from softrl.core.parallel import Parallel
 from softrl.core.store import Store
 from softrl.effects.chain import EffectChain
@@ -33,6 +31,7 @@ log = logging.getLogger(__name__)
 # parameters of a stage that are built from the configuration group of the same name
 OBJECTS = ("simulator", "task", "agent", "driver", "bench")
 NOMINAL = "none"  # tag of what was made on a simulator without effects
+WITH_ORIGIN: tuple[type[Artifact], ...] = (Calibration, RecordingSet)  # what a robot or a rig gave
 IDENTIFIED = "identified"  # among the effects: those that a diagnosis found
 # what to do instead, where a stage that takes no effects is about them
 INSTEAD = {
@@ -58,7 +57,7 @@ class Assembly:
         self.inputs: dict[str, str] = {}
         self.used: dict[str, Any] = {"stage": cfg["stage"], "robot": cfg["robot"]}
         self.modules: list[str] = []
-        self._takes_effects = False
+        self._takes_effects, self._takes = False, list[str]()
         self._loaded: dict[str, Artifact] = {}
 
     def arguments(self, run: Any) -> dict[str, Any]:
@@ -66,13 +65,24 @@ class Assembly:
         self.modules.append(run.__module__)
         hints = typing.get_type_hints(run)
         self._takes_effects = _takes_effects(run)
-        names = [name for name in inspect.signature(run).parameters if name not in ("config", "tracker")]
-        return {name: self._argument(name, hints[name]) for name in names}
+        self._takes = [name for name in inspect.signature(run).parameters if name not in ("config", "tracker")]
+        return {name: self._argument(name, hints[name]) for name in self._takes}
+
+    @property
+    def at_device(self) -> bool:
+        """Whether the stage works at a real robot."""
+        return self._drives and is_real(self.cfg["driver"])
+
+    @property
+    def _drives(self) -> bool:
+        return "driver" in self.used and "recordings" not in self.used
 
     def own_tags(self) -> dict[str, str]:
-        """Return the tags by which what was made for a task, or with effects, is found, if the stage took such."""
-        task = {"task": _task_of(self.cfg)} if "task" in self.used else {}
-        return task | ({"effects": self._effects_mark()} if "effect" in self.used else {})
+        """Return the tags by which what was made for a task, with effects or with a driver is found, if the stage took such."""
+        tags = {"task": _task_of(self.cfg)} if "task" in self.used else {}
+        tags |= {"effects": self._effects_mark()} if "effect" in self.used else {}
+        tags |= {"driver": in_words(self.cfg["driver"])} if self._drives else {}
+        return tags | ({"simulator": in_words(self.cfg["simulator"])} if "simulator" in self.used else {})
 
     def warn_of_unused(self, stage: str) -> None:
         """Tell of inputs that were named and play no part."""
@@ -97,7 +107,11 @@ class Assembly:
         if name in OBJECTS:
             return self._object(name)
         artifact = isinstance(kind, type) and issubclass(kind, Artifact)
-        filled = None if optional and artifact and self._absent(kind) else self._fill(kind)
+        if optional and artifact and self._absent(kind):
+            if other := self._other(kind):
+                log.warning("there is no %s for what is configured, and none is taken: %s", kind.kind(), other)
+            return None
+        filled = self._fill(kind)
         if filled is UNFILLED:
             raise ConfigError(f"the stage asks for '{name}', which no configuration provides")
         return filled
@@ -116,7 +130,7 @@ class Assembly:
     def _object(self, name: str) -> Any:
         node = self.cfg[name]
         self.used[name] = node
-        self.modules += _targets(node, name)
+        self.modules += target_modules(node, name)
         if TARGET not in node:  # several, by name
             return {key: build_target(value, f"{name}.{key}", self._fill) for key, value in node.items()}
         made = build_target(node, name, self._fill)
@@ -170,7 +184,7 @@ class Assembly:
             found = read_recordings(path, self.robot)
             self.used["recordings"] = self.inputs["recordings"] = f"{path}:{fingerprint.of_folder(path)}"
             return found
-        if not optional and self._absent(RecordingSet):
+        if not optional and self._absent(RecordingSet) and not self._other(RecordingSet):
             raise ArtifactError(
                 f"there are no recordings of robot {self.robot.name}: name a dataset folder with recordings=<folder>, or "
                 "record some with stage=sim2real (stage=excite out=<folder> plans commands that stage=simulate can replay)"
@@ -191,29 +205,42 @@ class Assembly:
     def _absent(self, kind: type[Artifact]) -> bool:
         """Return whether the newest run that makes ``kind`` was wanted, and there is none."""
         wanted = self.made.get(kind.key()) or self.cfg["inputs"].get(kind.key(), "latest")
-        return wanted == "latest" and self._latest(kind) is None
+        return wanted == "latest" and self.latest(kind) is None
 
     def _tags_of(self, kind: type[Artifact]) -> dict[str, str]:
         """Return what a run must carry whose artifact is taken for the latest."""
         tags = {"stage": kind.stage, "robot": self.robot_mark, "profile": self.cfg["profile"]["name"]}
+        tags |= {"effects": NOMINAL} if kind is Calibration else {}
         return tags | ({"task": _task_of(self.cfg)} if kind is Policy else {})
 
-    def _latest(self, kind: type[Artifact]) -> Any:
+    def _origin(self, kind: type[Artifact]) -> Origin:
+        """Return what the newest run should have been made with that makes ``kind``.
+
+        f_RS belongs to a robot and a simulator. What a robot did is so whatever simulates it, and the stages that take
+        recordings take no driver: there a real device counts, since it was chosen, and of another that is only told.
+        """
+        if kind is RecordingSet:
+            return Origin({"driver": in_words(self.cfg["driver"])}, is_real(self.cfg["driver"]))
+        return Origin({key: in_words(self.cfg[key]) for key in ("driver", "simulator") if key in self._takes})
+
+    def latest(self, kind: type[Artifact]) -> Any:
         """Return the newest run that makes ``kind``, or None.
 
         A policy is looked for among those trained with the same effects first; f_RS is that of the nominal simulator.
         """
         tags = self._tags_of(kind)
-        if kind not in (Policy, Calibration):
+        if kind in WITH_ORIGIN:
+            return self._origin(kind).newest(self.store.every(tags))
+        if kind is not Policy:
             return self.store.find(tags)
         # the mark of a diagnosis asks for the latest one: it is made where it is needed only
-        wanted = (self._effects_mark(), NOMINAL) if kind is Policy else (NOMINAL,)
-        return next(filter(None, (self.store.find(tags | {"effects": mark}) for mark in wanted)), None)
+        found = (self.store.find(tags | {"effects": mark}) for mark in (self._effects_mark(), NOMINAL))
+        return next(filter(None, found), None)
 
-    def newer(self, kind: type[Artifact], run: Any) -> Any:
-        """Return the run after ``run`` whose ``kind`` other stages take for the latest, or None."""
-        latest = self._latest(kind)
-        return latest if latest is not None and latest.info.start_time > run.info.start_time else None
+    def _other(self, kind: type[Artifact]) -> str:
+        """Return what to do where the runs that make ``kind`` were all made with others than asked, else nothing."""
+        run = self.store.find(self._tags_of(kind)) if kind in WITH_ORIGIN else None
+        return "" if run is None else self._origin(kind).refusal(kind.key(), kind.stage, run)
 
     def _effects_mark(self) -> str:
         """Return what tells the chosen effects from others; those of a diagnosis are known by its run."""
@@ -240,9 +267,11 @@ class Assembly:
             path = Path(wanted[5:]).expanduser().resolve()
             return path, f"path:{path}:{fingerprint.of_folder(path)}"
         if wanted == "latest":
-            run = self._latest(kind)
+            run = self.latest(kind)
             if run is None:
-                raise ArtifactError(self._nothing_found(kind, name))
+                raise ArtifactError(self._other(kind) or self._nothing_found(kind, name))
+            if kind in WITH_ORIGIN:
+                self._origin(kind).warn(name, run)
         else:
             run = self.store.get(wanted.removeprefix("run:"))
             made_by = run.data.tags.get("softrl.stage")
@@ -297,28 +326,6 @@ def _task_of(cfg: Mapping[str, Any]) -> str:
     return str(cfg["task"][TARGET]).split(".")[-2]
 
 
-def makers() -> dict[str, str]:
-    """Return artifact name -> the stage that makes it."""
-    for module in pkgutil.iter_modules(artifacts.__path__):
-        importlib.import_module(f"{artifacts.__name__}.{module.name}")
-    ours = [kind for kind in Artifact.__subclasses__() if kind.__module__.startswith("softrl.")]
-    return {kind.key(): kind.stage for kind in ours}
-
-
-def inputs_in_words() -> str:
-    """Return the artifact names, each with the stage that makes it."""
-    return ", ".join(f"{name} (of stage={stage})" for name, stage in makers().items())
-
-
-def check_inputs(inputs: Mapping[str, Any]) -> None:
-    """Refuse names that no stage makes, and what says nothing about where an artifact is."""
-    for name, source in inputs.items():
-        if name not in makers():
-            raise ConfigError(f"inputs.{name}={source} is an unknown key; expected one of {inputs_in_words()}")
-        if source != "latest" and not str(source).startswith(("run:", "path:")):
-            raise ConfigError(f"inputs.{name}={source} is refused; expected latest, run:<id> or path:<folder>")
-
-
 def output_kinds(run: Any) -> list[type[Artifact]]:
     """Return the artifact classes that a stage function returns, from its annotation."""
     returned = typing.get_type_hints(run)["return"]
@@ -340,10 +347,3 @@ def _without_none(hint: Any) -> tuple[Any, bool]:
         kinds = [kind for kind in typing.get_args(hint) if kind is not type(None)]
         return kinds[0], len(kinds) < len(typing.get_args(hint))
     return hint, False
-
-
-def _targets(node: Any, path: str) -> list[str]:
-    if not isinstance(node, Mapping):
-        return []
-    inner = [module for key, value in node.items() for module in _targets(value, f"{path}.{key}")]
-    return inner + ([target_class(node, path).__module__] if TARGET in node else [])

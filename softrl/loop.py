@@ -12,8 +12,8 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
+from softrl.artifacts.makers import check_inputs
 from softrl.aside import Aside
-from softrl.assembly import check_inputs
 from softrl.core.errors import ConfigError
 from softrl.core.progress import progress
 from softrl.core.store import Location, Store

@@ -26,6 +26,7 @@ log = logging.getLogger(__name__)
 STAGES = ("mesh", "fem", "pod", "calibration", "dynamics", "surrogate", "rl", "sim2real", "diagnosis")
 # stages beside the loop
 EXTRA = ("simulate", "bench", "excite", "proof")
+TIMED = "bench"
 RESULT = "result.json"
 COPIED = "copied"  # in the result of a folder out=..: the files that were copied there
 
@@ -45,6 +46,8 @@ class Outcome:
 def run_stage(stage: str, cfg: Mapping[str, Any], folder: Path, made: Mapping[str, str] | None = None) -> Outcome:
     """Run one stage with the resolved configuration ``cfg``, or reuse a finished run that did the same.
 
+    Alone, a stage at a real robot and a bench are always run.
+
     Parameters
     ----------
     folder : where ``result.json`` goes
@@ -59,6 +62,8 @@ def run_stage(stage: str, cfg: Mapping[str, Any], folder: Path, made: Mapping[st
         log.info("%s: run %s did the same already and is reused (force=true runs it again)", stage, run_id[:8])
         if made is None and PARENT_VARIABLE not in os.environ:  # else nobody goes on with the latest
             _warn_of_newer(stage, assembly, task.before)
+        if assembly.at_device:
+            log.warning("%s: the robot is not moved, run %s is of before; this stage alone would move it", stage, run_id[:8])
         if task.write_out is not None:
             task.write_out(*_loaded(store, task.before, stage))
         _copy(store, run_id, task.out)
@@ -109,12 +114,12 @@ def _loaded(store: Store, run: Any, stage: str) -> list[Artifact]:
 
 def _warn_of_newer(stage: str, assembly: Assembly, before: Any) -> None:
     """Tell that other stages take a newer run than the one that was reused, and how to choose it."""
-    found = {kind.key(): assembly.newer(kind, before) for kind in _kinds(stage)} if stage in STAGES else {}
-    names, newer = [name for name, run in found.items() if run], next(filter(None, found.values()), None)
+    latest = {kind.key(): assembly.latest(kind) for kind in _kinds(stage)} if stage in STAGES else {}
+    newer = {name: run for name, run in latest.items() if run is not None and run.info.start_time > before.info.start_time}
     if newer:
-        chosen = " ".join(f"inputs.{name}=run:{before.info.run_id[:8]}" for name in names)
+        chosen = " ".join(f"inputs.{name}=run:{before.info.run_id[:8]}" for name in newer)
         log.warning("%s: run %s is newer, and what other stages take; give them %s for the reused one", stage,
-                    newer.info.run_id[:8], chosen)  # fmt: skip
+                    next(iter(newer.values())).info.run_id[:8], chosen)  # fmt: skip
 
 
 class _Prepared(NamedTuple):
@@ -148,7 +153,9 @@ def _prepare(stage: str, cfg: Mapping[str, Any], made: Mapping[str, str] | None)
         module.require_own(Path(config.out).expanduser())  # found out before the work
     arguments = assembly.arguments(module.run)
     mark = _fingerprint(stage, assembly)
-    before = None if cfg["force"] else store.find({"stage": stage, "fingerprint": mark})
+    # what a robot or this machine does is in no fingerprint; of several stages those that are finished are gone on from
+    again = cfg["force"] or (made is None and (assembly.at_device or stage == TIMED))
+    before = None if again else store.find({"stage": stage, "fingerprint": mark})
     return _Prepared(store, assembly, module.run, config, arguments, mark, before, out, write_out)
 
 

@@ -64,6 +64,14 @@ def target_class(node: Mapping[str, Any], path: str) -> Any:
         raise ConfigError(f"{path}._target_={name} does not exist: {error}") from error
 
 
+def target_modules(node: Any, path: str) -> list[str]:
+    """Return the modules of the classes that ``node`` and what stands within it name."""
+    if not isinstance(node, Mapping):
+        return []
+    inner = [module for key, value in node.items() for module in target_modules(value, f"{path}.{key}")]
+    return inner + ([target_class(node, path).__module__] if TARGET in node else [])
+
+
 def constructor_hints(cls: Any) -> dict[str, tuple[Any, bool]]:
     """Return name -> (type hint, whether it is required) of a constructor's parameters."""
     hints = typing.get_type_hints(cls if dataclasses.is_dataclass(cls) else cls.__init__)

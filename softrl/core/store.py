@@ -80,14 +80,19 @@ class Store:
 
     def find(self, tags: dict[str, str]) -> Run | None:
         """Return the newest finished run that carries all ``tags``."""
+        return next(iter(self.every(tags, 1)), None)
+
+    def every(self, tags: dict[str, str], most: int = MOST_RUNS) -> list[Run]:
+        """Return the finished runs that carry all ``tags``, the newest first."""
         condition = " and ".join(f"tags.`softrl.{key}` = '{value}'" for key, value in tags.items())
-        runs = self.client.search_runs(
-            [self.experiment],
-            f"attributes.status = 'FINISHED' and {condition}",
-            order_by=["attributes.start_time DESC"],
-            max_results=1,
+        return list(
+            self.client.search_runs(
+                [self.experiment],
+                f"attributes.status = 'FINISHED' and {condition}",
+                order_by=["attributes.start_time DESC"],
+                max_results=most,
+            )
         )
-        return runs[0] if runs else None
 
     def get(self, run_id: str) -> Run:
         """Return a finished run by its id, or by the beginning of its id that the log shows.
