@@ -3,6 +3,7 @@
 import dataclasses
 import inspect
 import logging
+import sys
 import types
 import typing
 from collections.abc import Mapping
@@ -15,6 +16,7 @@ from softrl.artifacts.diagnosis import Diagnosis
 from softrl.artifacts.policy import Policy
 from softrl.core import fingerprint
 from softrl.core.config import TARGET, UNFILLED, build, build_target, constructor_hints, target_modules
+from softrl.core.driver import Stream
 from softrl.core.errors import ArtifactError, ConfigError
 from softrl.core.origin import Origin, in_words, is_real
 from softrl.core.parallel import Parallel
@@ -121,6 +123,8 @@ class Assembly:
             return self.robot
         if hint is EffectChain:
             return self._chain()
+        if hint is Stream:
+            return Stream(getattr(sys.modules[self.modules[0]], "STREAM", 0))  # of the stage
         if hint is Parallel:  # not in ``used``: no result depends on where it was computed
             return build(self.cfg["parallel"], Parallel, "parallel")
         if isinstance(hint, type) and issubclass(hint, Artifact):
@@ -254,7 +258,8 @@ class Assembly:
         tags = self._tags_of(kind)
         task = f" task={tags['task']}" if "task" in tags else ""
         said = {"task": "task", "profile": "profile", "robot": "robot, or with other numbers of this one"}
-        others = [words for key, words in said.items() if key in tags and self.store.find(_without(tags, key))]
+        less = {key: {other: tag for other, tag in tags.items() if other != key} for key in said if key in tags}
+        others = [said[key] for key, fewer in less.items() if self.store.find(fewer)]
         near = f"; there is one with another {' or '.join(others)}" if others else ""
         return (
             f"no finished {kind.stage} run of robot {self.robot.name} with profile={tags['profile']}{task} holds a "
@@ -336,10 +341,6 @@ def output_kinds(run: Any) -> list[type[Artifact]]:
 
 def _takes_effects(run: Any) -> bool:
     return EffectChain in typing.get_type_hints(run).values()
-
-
-def _without(tags: dict[str, str], key: str) -> dict[str, str]:
-    return {name: value for name, value in tags.items() if name != key}
 
 
 def _without_none(hint: Any) -> tuple[Any, bool]:

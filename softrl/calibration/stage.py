@@ -28,6 +28,7 @@ from softrl.recordings.recording import Recording, RecordingSet
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
+STREAM = 7101  # keeps the noise of a rig apart from that which other stages meet, and from these programs
 REFINEMENTS = 2  # of f_RS through a simulator with effects, which has a past
 ROOTS = Path(__file__).resolve().parents[1:3]  # assets/ lies in the installed package, or beside it
 

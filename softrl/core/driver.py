@@ -28,6 +28,13 @@ class Sample:
     tip_force: np.ndarray
 
 
+class Stream(int):
+    """A stage's own constant in the seed of what a simulated robot's noise is drawn from: no two stages meet the same."""
+
+
+ANY_STREAM = Stream(0)  # outside of stages
+
+
 class Driver(Protocol):
     """A robot that takes pressures. Used as a context manager: it vents on exit, on an exception, on a lost link.
 

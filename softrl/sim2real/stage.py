@@ -30,6 +30,7 @@ from softrl.sim2real.rollout import Pace, Rollout
 from softrl.sim2real.trial import LINE_OFF, Trial, mount
 
 log = logging.getLogger(__name__)
+STREAM = 7102  # keeps these programs, and the noise of a rig, apart from those of stage=calibration with the same seed
 RUN_NOTES = {
     "policy": "policy on the tip's position, through the surrogate's joints and the pressure calibration",
     "open_loop": "inverse of the surrogate without feedback and without the pressure calibration",
@@ -190,7 +191,7 @@ def _sweep(config: Config, models: Models, driver: Driver, recordings: list[Reco
 
 def _identify(config: Config, driver: Driver, robot: Robot, recordings: list[Recording], tracker: Tracker) -> None:
     """Record the sessions for a diagnosis."""
-    sessions = record_sessions(driver, robot, config.identification, np.random.default_rng(config.seed))
+    sessions = record_sessions(driver, robot, config.identification, np.random.default_rng([config.seed, STREAM]))
     for number, session in enumerate(progress(sessions, "identification", config.identification.sessions)):
         recordings.append(session)
         if number == 0:

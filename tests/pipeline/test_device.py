@@ -1,4 +1,4 @@
-"""What a real robot did is not done again by a run of before, and belongs to its driver and to its simulator."""
+"""Stages at a robot: none is done by a run of before, what it leaves belongs to its driver and simulator, no chance is shared."""
 
 import json
 import re
@@ -6,16 +6,22 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from softrl.artifacts.calibration import Calibration
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.assembly import NOMINAL, Assembly
-from softrl.core.errors import ArtifactError
+from softrl.calibration import stage as calibration_stage
+from softrl.core.config import build
+from softrl.core.errors import ArtifactError, DriverError
 from softrl.core.origin import in_words, is_real
 from softrl.core.store import Location, Store
+from softrl.core.tracking import NullTracker
+from softrl.effects.chain import EffectChain
 from softrl.pipeline import RESULT, _prepare, run_stage
 from softrl.recordings.recording import RecordingSet
+from softrl.sim2real import stage as sim2real_stage
 from tests.pipeline.test_root import CONF, composed
 
 UDP = ("driver=udp", "driver.host=127.0.0.1", "driver.port=9")
@@ -156,3 +162,34 @@ def test_runs_tell_what_they_were_made_with() -> None:
     assert made.own_tags() == {"driver": RIG, "simulator": ROM} and in_words(made.cfg["driver"]) == RIG
     made.used["recordings"] = "a folder: nothing was driven"
     assert made.own_tags() == {"simulator": ROM} and not made.at_device
+
+
+def test_no_chance_is_shared_by_stages_that_drive(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One seed gives each its own programs, and a rig's noise that is neither the other stage's nor any program's."""
+    drawn: dict[str, float] = {}
+
+    def record_holds(*given: Any) -> None:
+        drawn["holds"] = next(each for each in given if isinstance(each, np.random.Generator)).random()
+        raise DriverError("far enough")
+
+    def record_sessions(driver: Any, robot: Any, settings: Any, rng: np.random.Generator) -> list[Any]:
+        drawn["sessions"] = rng.random()
+        return []
+
+    monkeypatch.setattr(calibration_stage, "record_holds", record_holds)
+    monkeypatch.setattr(sim2real_stage, "record_sessions", record_sessions)
+    for stage in (calibration_stage, sim2real_stage):
+        words = (f"stage={stage.__name__.split('.')[1]}", "simulator=pcc", "driver=stub_pcc", "stage.seed=3", "seed=3")
+        made = Assembly(None, composed(*words), {})  # type: ignore[arg-type]
+        made.modules.append(stage.__name__)
+        driver = made._object("driver")
+        noise = np.random.default_rng((driver._seed, 0, driver._stream))
+        drawn[f"noise of {stage.__name__}"] = noise.random()
+        config = build(made.cfg["stage"], stage.Config, "stage")
+        if stage is sim2real_stage:
+            stage._identify(config, driver, made.robot, [], NullTracker())
+        else:
+            given = (config, made.robot, made._object("simulator"), EffectChain(made.robot), driver, None)
+            with pytest.raises(DriverError, match="far enough"):
+                stage.run(*given, tracker=NullTracker())
+    assert len(drawn) == 4 and len(set(drawn.values())) == 4

@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 
+from softrl.core.driver import Stream
 from softrl.core.errors import ConfigError, DriverError
 from softrl.core.simulator import Simulator
 from softrl.effects.lag import Lag
@@ -99,3 +100,13 @@ def test_rates_that_do_not_fit_are_refused(tripod: Robot, body: Simulator, noisy
             robot=tripod, body=body, hidden={}, noise=noisy, rate_hz=100.0, physics_rate_hz=250.0, watchdog_s=1.0,
             vent_s=0.1, start_timeout_s=60.0, answer_timeout_s=5.0, seed=0,
         )  # fmt: skip
+
+
+def test_each_stage_meets_a_noise_of_its_own(tripod: Robot, body: Simulator, noisy: Noise) -> None:
+    driver, heard = stub(tripod, body, noisy), []
+    for stream in (0, 0, 7):
+        driver._entries, driver._stream = 0, Stream(stream)
+        with driver:
+            heard.append(np.stack([sample.position for sample in driver.advance(0.1)]))
+    np.testing.assert_array_equal(heard[0], heard[1])
+    assert np.abs(heard[0] - heard[2]).min() > 0.0

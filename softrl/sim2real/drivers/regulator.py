@@ -14,6 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
+from softrl.core.driver import ANY_STREAM, Stream
 from softrl.core.errors import ConfigError, DriverError
 from softrl.core.simulator import Simulator
 from softrl.effects.chain import EffectChain
@@ -35,8 +36,8 @@ class Regulator:
     A rig is switched on by each HELLO: at rest, vented, its clock at zero.
     """
 
-    def __init__(self, hardware: Hardware, seed: int) -> None:
-        self._hardware, self._robot, self._seed = hardware, hardware.hidden.robot, seed
+    def __init__(self, hardware: Hardware, seed: int, stream: Stream = ANY_STREAM) -> None:
+        self._hardware, self._robot, self._seed, self._stream = hardware, hardware.hidden.robot, seed, stream
         self._rig: Rig | None = None
         self._session, self._entries = -1, 0
         self._taken = self._sent = 0
@@ -63,7 +64,7 @@ class Regulator:
 
     def _welcome(self, frame: Frame) -> bytes:
         if frame.session != self._session:
-            self._rig = Rig(self._hardware, (self._seed, self._entries))
+            self._rig = Rig(self._hardware, (self._seed, self._entries, self._stream))
             self._session, self._entries = frame.session, self._entries + 1
             self._taken, self._sent, self._heard = frame.sequence, 0, False
             self._setpoint.vent()
@@ -170,12 +171,12 @@ class UdpEnd:
             self._socket.sendto(data, self._peer)
 
 
-def serve(announce: Connection, medium: str, hardware: Hardware, seed: int, speed: float) -> None:
+def serve(announce: Connection, medium: str, hardware: Hardware, seed: int, speed: float, stream: Stream) -> None:
     """Run a device until its owner is gone; the body of its process."""
     # an interrupt from the terminal is for the driver, which then vents; the device must live to do so
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end: End = PtyEnd() if medium == "serial" else UdpEnd()
-    regulator, decoder = Regulator(hardware, seed), Decoder()
+    regulator, decoder = Regulator(hardware, seed, stream), Decoder()
     announce.send(end.address)
     period_s = 1.0 / (hardware.rate_hz * speed)
     due = time.monotonic() + period_s
@@ -204,7 +205,7 @@ class WiredRig:
     watchdog_s : time under pressure without a setpoint after which it vents by itself
     speed : its seconds per second
     start_timeout_s : longest wait for its process
-    seed : of its noise
+    seed, stream : of its noise, the second of the stage that drives it
     """
 
     robot: Robot
@@ -217,6 +218,7 @@ class WiredRig:
     speed: float
     start_timeout_s: float
     seed: int
+    stream: Stream = ANY_STREAM
 
     def __post_init__(self) -> None:
         if self.rate_hz <= 0 or self.physics_rate_hz < self.rate_hz or self.physics_rate_hz % self.rate_hz:
@@ -231,7 +233,7 @@ class WiredRig:
         """Return the rig in a process of its own, on a pseudo terminal (serial) or a local socket (udp)."""
         chain = EffectChain(self.robot, tuple(self.hidden.values()))
         hardware = Hardware(self.body, chain, self.noise, self.rate_hz, self.physics_rate_hz, self.watchdog_s)
-        return RunningRig(medium, hardware, self.seed, self.speed, self.start_timeout_s)
+        return RunningRig(medium, hardware, self.seed, self.speed, self.start_timeout_s, self.stream)
 
 
 class RunningRig:
@@ -243,13 +245,15 @@ class RunningRig:
     process : its process; it ends with this object
     """
 
-    def __init__(self, medium: str, hardware: Hardware, seed: int, speed: float, start_timeout_s: float) -> None:
+    def __init__(
+        self, medium: str, hardware: Hardware, seed: int, speed: float, start_timeout_s: float, stream: Stream = ANY_STREAM
+    ) -> None:
         if medium not in MEDIA:
             raise ConfigError(f"medium={medium} is unknown; expected one of {', '.join(MEDIA)}")
         context = multiprocessing.get_context("spawn")
         self._line, far_end = context.Pipe()
         self.process = context.Process(
-            target=serve, args=(far_end, medium, hardware, seed, speed), name="softrl-rig", daemon=True
+            target=serve, args=(far_end, medium, hardware, seed, speed, stream), name="softrl-rig", daemon=True
         )
         self.process.start()
         far_end.close()

@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from softrl.core.driver import Sample
+from softrl.core.driver import ANY_STREAM, Sample, Stream
 from softrl.core.errors import ConfigError, DriverError
 from softrl.core.simulator import Simulator
 from softrl.effects.chain import EffectChain
@@ -119,7 +119,7 @@ class StubDriver:
     watchdog_s : longest device time under pressure without a command
     vent_s : device time that the driver stays connected after it has vented
     start_timeout_s, answer_timeout_s : real time after which a silent rig counts as lost
-    seed : of the rig's noise
+    seed, stream : of the rig's noise, the second of the stage that drives it
     surface : how a surface that is mounted differs from what the task says of it
 
     Attributes
@@ -142,12 +142,13 @@ class StubDriver:
         answer_timeout_s: float,
         seed: int,
         surface: Ground | None = None,
+        stream: Stream = ANY_STREAM,
     ) -> None:
         if rate_hz <= 0 or physics_rate_hz < rate_hz or physics_rate_hz % rate_hz:
             raise ConfigError(
                 f"driver.physics_rate_hz={physics_rate_hz:g} is no multiple of driver.rate_hz={rate_hz:g}"
             )
-        self._robot, self._seed = robot, seed
+        self._robot, self._seed, self._stream = robot, seed, stream
         self._rate_hz, self._vent_s, self.stale_s = rate_hz, vent_s, watchdog_s
         self._start_timeout_s, self._answer_timeout_s = start_timeout_s, answer_timeout_s
         chain = EffectChain(robot, tuple(hidden.values()))
@@ -169,7 +170,7 @@ class StubDriver:
         self._due, self.samples = 0.0, []
         if self._link is None:
             self._link = RigLink(self._hardware)
-        self._ask(self._start_timeout_s, "start", (self._seed, self._entries), self._surface)
+        self._ask(self._start_timeout_s, "start", (self._seed, self._entries, self._stream), self._surface)
         self._entries += 1
         self._entered = True
         return self
