@@ -68,8 +68,8 @@ def test_the_latest_diagnosis_is_found_where_its_effects_are_asked_for() -> None
     found = SimpleNamespace(info=SimpleNamespace(run_id="7"), data=SimpleNamespace(tags={}))
     store = SimpleNamespace(find=lambda tags: found, folder=lambda run, name: Path(name))
     assembly = Assembly(store, composed("stage=rl", "effect=identified"), {})
-    assert assembly._latest(Diagnosis) is found
-    assert assembly._latest(Policy) is found, "the mark of its effects asks for the diagnosis"
+    assert assembly.latest(Diagnosis) is found
+    assert assembly.latest(Policy) is found, "the mark of its effects asks for the diagnosis"
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_a_run_that_is_reused_tells_which_newer_one_is_taken(
 ) -> None:  # fmt: skip
     runs = {name: SimpleNamespace(info=SimpleNamespace(run_id=name, start_time=k))
             for k, name in enumerate(("earlier", "before", "later"))}  # fmt: skip
-    assembly = Assembly(SimpleNamespace(find=lambda tags: runs[taken]), composed(f"stage={stage}"), {})
+    assembly = Assembly(SimpleNamespace(find=lambda tags: runs[taken], every=lambda tags: [runs[taken]]), composed(f"stage={stage}"), {})
     task = _Prepared(assembly.store, assembly, None, None, {}, "", runs["before"], None, None)
     monkeypatch.setattr(pipeline, "_prepare", lambda *_: task)
     monkeypatch.setattr(pipeline, "_reused", lambda *_: None)
