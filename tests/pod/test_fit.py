@@ -10,7 +10,7 @@ from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ConfigError
 from softrl.core.polynomial import basis
 from softrl.pod.fitting.basis import pod_basis
-from softrl.pod.fitting.energy import Weights, accumulate, scale_of, solve
+from softrl.pod.fitting.energy import Weights, accumulate, scale_of, solve, trust
 from softrl.pod.fitting.equilibria import equilibria
 from softrl.pod.fitting.fit import fit_model, linear_model
 from softrl.pod.fitting.map_fit import fit_maps
@@ -117,10 +117,29 @@ def test_third_derivatives_spare_equilibria(tripod: Body) -> None:
     rows = basis(6, 4).gradient_rows(np.linalg.solve(frame, unseen.coordinate.T).T)
     loads = np.array([law.gradient(z) for z in unseen.coordinate])
     for third in (0.0, 0.1):
-        normal = accumulate(few, frame, scale_of(few), 4, Weights(0.3, 0.3, third))
+        normal = accumulate(few, np.ones(5), frame, scale_of(few), 4, Weights(0.3, 0.3, third))
         found = rows @ solve(normal, 6, 4, 1e-13) @ np.linalg.inv(frame)
         error.append(np.abs((found - loads) / np.abs(loads).max(axis=0)).max())
     assert error[1] < 0.01 * error[0], error
+
+
+def test_equilibria_that_no_polynomial_follows_spoil_no_others(tripod: Body) -> None:
+    """Where walls fold, the energy need not be right, and must not be wrong elsewhere for it."""
+    robot, law, weights = tripod[0], law_of(tripod[0]), Weights(0.3, 0.3, 0.1)
+    samples = equilibria(synthetic_snapshots(robot, 40, seed=5, trajectories=0))
+    folded = np.arange(40) >= 36
+    samples = samples._replace(load=samples.load * np.where(folded, 1.5, 1.0)[:, None])
+    unseen = equilibria(synthetic_snapshots(robot, 15, seed=99, trajectories=0))
+    frame, scale = np.diag(2.0 * np.abs(unseen.coordinate).max(axis=0)), scale_of(samples)
+    trusted = trust(samples, frame, scale, 4, weights)
+    assert trusted[folded].max() < 0.01 < 0.1 < trusted[~folded].min()
+    rows = basis(6, 4).gradient_rows(np.linalg.solve(frame, unseen.coordinate.T).T)
+    loads = np.array([law.gradient(z) for z in unseen.coordinate])
+    error = []
+    for weight in (trusted, np.ones(40)):
+        found = solve(accumulate(samples, weight, frame, scale, 4, weights), 6, 4, 1e-12)
+        error.append(np.abs((rows @ found @ np.linalg.inv(frame) - loads) / np.abs(loads).max(axis=0)).max())
+    assert error[0] < 0.1 * error[1], error
 
 
 def test_anchors_are_the_equilibria_of_the_lower_degree(tripod: Body) -> None:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrl.artifacts.reduced_model import ReducedModel
-from softrl.pod.fitting.energy import Normal, accumulate, scale_of, solve
+from softrl.pod.fitting.energy import Normal, accumulate, scale_of, solve, trust
 from softrl.pod.fitting.equilibria import Equilibria
 from softrl.pod.fitting.maps import ALWAYS
 from softrl.pod.fitting.settings import FitSettings
@@ -42,24 +42,26 @@ class Candidates:
         self._settings, self._draft, self._samples, self._fold = settings, draft, samples, fold
         self._scale, images = scale_of(samples), images_of(robot)
         self.image_weights = settings.image_weights_of(robot)
-        parts = [samples.rows(fold == part) for part in range(settings.folds)]
-        parts.append(samples.rows(fold == ALWAYS))
-        self._own = [self._equations(part) for part in parts]
-        self._images = [self._equations(reflected(part, images)) for part in parts] if images else []
+        self._trusted = trust(samples, draft.frame, self._scale, settings.energy_degree_max, settings.weights)
+        parts = [(samples.rows(here), self._trusted[here]) for here in (fold == k for k in (*range(settings.folds), ALWAYS))]
+        self._own = [self._equations(*part) for part in parts]
+        self._images = [
+            self._equations(reflected(part, images), np.tile(trusted, len(images))) for part, trusted in parts
+        ] if images else []  # fmt: skip
         self._anchors: np.ndarray | None = None
         self._low: list[np.ndarray] = []
         self._sums: dict[float, list[Normal]] = {}
 
-    def _equations(self, samples: Equilibria) -> Normal:
-        return accumulate(
-            samples, self._draft.frame, self._scale, self._settings.energy_degree_max, self._settings.weights
-        )
+    def _equations(self, samples: Equilibria, trusted: np.ndarray) -> Normal:
+        settings = self._settings
+        return accumulate(samples, trusted, self._draft.frame, self._scale, settings.energy_degree_max, settings.weights)
 
     def anchor(self, choice: Choice, loads: np.ndarray) -> None:
         """Take the equilibria under ``loads`` of the energy ``choice``, each fold's of its own fit, as anchors."""
         self._low = [self.energy(choice, left_out) for left_out in (None, *range(self._settings.folds))]
         anchors = equilibria_of(replace(self._draft, energy=self._low[0]), loads)
-        self._anchors = self._equations(anchors).matrix * (len(self._samples.load) / len(anchors.load))
+        alike = np.ones(len(anchors.load))
+        self._anchors = self._equations(anchors, alike).matrix * (len(self._samples.load) / len(anchors.load))
 
     def energy(self, choice: Choice, left_out: int | None = None) -> np.ndarray:
         """Return the coefficients (monomials,) J of ``choice``, fitted to all samples but those of one fold."""
@@ -82,15 +84,16 @@ class Candidates:
         return self._sums[image_weight]
 
     def judged(self, image_weight: float, anchor_weight: float, degree: int, ridge: float) -> Choice:
-        """Return a choice with its error over folds that its fits did not see."""
+        """Return a choice with its error over folds that its fits did not see, weighed by how far samples are trusted."""
         choice = Choice(image_weight, anchor_weight, degree, ridge, np.nan)
         farthest = LOST**2 * float((self._samples.coordinate[:, -3:] ** 2).sum(axis=1).mean())
         squares = 0.0
         for part in range(self._settings.folds):
             model = replace(self._draft, energy=self.energy(choice, part))
-            errors = squared_tip_errors(model, self._samples.rows(self._fold == part))
-            squares += np.minimum(errors, farthest).sum()
-        return choice._replace(tip_error_m=float(np.sqrt(squares / np.count_nonzero(self._fold != ALWAYS))))
+            here = self._fold == part
+            errors = squared_tip_errors(model, self._samples.rows(here))
+            squares += float(self._trusted[here] @ np.minimum(errors, farthest))
+        return choice._replace(tip_error_m=float(np.sqrt(squares / self._trusted[self._fold != ALWAYS].sum())))
 
     def model(self, choice: Choice) -> ReducedModel:
         """Return the reduced model with the energy ``choice``."""

@@ -5,18 +5,21 @@ load gives its third derivative D. With ``r`` coordinates that is one equation f
 """
 
 import logging
+from collections.abc import Iterable, Iterator
 from itertools import combinations_with_replacement, permutations
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from softrl.core.polynomial import basis, multinomials
+from softrl.core.polynomial import basis, count, multinomials
 from softrl.pod.fitting.equilibria import Equilibria
+from softrl.pod.fitting.maps import LEAST_RIDGE, ROUNDS, SURPLUS, TINY
 
 log = logging.getLogger(__name__)
-CHUNK, THIRD_CHUNK = 64, 8  # samples in memory at once
+CHUNK = 8  # samples worked on at once
 MARGIN = 1.15  # the polynomial is trusted this much beyond the farthest sample
+USUAL = 3.0  # an error of so many times the usual one counts half
 
 
 class Weights(NamedTuple):
@@ -65,10 +68,55 @@ def frame_of(samples: Equilibria) -> np.ndarray:
     return np.diag(MARGIN * radius * largest)
 
 
-def accumulate(samples: Equilibria, frame: np.ndarray, scale: Scale, degree: int, weights: Weights) -> Normal:
-    """Return the normal equations of ``samples`` for W up to ``degree`` in y.
+class Rows(NamedTuple):
+    """Equations of a few samples: ``matrix`` (s, e, k) over all monomials of degree 2 and higher, and ``right`` (s, e)."""
 
-    Equations are put in units of coordinates by the compliance, ``C (dW/dz - load) = 0``, ``C W'' C - C = 0`` and
+    matrix: np.ndarray
+    right: np.ndarray
+
+
+def accumulate(
+    samples: Equilibria, weight: np.ndarray, frame: np.ndarray, scale: Scale, degree: int, weights: Weights
+) -> Normal:
+    """Return the normal equations of ``samples`` for W up to ``degree`` in y; ``weight`` (S,) is that of each one's squares."""
+    return _sum(_equations(samples, frame, scale, degree, weights), weight, _unknowns(len(frame), degree))
+
+
+def trust(samples: Equilibria, frame: np.ndarray, scale: Scale, degree: int, weights: Weights) -> np.ndarray:
+    """Return how far (S,), at most 1, a fit of W up to ``degree`` trusts each of ``samples``, see ``maps.trust``.
+
+    Poses far beyond what the robot reaches are needed, for motion may lead there, but no polynomial follows all of them, and
+    alike they would bend it everywhere. What is asked is how far the gradient misses their loads.
+    """
+    r = len(frame)
+    while degree > 2 and count(r, degree) > SURPLUS * len(samples.load) * _equations_each(r, weights):
+        degree -= 1
+    kept = list(_equations(samples, frame, scale, degree, weights))
+    trusted = np.ones(len(samples.load))
+    for _ in range(ROUNDS):
+        found = solve(_sum(kept, trusted, _unknowns(r, degree)), r, degree, LEAST_RIDGE)[r + 1 :]
+        missed = [rows.matrix[:, :r] @ found - rows.right[:, :r] for rows in kept]
+        squares = (np.concatenate(missed) ** 2).mean(axis=1)
+        trusted = 1.0 / (1.0 + squares / max(float(np.median(squares)), TINY) / USUAL**2)
+    return trusted
+
+
+def _unknowns(r: int, degree: int) -> int:
+    """Return the number of monomials of degree 2 and higher, up to ``degree``."""
+    return count(r, degree) - r - 1
+
+
+def _equations_each(r: int, weights: Weights) -> int:
+    """Return how many equations a sample gives: gradient, value, and the different entries of Hessian and third derivative."""
+    return r + 1 + r * (r + 1) // 2 + (r * (r + 1) * (r + 2) // 6 if weights.third > 0.0 else 0)
+
+
+def _equations(
+    samples: Equilibria, frame: np.ndarray, scale: Scale, degree: int, weights: Weights
+) -> Iterator[Rows]:
+    """Yield the equations of a few samples after the other, those about the gradient first.
+
+    They are in units of coordinates by the compliance, ``C (dW/dz - load) = 0``, ``C W'' C - C = 0`` and
     ``D(C, C, C) + dC/dload = 0``, each coordinate and each load over its scale: W is then fitted for the motion that it
     predicts.
     """
@@ -76,42 +124,39 @@ def accumulate(samples: Equilibria, frame: np.ndarray, scale: Scale, degree: int
     inverse = np.linalg.inv(frame)
     table = basis(r, degree)
     kept = slice(r + 1, None)
-    size = table.monomials - r - 1
-    normal = Normal(np.zeros((size, size)), np.zeros(size))
     rows_of, columns_of = np.triu_indices(r)
     pair_weight = weights.hessian * scale.load[:, None] / scale.coordinate
-    pair_weight = np.sqrt(pair_weight**2 + np.where(np.eye(r, dtype=bool), 0.0, pair_weight.T**2))
+    pair_weight = np.sqrt(pair_weight**2 + np.where(np.eye(r, dtype=bool), 0.0, pair_weight.T**2))[rows_of, columns_of]
+    triples, triple_weight = _triples(scale, weights.third)
     for first in range(0, len(samples.load), CHUNK):
         part = samples.rows(slice(first, first + CHUNK))
         points = part.coordinate @ inverse.T
         to_coordinate = part.compliance @ inverse.T  # dz/dload times dy/dz': maps dW/dy to dz
         gradient = (to_coordinate / scale.coordinate[:, None]) @ table.gradient_rows(points)[..., kept]
         move = np.einsum("sij,sj->si", part.compliance, part.load) / scale.coordinate
-        _add(normal, gradient.reshape(-1, size), move.ravel())
-        _add(
-            normal,
-            table.values(points)[:, kept] * (weights.value / scale.energy),
-            part.energy * (weights.value / scale.energy),
-        )
         bent = np.einsum("ski,sijm->skjm", to_coordinate, table.hessian_rows(points)[..., kept], optimize=True)
         bent = np.einsum("skjm,slj->sklm", bent, to_coordinate, optimize=True)[:, rows_of, columns_of]
-        _add(
-            normal,
-            (bent * pair_weight[rows_of, columns_of, None]).reshape(-1, size),
-            (part.compliance[:, rows_of, columns_of] * pair_weight[rows_of, columns_of]).ravel(),
-        )
+        value = weights.value / scale.energy
+        matrices = [gradient, table.values(points)[:, None, kept] * value, bent * pair_weight[:, None]]
+        rights = [move, part.energy[:, None] * value, part.compliance[:, rows_of, columns_of] * pair_weight]
         if weights.third > 0.0:
-            triples, triple_weight = _triples(scale, weights.third)
-            for row in range(0, len(points), THIRD_CHUNK):
-                few = slice(row, row + THIRD_CHUNK)
-                turned = table.third_rows(points[few])[..., kept]
-                for _ in range(3):  # turns the first of three axes to loads, and puts it last
-                    turned = np.einsum("sla,sabcm->sbclm", to_coordinate[few], turned, optimize=True)
-                _add(
-                    normal,
-                    (turned[:, *triples] * triple_weight[:, None]).reshape(-1, size),
-                    -(part.slopes["compliance"][few][:, *triples] * triple_weight).ravel(),
-                )
+            turned = table.third_rows(points)[..., kept]
+            for _ in range(3):  # turns the first of three axes to loads, and puts it last
+                turned = np.einsum("sla,sabcm->sbclm", to_coordinate, turned, optimize=True)
+            matrices.append(turned[:, *triples] * triple_weight[:, None])
+            rights.append(-part.slopes["compliance"][:, *triples] * triple_weight)
+        yield Rows(np.concatenate(matrices, axis=1), np.concatenate(rights, axis=1))
+
+
+def _sum(equations: Iterable[Rows], weight: np.ndarray, size: int) -> Normal:
+    """Return the normal equations of ``equations`` in ``size`` unknowns, ``weight`` (S,) being that of each sample's squares."""
+    normal, root, first = Normal(np.zeros((size, size)), np.zeros(size)), np.sqrt(weight), 0
+    for rows in equations:
+        each = root[first : first + len(rows.right), None]
+        matrix, right = (rows.matrix * each[..., None]).reshape(-1, size), (rows.right * each).ravel()
+        normal.matrix[...] += matrix.T @ matrix
+        normal.right[...] += matrix.T @ right
+        first += len(rows.right)
     return normal
 
 
@@ -124,11 +169,6 @@ def _triples(scale: Scale, weight: float) -> tuple[np.ndarray, np.ndarray]:
     whole = (scale.load[:, None] * scale.load / scale.coordinate[:, None, None]) ** 2
     equal = [sum(whole[order] for order in set(permutations(triple))) for triple in triples.T]
     return triples, weight * np.sqrt(equal)
-
-
-def _add(normal: Normal, rows: np.ndarray, right: np.ndarray) -> None:
-    normal.matrix[...] += rows.T @ rows
-    normal.right[...] += rows.T @ right
 
 
 def solve(normal: Normal, order: int, degree: int, ridge: float) -> np.ndarray:
