@@ -1,15 +1,16 @@
 """How far the simulator stays from held-out recordings, with and without the calibrated pressures."""
 
-import dataclasses
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.signal import savgol_filter
 
 from softrl.calibration.holds import Holds, end_of_hold
 from softrl.calibration.kinematics import angle_between, arc, rotation_vector
-from softrl.core.simulator import Motion
 from softrl.effects.chain import Plant
+from softrl.effects.replay import replay as effects_replay
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.robots.robot import Robot
 
@@ -17,25 +18,45 @@ from softrl.robots.robot import Robot
 VELOCITY_WINDOW_S = 0.11
 PressureOf = Callable[[np.ndarray], np.ndarray]  # commanded (steps, n) Pa -> that of the simulator
 PAUSE_S = 0.5  # between recordings on one clock; after a longer one nobody knows what happened meanwhile
+AT_REST_SHARE = 0.02  # of the largest pressure: a first row below is that of a robot at rest
 SMALLEST_SPAN = 1e-9  # in SI; less than that is rounding
 
 
-def replay(plant: Plant, recordings: Sequence[Recording], pressure_of: PressureOf) -> list[Motion]:
-    """Return the motions at the recordings' times under ``pressure_of`` the commands, each row held until its time.
+class Stepping(NamedTuple):
+    """How recordings are replayed.
+
+    Attributes
+    ----------
+    dt_s : step of the simulation, s, however far apart the rows are
+    stood_s : how long, s, a robot that does not begin at rest is taken to have stood under its first row
+    """
+
+    dt_s: float
+    stood_s: float
+
+
+def replay(plant: Plant, recordings: Sequence[Recording], pressure_of: PressureOf, stepping: Stepping) -> list[Recording]:
+    """Return what the plant does at the recordings' times under ``pressure_of`` the commands, each row held until its time.
 
     A recorded force on the tip acts on the simulated one too.
     Recordings that follow each other on one clock are one motion of the robot: what an earlier one left in valves and walls
     is there in the next.
     """
-    motions: list[Motion] = []
+    motions: list[Recording] = []
     for chain in _follow_ups(recordings):
-        time = np.concatenate([recording.time for recording in chain])
-        pressure = pressure_of(np.concatenate([recording.pressure_cmd for recording in chain]))
-        whole = _replayed(plant, time, pressure, _forces(chain))
-        ends = np.cumsum([len(recording.time) for recording in chain])[:-1]
-        parts = [np.split(values, ends) for values in (whole.time, whole.position, whole.quaternion, whole.pressure)]
-        motions += [Motion(*part) for part in zip(*parts, strict=True)]
+        whole = _replayed(plant, _joined(chain, pressure_of), stepping)
+        ends = np.cumsum([len(recording.time) for recording in chain])
+        motions += [
+            replace(from_row(whole, int(end) - len(run.time), int(end)), name=run.name)
+            for run, end in zip(chain, ends, strict=True)
+        ]
     return motions
+
+
+def from_row(recording: Recording, first: int, end: int | None = None) -> Recording:
+    """Return the rows of a recording from ``first`` on, up to but not ``end``, without markers."""
+    changed: dict[str, Any] = {n: v[first:end] for n, v in recording.channels() if n not in recording.markers}
+    return replace(recording, **changed, markers={})
 
 
 def _follow_ups(recordings: Sequence[Recording]) -> list[list[Recording]]:
@@ -59,30 +80,55 @@ def _forces(recordings: Sequence[Recording]) -> np.ndarray | None:
     return np.concatenate([np.zeros((len(r.time), 3)) if r.tip_force is None else r.tip_force for r in recordings])
 
 
-def _replayed(plant: Plant, time: np.ndarray, pressure: np.ndarray, tip_force: np.ndarray | None) -> Motion:
-    dt_s = float(np.median(np.diff(time)))
-    uniform = np.arange(time[0], time[-1] + 0.5 * dt_s, dt_s)
-    row = np.clip(np.searchsorted(time, uniform - 1e-9), 0, len(pressure) - 1)
-    force = None if tip_force is None else tip_force[row]
-    motion = plant.simulate(uniform - uniform[0] + dt_s, pressure[row], force)
-    nearest = np.clip(np.round((time - uniform[0]) / dt_s).astype(int), 0, len(uniform) - 1)
-    return Motion(time, motion.position[nearest], motion.quaternion[nearest], motion.pressure[nearest])
+def _joined(chain: Sequence[Recording], pressure_of: PressureOf) -> Recording:
+    """Return recordings that go on from each other as one, with ``pressure_of`` their commands; gauges showed other ones."""
+    return replace(
+        chain[0],
+        time=np.concatenate([run.time for run in chain]),
+        pressure_cmd=pressure_of(np.concatenate([run.pressure_cmd for run in chain])),
+        position=_in_all(chain, "position"),
+        tip_force=_forces(chain),
+        temperature=_in_all(chain, "temperature"),
+        pressure_meas=None,
+        quaternion=None,
+        bend_angle=None,
+        markers={},
+    )
+
+
+def _in_all(chain: Sequence[Recording], channel: str) -> np.ndarray | None:
+    """Return a channel over all of ``chain``; None if one lacks it."""
+    values = [getattr(run, channel) for run in chain]
+    return None if any(v is None for v in values) else np.concatenate(values)
+
+
+def _replayed(plant: Plant, recording: Recording, stepping: Stepping) -> Recording:
+    """Return the motion from rest, or from where the robot came to under the first row: where its first pose is nearer."""
+    from_rest = effects_replay(plant, recording, stepping.dt_s)
+    first = np.abs(recording.pressure_cmd[0]).max()
+    if recording.position is None or first <= AT_REST_SHARE * plant.chain.robot.largest_pa:
+        return from_rest
+    stood = effects_replay(plant, recording, stepping.dt_s, settle_s=stepping.stood_s)
+    away = [np.linalg.norm(made.position[0] - recording.position[0]) for made in (from_rest, stood)]
+    return stood if away[1] < away[0] else from_rest
 
 
 def simulated_holds(
-    plant: Plant, recordings: RecordingSet, holds: Holds, pressure_of: PressureOf, average_s: float
+    plant: Plant, recordings: RecordingSet, holds: Holds, pressure_of: PressureOf, average_s: float, stepping: Stepping
 ) -> Holds:
     """Return the holds as ``plant`` passes them when it replays the whole recordings with ``pressure_of`` the commands."""
     position = np.empty_like(holds.position)
-    motions = replay(plant, recordings.recordings, pressure_of)
+    motions = replay(plant, recordings.recordings, pressure_of, stepping)
     for run in np.unique(holds.run):
-        moved = dataclasses.replace(recordings.recordings[int(run)], position=motions[int(run)].position)
+        moved = replace(recordings.recordings[int(run)], position=motions[int(run)].position)
         for k in np.flatnonzero(holds.run == run):
             position[k] = end_of_hold(moved, 0, int(holds.last_row[k]), average_s)[0]
-    return dataclasses.replace(holds, position=position)
+    return replace(holds, position=position)
 
 
-def replay_errors(plant: Plant, recordings: RecordingSet, holds: Holds, pressure_of: PressureOf) -> dict[str, float]:
+def replay_errors(
+    plant: Plant, recordings: RecordingSet, holds: Holds, pressure_of: PressureOf, stepping: Stepping
+) -> dict[str, float]:
     """Return rms errors on the recordings of ``holds`` by name with unit: at the holds, and over all rows.
 
     Notes
@@ -93,7 +139,7 @@ def replay_errors(plant: Plant, recordings: RecordingSet, holds: Holds, pressure
     runs (``_pct``), a vector by the diagonal of its box.
     """
     robot = plant.chain.robot
-    motions = replay(plant, recordings.recordings, pressure_of)
+    motions = replay(plant, recordings.recordings, pressure_of, stepping)
     runs = {int(number): recordings.recordings[int(number)] for number in np.unique(holds.run)}
     ranges = _ranges(robot, list(runs.values()))
     at_holds: dict[str, list[np.ndarray]] = {}
@@ -143,7 +189,7 @@ def _ranges(robot: Robot, recordings: list[Recording]) -> dict[str, float]:
     return {name: ranges.get(name, 0.0) for name in UNITS}
 
 
-def _errors(robot: Robot, recording: Recording, motion: Motion) -> dict[str, np.ndarray]:
+def _errors(robot: Robot, recording: Recording, motion: Recording) -> dict[str, np.ndarray]:
     """Return the size of each error (steps,) in SI."""
     measured, simulated = arc(recording.position, robot.axis), arc(motion.position, robot.axis)
     errors = {

@@ -9,7 +9,7 @@ from softrl.calibration.figures import draw_pressure_map
 from softrl.calibration.holds import Holds, loaded_from_n, moving_rows, revisited
 from softrl.calibration.inversion import has_exact_inverse, pressure_by_reduced_model
 from softrl.calibration.pressure_map import PressureMap
-from softrl.calibration.replay import replay_errors
+from softrl.calibration.replay import Stepping, replay_errors
 from softrl.core.tracking import Tracker
 from softrl.effects.chain import Plant
 from softrl.recordings.recording import RecordingSet
@@ -89,12 +89,13 @@ def report_replay(
     plant: Plant,
     recordings: RecordingSet,
     holds: Holds,
+    stepping: Stepping,
     tracker: Tracker,
 ) -> None:
     """Log errors of tip, arc length, curvature, orientation and velocity on held-out runs, with and without f_RS."""
     judged = holds.where(calibration.heldout)
-    with_map = replay_errors(plant, recordings, judged, PressureMap(calibration).real_to_sim)
-    without = replay_errors(plant, recordings, judged, lambda pressure: pressure)
+    with_map = replay_errors(plant, recordings, judged, PressureMap(calibration).real_to_sim, stepping)
+    without = replay_errors(plant, recordings, judged, lambda pressure: pressure, stepping)
     for name, value in with_map.items():
         tracker.metric(f"heldout/{name}", value)
         tracker.metric(f"heldout/uncalibrated_{name}", without[name])

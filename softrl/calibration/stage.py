@@ -14,7 +14,7 @@ from softrl.calibration.inversion import has_exact_inverse, pressure_by_reduced_
 from softrl.calibration.material_fit import as_record, best_fit, fit_materials, held_out, in_words
 from softrl.calibration.mlp import Ensemble, EnsembleSettings, fit_ensemble
 from softrl.calibration.pressure_map import PressureMap
-from softrl.calibration.replay import PressureOf, simulated_holds
+from softrl.calibration.replay import PressureOf, Stepping, simulated_holds
 from softrl.calibration.report import report_map, report_moving, report_reach, report_replay
 from softrl.calibration.tensile import read_tensile
 from softrl.core.driver import Driver
@@ -42,13 +42,15 @@ class Config:
     material_curve : CSV of a tensile test, absolute, or relative to the working directory or the project; null for none
     stretch_max : the laws are fitted below this stretch
     curve_bins : equal bins of stretch that the curve is averaged over;  curve_blocks : every second one is held out
-    runs, holds_per_run, hold_s, dt_s : random holds recorded on the driver when no recordings are given
+    runs, holds_per_run, hold_s, dt_s : random holds recorded on the driver when no recordings are given; ``dt_s`` is the
+        simulator's step, too, whatever recordings are given
     visit_again : whether one more run visits the pressures of the first in another order: what two visits differ by no
         static map can tell
     hold_min_s, average_s, drift_max_mm : a hold counts from this duration on; its tip is averaged over the last
         ``average_s`` and may drift by this much meanwhile
     residual_max_mm : holds whose tip the simulator cannot reach within this distance are left out
     settle_s : duration simulated per constant pressure where no reduced model inverts the tip
+    stood_s : a run that does not begin at rest is replayed from where this long under its first row leads
     heldout_share : share of the runs that training never sees
     members, hidden, epochs, learning_rate, weight_decays : the ensemble of networks and its training; of the
         decays that is kept which is best on holds that members left out
@@ -68,6 +70,7 @@ class Config:
     drift_max_mm: float
     residual_max_mm: float
     settle_s: float
+    stood_s: float
     heldout_share: float
     members: int
     hidden: int
@@ -82,6 +85,8 @@ class Config:
         for name in positive:
             if getattr(self, name) <= 0:
                 raise ConfigError(f"stage.{name}={getattr(self, name):g} must be positive")
+        if not self.stood_s >= 0.0:
+            raise ConfigError(f"stage.stood_s={self.stood_s:g} must not be negative")
         if not 0.0 < self.heldout_share < 1.0:
             raise ConfigError(f"stage.heldout_share={self.heldout_share:g}; expected a share between 0 and 1")
         if self.members < 2:
@@ -99,6 +104,11 @@ class Config:
             raise ConfigError(
                 f"stage.runs={self.runs} with holds_per_run={self.holds_per_run} gives too few holds; expected 8"
             )
+
+    @property
+    def stepping(self) -> Stepping:
+        """How recordings are replayed."""
+        return Stepping(self.dt_s, self.stood_s)
 
 
 def run(
@@ -157,7 +167,7 @@ def _calibrated(
     report_map(calibration, tracker)
     residual_max_m = 1e-3 * config.residual_max_mm
     report_moving(calibration, plant, recordings, holds, config.hold_min_s, residual_max_m, tracker)
-    report_replay(calibration, plant, recordings, holds, tracker)
+    report_replay(calibration, plant, recordings, holds, config.stepping, tracker)
     return calibration
 
 
@@ -237,7 +247,8 @@ def _led(
     Effects have a past: the pressures are ``pressure_of`` the commanded ones, with which the recordings are replayed, and
     what leads the body alone from where that came to where the robot is (``rest``, the same whatever the pressures).
     """
-    here = _resting(config, plant, simulated_holds(plant, recordings, holds, pressure_of, config.average_s))
+    came = simulated_holds(plant, recordings, holds, pressure_of, config.average_s, config.stepping)
+    here = _resting(config, plant, came)
     return pressure_of(holds.pressure) + rest.pressure - here.pressure, np.maximum(rest.miss, here.miss)
 
 

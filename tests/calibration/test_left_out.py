@@ -18,7 +18,7 @@ from softrl.effects.viscoelasticity import Viscoelasticity
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.robots.robot import Robot
-from tests.calibration.test_stage import config
+from tests.calibration.test_stage import STEPPING, config
 
 
 @pytest.fixture
@@ -84,11 +84,11 @@ def test_a_recorded_force_acts_in_the_replay(robot: Robot, body: PccSimulator) -
     early = Recording("a", "s", time[:50], pressure[:50])
     late = Recording("b", "s", time[50:], pressure[50:], tip_force=force[50:])
     only_late = plant.simulate(time, pressure, np.where(time[:, None] > time[49], force, 0.0)).position
-    np.testing.assert_allclose(replay(plant, [early, late], lambda p: p)[1].position, only_late[50:], atol=1e-12)
+    np.testing.assert_allclose(replay(plant, [early, late], lambda p: p, STEPPING)[1].position, only_late[50:], atol=1e-12)
     whole = Recording("a", "s", time, pressure, tip_force=force)
-    np.testing.assert_allclose(replay(plant, [whole], lambda p: p)[0].position, pushed, atol=1e-12)
+    np.testing.assert_allclose(replay(plant, [whole], lambda p: p, STEPPING)[0].position, pushed, atol=1e-12)
     np.testing.assert_allclose(
-        replay(plant, [replace(whole, tip_force=None)], lambda p: p)[0].position, free, atol=1e-12
+        replay(plant, [replace(whole, tip_force=None)], lambda p: p, STEPPING)[0].position, free, atol=1e-12
     )
 
 

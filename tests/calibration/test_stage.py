@@ -12,7 +12,7 @@ from softrl.calibration.holds import AGAIN, Holds, moving_rows, record_holds, re
 from softrl.calibration.inversion import pressure_by_simulator, steady_tip
 from softrl.calibration.kinematics import rotation_vector
 from softrl.calibration.pressure_map import PressureMap
-from softrl.calibration.replay import replay, replay_errors
+from softrl.calibration.replay import Stepping, replay, replay_errors
 from softrl.calibration.stage import Config, run
 from softrl.core.driver import Driver, Sample
 from softrl.core.errors import ConfigError, DriverError, RecordingError
@@ -25,6 +25,7 @@ from softrl.recordings.recording import Recording, RecordingSet
 from softrl.robots.robot import Robot
 
 CONF = Path(__file__).resolve().parents[2] / "conf" / "stage"
+STEPPING = Stepping(0.02, 0.0)
 
 
 def config(**changes: object) -> Config:
@@ -216,8 +217,8 @@ def test_errors_in_per_cent_are_those_of_what_was_spanned(robot: Robot, body: Pc
     holds = Holds(pressure[-1:], moved.position[-1:], np.array([0]), np.array([149]))
     one = Recording("a", "s", time, pressure, position=moved.position, quaternion=moved.quaternion)
     plant = Plant(body, chain_of(robot, ()))
-    exact = replay_errors(plant, RecordingSet(robot.name, (one,)), holds, lambda p: p)
-    half = replay_errors(plant, RecordingSet(robot.name, (one,)), holds, lambda p: 0.5 * p)
+    exact = replay_errors(plant, RecordingSet(robot.name, (one,)), holds, lambda p: p, STEPPING)
+    half = replay_errors(plant, RecordingSet(robot.name, (one,)), holds, lambda p: 0.5 * p, STEPPING)
     assert exact["position_run_pct"] < 1e-6
     for name, unit, scale in (("position", "mm", 1e3), ("orientation", "deg", 180.0 / np.pi)):
         values = moved.position if name == "position" else rotation_vector(moved.quaternion)
@@ -225,7 +226,7 @@ def test_errors_in_per_cent_are_those_of_what_was_spanned(robot: Robot, body: Pc
         assert half[f"{name}_run_pct"] == pytest.approx(100.0 * half[f"{name}_run_{unit}"] / span)
         assert 1.0 < half[f"{name}_run_pct"] < 100.0
     still = Recording("a", "s", time, 0 * pressure, position=np.tile(moved.position[:1], (150, 1)))
-    stood = replay_errors(plant, RecordingSet(robot.name, (still,)), holds, lambda p: p)
+    stood = replay_errors(plant, RecordingSet(robot.name, (still,)), holds, lambda p: p, STEPPING)
     assert not [name for name in stood if "pct" in name]
 
 
@@ -239,7 +240,7 @@ def test_recordings_on_one_clock_are_one_motion(robot: Robot, body: PccSimulator
     def second_half(later_s: float, session: str) -> np.ndarray:
         early = Recording("a", "s", time[:150], pressure[:150])
         late = Recording("b", session, time[150:] + later_s, pressure[150:])
-        return replay(plant, [early, late], lambda p: p)[1].position
+        return replay(plant, [early, late], lambda p: p, STEPPING)[1].position
 
     np.testing.assert_allclose(second_half(0.0, "s"), position[150:], atol=1e-12)
     for forgotten in (second_half(60.0, "s"), second_half(0.0, "t")):
