@@ -1,6 +1,7 @@
 """Settled holds of recordings: where the command stood still long enough for the tip to be quasi-static."""
 
 import logging
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,17 +105,18 @@ def settled_holds(
 
 
 def moving_rows(
-    recordings: RecordingSet, runs: np.ndarray, settle_s: float, count: int, loaded_n: float = np.inf
+    recordings: RecordingSet, since: Mapping[int, int], settle_s: float, count: int, loaded_n: float = np.inf
 ) -> Holds | None:
-    """Return at most ``count`` rows, evenly over ``runs``, less than ``settle_s`` after a change of the command.
+    """Return at most ``count`` rows, evenly over runs, less than ``settle_s`` after a change of the command.
 
-    None if the command never changes. There valves, chambers and body are on their way to where the command leads. Rows
-    whose tip feels more than ``loaded_n`` do not count.
+    None if the command never changes. There valves, chambers and body are on their way to where the command leads. Runs and
+    their first rows are those of ``since``; rows whose tip feels more than ``loaded_n`` do not count.
     """
     found = []
-    for run in runs:
-        recording = recordings.recordings[int(run)]
-        for row in np.flatnonzero((_since_change(recording) < settle_s) & (_felt(recording) <= loaded_n)):
+    for run, first in since.items():
+        recording = recordings.recordings[run]
+        moving = (_since_change(recording) < settle_s) & (_felt(recording) <= loaded_n)
+        for row in first + np.flatnonzero(moving[first:]):
             found.append((recording.pressure_cmd[row], recording.position[row], run, row))
     if not found:
         return None
@@ -149,6 +151,18 @@ def split_holds(holds: Holds, heldout_share: float, rng: np.random.Generator) ->
         return np.arange(len(holds)) >= round((1.0 - heldout_share) * len(holds))
     count = int(np.clip(round(heldout_share * len(runs)), 1, len(runs) - 1))
     return np.isin(holds.run, rng.permutation(runs)[:count])
+
+
+def unseen_since(holds: Holds, heldout: np.ndarray) -> dict[int, int]:
+    """Return the first row that training has not seen of each run with ``heldout`` (holds,) bool holds.
+
+    That is 0 where the whole run is held out, else the row behind its last hold that is not.
+    """
+    first: dict[int, int] = {}
+    for run in np.unique(holds.run[heldout]):
+        seen = holds.last_row[(holds.run == run) & ~heldout]
+        first[int(run)] = int(seen.max()) + 1 if len(seen) else 0
+    return first
 
 
 def _constant_stretches(recording: Recording, hold_min_s: float) -> list[tuple[int, int]]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from softrl.artifacts.calibration import Calibration
 from softrl.calibration.figures import draw_pressure_map
-from softrl.calibration.holds import Holds, loaded_from_n, moving_rows, revisited
+from softrl.calibration.holds import Holds, loaded_from_n, moving_rows, revisited, unseen_since
 from softrl.calibration.inversion import has_exact_inverse, pressure_by_reduced_model
 from softrl.calibration.pressure_map import PressureMap
 from softrl.calibration.replay import Stepping, replay_errors
@@ -57,7 +57,7 @@ def report_moving(
     residual_max_m: float,
     tracker: Tracker,
 ) -> None:
-    """Log the error of f_RS while held-out runs move: P_S is there the pressure at which the simulator would rest.
+    """Log the error of f_RS in held-out rows that move: P_S is there the pressure at which the simulator would rest.
 
     It has in it all that a static map cannot know, the lags of valves and body first of all. Only a reduced model that
     inverts at once is asked for it.
@@ -70,8 +70,8 @@ def report_moving(
     simulator, robot = plant.simulator, plant.chain.robot
     if plant.chain.effects or not has_exact_inverse(simulator, robot):
         return
-    judged = np.unique(holds.run[calibration.heldout])
-    moving = moving_rows(recordings, judged, hold_min_s, MOVING_ROWS, loaded_from_n(robot))
+    since = unseen_since(holds, calibration.heldout)
+    moving = moving_rows(recordings, since, hold_min_s, MOVING_ROWS, loaded_from_n(robot))
     if moving is None:
         return
     pressure, miss = pressure_by_reduced_model(simulator, robot, moving.position)
@@ -92,10 +92,10 @@ def report_replay(
     stepping: Stepping,
     tracker: Tracker,
 ) -> None:
-    """Log errors of tip, arc length, curvature, orientation and velocity on held-out runs, with and without f_RS."""
-    judged = holds.where(calibration.heldout)
-    with_map = replay_errors(plant, recordings, judged, PressureMap(calibration).real_to_sim, stepping)
-    without = replay_errors(plant, recordings, judged, lambda pressure: pressure, stepping)
+    """Log errors of tip, arc length, curvature, orientation and velocity on held-out rows, with and without f_RS."""
+    judged, since = holds.where(calibration.heldout), unseen_since(holds, calibration.heldout)
+    with_map = replay_errors(plant, recordings, judged, since, PressureMap(calibration).real_to_sim, stepping)
+    without = replay_errors(plant, recordings, judged, since, lambda pressure: pressure, stepping)
     for name, value in with_map.items():
         tracker.metric(f"heldout/{name}", value)
         tracker.metric(f"heldout/uncalibrated_{name}", without[name])

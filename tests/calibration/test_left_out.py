@@ -7,7 +7,7 @@ import pytest
 
 from softrl.artifacts.calibration import Calibration
 from softrl.calibration import stage
-from softrl.calibration.holds import moving_rows, record_holds, settled_holds
+from softrl.calibration.holds import Holds, moving_rows, record_holds, settled_holds, unseen_since
 from softrl.calibration.replay import replay
 from softrl.calibration.stage import REFINEMENTS, run
 from softrl.core.driver import Driver
@@ -72,8 +72,33 @@ def test_moving_rows_of_a_loaded_tip_do_not_count(recorded: tuple[Recording, ...
     force = np.zeros((len(recorded[0].time), 3))
     force[len(force) // 2 :, 2] = -0.5
     touched = RecordingSet("triple", (replace(recorded[0], tip_force=force),))
-    rows = moving_rows(touched, np.array([0]), 0.45, 10_000, 0.1)
+    rows = moving_rows(touched, {0: 0}, 0.45, 10_000, 0.1)
     assert rows is not None and rows.last_row.max() < len(force) // 2
+
+
+def test_of_a_single_run_only_what_training_has_not_seen_is_judged(
+    robot: Robot, body: PccSimulator, driver: Driver
+) -> None:
+    """Shaking the tip on the way from hold to hold in the first half touches no metric of what was held out."""
+    c = config(average_s=0.3)
+    run_ = record_holds(driver, robot, 1, 12, c.hold_s, c.dt_s, np.random.default_rng(0)).recordings[0]
+    moving = moving_rows(RecordingSet(robot.name, (run_,)), {0: 0}, 1.0, 10_000)
+    assert moving is not None
+    early, shaken = moving.last_row[moving.last_row < len(run_.time) // 2], run_.position.copy()
+    shaken[early, 0] += 5e-3 * np.sin(10.0 * run_.time[early])
+    metrics = []
+    for position in (run_.position, shaken):
+        tracker, whole = NullTracker(), RecordingSet(robot.name, (replace(run_, position=position),))
+        made = run(c, robot, body, chain_of(robot, ()), driver, whole, tracker=tracker)
+        metrics.append({name: value for name, value in tracker.metrics.items() if name.startswith("heldout/")})
+        assert not made.heldout[: len(made.heldout) // 2].any()
+    assert "heldout/position_run_mm" in metrics[0] and metrics[0] == metrics[1]
+
+
+def test_rows_are_unseen_behind_the_last_hold_of_training() -> None:
+    holds = Holds(np.zeros((5, 3)), np.zeros((5, 3)), np.array([0, 0, 0, 1, 1]), np.array([9, 19, 29, 9, 19]))
+    assert unseen_since(holds, np.array([False, False, True, False, False])) == {0: 20}
+    assert unseen_since(holds, np.array([False, False, False, True, True])) == {1: 0}
 
 
 def test_a_recorded_force_acts_in_the_replay(robot: Robot, body: PccSimulator) -> None:

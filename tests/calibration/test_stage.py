@@ -200,13 +200,13 @@ def test_moving_rows_are_those_soon_after_a_change() -> None:
     pressure[20:60, 1] = 5e3
     pressure[60:, 0] = 1e3
     one = Recording("a", "s", time, pressure, position=np.outer(time, np.ones(3)))
-    rows = moving_rows(RecordingSet("triple", (one, one)), np.array([1]), 0.45, 1000)
+    rows = moving_rows(RecordingSet("triple", (one, one)), {1: 0}, 0.45, 1000)
     assert rows is not None and rows.last_row.tolist() == [20, 21, 22, 23, 24, 60, 61, 62, 63, 64]
     assert set(rows.run) == {1}
     np.testing.assert_array_equal(rows.position[:, 0], time[rows.last_row])
     still = Recording("a", "s", time, 0 * pressure, position=np.zeros((100, 3)))
-    assert moving_rows(RecordingSet("triple", (still,)), np.array([0]), 0.45, 3) is None
-    few = moving_rows(RecordingSet("triple", (one,)), np.array([0]), 0.45, 3)
+    assert moving_rows(RecordingSet("triple", (still,)), {0: 0}, 0.45, 3) is None
+    few = moving_rows(RecordingSet("triple", (one,)), {0: 0}, 0.45, 3)
     assert few is not None and few.last_row.tolist() == [20, 24, 64] and few.pressure[1].tolist() == [0.0, 5e3, 0.0]
 
 
@@ -217,8 +217,8 @@ def test_errors_in_per_cent_are_those_of_what_was_spanned(robot: Robot, body: Pc
     holds = Holds(pressure[-1:], moved.position[-1:], np.array([0]), np.array([149]))
     one = Recording("a", "s", time, pressure, position=moved.position, quaternion=moved.quaternion)
     plant = Plant(body, chain_of(robot, ()))
-    exact = replay_errors(plant, RecordingSet(robot.name, (one,)), holds, lambda p: p, STEPPING)
-    half = replay_errors(plant, RecordingSet(robot.name, (one,)), holds, lambda p: 0.5 * p, STEPPING)
+    exact = replay_errors(plant, RecordingSet(robot.name, (one,)), holds, {0: 0}, lambda p: p, STEPPING)
+    half = replay_errors(plant, RecordingSet(robot.name, (one,)), holds, {0: 0}, lambda p: 0.5 * p, STEPPING)
     assert exact["position_run_pct"] < 1e-6
     for name, unit, scale in (("position", "mm", 1e3), ("orientation", "deg", 180.0 / np.pi)):
         values = moved.position if name == "position" else rotation_vector(moved.quaternion)
@@ -226,7 +226,7 @@ def test_errors_in_per_cent_are_those_of_what_was_spanned(robot: Robot, body: Pc
         assert half[f"{name}_run_pct"] == pytest.approx(100.0 * half[f"{name}_run_{unit}"] / span)
         assert 1.0 < half[f"{name}_run_pct"] < 100.0
     still = Recording("a", "s", time, 0 * pressure, position=np.tile(moved.position[:1], (150, 1)))
-    stood = replay_errors(plant, RecordingSet(robot.name, (still,)), holds, lambda p: p, STEPPING)
+    stood = replay_errors(plant, RecordingSet(robot.name, (still,)), holds, {0: 0}, lambda p: p, STEPPING)
     assert not [name for name in stood if "pct" in name]
 
 
