@@ -15,6 +15,7 @@ from softrl.robots.robot import Robot
 log = logging.getLogger(__name__)
 COMMAND_TOLERANCE_PA = 1.0
 LOADED_SHARE = 0.05  # of the largest tip force: about what moves a tip by as much as a settled hold may drift
+DRIFT_ROWS = 4  # tell a drift
 AGAIN = "holds_again"  # the recording that visits the first one's pressures in another order
 
 
@@ -81,23 +82,27 @@ def settled_holds(
     RecordingError
         If fewer than four holds are left: a map cannot be fitted to that.
     """
-    found, unsettled, loaded = [], 0, 0
+    found, unsettled, untold, loaded = [], 0, 0, 0
     for run, recording in enumerate(recordings.recordings):
         for first, last in _constant_stretches(recording, hold_min_s):
             position, drift = end_of_hold(recording, first, last, average_s)
             felt_n = _felt_at_end(recording, first, last, average_s)
             unsettled += drift >= drift_max_m
+            untold += np.isnan(drift)
             loaded += drift < drift_max_m and felt_n > loaded_n
             if drift < drift_max_m and felt_n <= loaded_n:
                 found.append((recording.pressure_cmd[last], position, run, last))
     if unsettled:
         log.info("%d holds still moved more than %g mm at their end and are left out", unsettled, 1e3 * drift_max_m)
+    if untold:
+        log.warning("%d holds are left out: too few rows to tell whether they still move; log faster or hold longer", untold)
     if loaded:
         log.warning("%d holds with more than %.3g N on the tip are left out: f_RS is a free tip's", loaded, loaded_n)
     if len(found) < 4:
         raise RecordingError(
             f"recordings of {recordings.robot_name} hold {len(found)} settled holds with tip positions "
-            f"({unsettled} still moving, {loaded} with a force on the tip); expected at least 4 of {hold_min_s:g} s: "
+            f"({unsettled} still moving, {untold} of too few rows to tell, {loaded} with a force on the tip); "
+            f"expected at least 4 of {hold_min_s:g} s: "
             "record constant pressures with a free tip, or lower stage.hold_min_s"
         )
     pressure, position, run_of, last_row = zip(*found, strict=True)
@@ -177,10 +182,19 @@ def _constant_stretches(recording: Recording, hold_min_s: float) -> list[tuple[i
 
 
 def end_of_hold(recording: Recording, first: int, last: int, average_s: float) -> tuple[np.ndarray, float]:
-    """Return the mean tip (3,) m over the last ``average_s`` and how far its second half lies from the first, m."""
-    end = recording.position[_end_rows(recording, first, last, average_s)]
-    half = max(len(end) // 2, 1)
-    return end.mean(axis=0), float(np.linalg.norm(end[-half:].mean(axis=0) - end[:half].mean(axis=0)))
+    """Return the mean tip (3,) m over the last ``average_s``, and how far it drifts in that time, m.
+
+    Where few rows lie in it the drift is that of ``DRIFT_ROWS``, of half the hold at most; nan where those are less than two.
+    """
+    end = _end_rows(recording, first, last, average_s)
+    half_s = 0.5 * float(recording.time[last] - recording.time[first])
+    rows = max(end, _end_rows(recording, first, last, half_s)[-DRIFT_ROWS:], key=len)
+    half, position = len(rows) // 2, recording.position
+    if half == 0:
+        return position[end].mean(axis=0), np.nan
+    apart_s = recording.time[rows[-half:]].mean() - recording.time[rows[:half]].mean()
+    apart = np.linalg.norm(position[rows[-half:]].mean(axis=0) - position[rows[:half]].mean(axis=0))
+    return position[end].mean(axis=0), float(apart * average_s / apart_s)
 
 
 def _end_rows(recording: Recording, first: int, last: int, average_s: float) -> np.ndarray:

@@ -255,6 +255,28 @@ def test_moving_holds_are_left_out_and_too_few_are_told() -> None:
         settled_holds(RecordingSet("triple", (one,)), 1.0, 0.5, 1e-4)
 
 
+@pytest.mark.parametrize("row_s", [0.02, 0.1, 0.5, 0.6, 1.0])
+@pytest.mark.parametrize("row_speed", [0.5, 0.9, 1.1, 2.0])
+def test_what_a_tip_may_drift_is_the_same_however_far_apart_rows_are(row_s: float, row_speed: float) -> None:
+    """In the last half second it drifts by ``row_speed`` times what it may; one row alone would never seem to."""
+    time = np.arange(1, round(24.0 / row_s) + 1) * row_s
+    pressure = np.repeat(1e4 * np.eye(3)[[0, 1, 2, 0, 1, 2]], len(time) // 6, axis=0)
+    moving = np.outer(row_speed * 0.3e-3 / 0.5 * time[: len(pressure)], [0.0, 0.0, 1.0])
+    one = RecordingSet("triple", (Recording("a", "s", time[: len(pressure)], pressure, position=moving),))
+    if row_speed < 1.0:
+        assert len(settled_holds(one, 2.0, 0.5, 0.3e-3)) == 6
+    else:
+        with pytest.raises(RecordingError, match="6 still moving"):
+            settled_holds(one, 2.0, 0.5, 0.3e-3)
+
+
+def test_two_rows_a_hold_do_not_tell_whether_it_settled() -> None:
+    time = 3.0 * np.arange(1, 13)
+    one = Recording("a", "s", time, np.repeat(1e4 * np.eye(3)[[0, 1, 2, 0, 1, 2]], 2, axis=0), position=np.zeros((12, 3)))
+    with pytest.raises(RecordingError, match="6 of too few rows to tell"):
+        settled_holds(RecordingSet("triple", (one,)), 2.0, 0.5, 0.3e-3)
+
+
 def test_whole_runs_are_held_out_and_the_end_of_a_single_one() -> None:
     def holds(run: list[int]) -> Holds:
         n = len(run)
