@@ -13,6 +13,7 @@ from softrl.calibration.holds import AGAIN, Holds, loaded_from_n, record_holds, 
 from softrl.calibration.inversion import has_exact_inverse, pressure_by_reduced_model, pressure_by_simulator
 from softrl.calibration.material_fit import as_record, best_fit, fit_materials, held_out, in_words
 from softrl.calibration.mlp import Ensemble, EnsembleSettings, fit_ensemble
+from softrl.calibration.plausible import look_over
 from softrl.calibration.pressure_map import PressureMap
 from softrl.calibration.replay import PressureOf, Stepping, simulated_holds
 from softrl.calibration.report import report_map, report_moving, report_reach, report_replay
@@ -125,7 +126,7 @@ def run(
 
     With ``effects`` (those that a diagnosis found) f_RS maps what the simulator with them leaves: valves and walls with a
     memory are theirs, and no static map could do it. Recordings that were disturbed or are out of distribution are left out,
-    and so are holds with a force on the tip.
+    and so are holds with a force on the tip; columns that cannot be what they are called are refused.
     """
     rng = np.random.default_rng(config.seed)
     material = _fit_material(config, tracker) if config.material_curve else {}
@@ -148,7 +149,8 @@ def _calibrated(
     """Return f_RS of the holds in ``recordings``, trained and reported, beside the material's law."""
     simulator, robot = plant.simulator, plant.chain.robot
     recordings = _fit_for_training(recordings)
-    drift_max_m = 1e-3 * config.drift_max_mm
+    drift_max_m, residual_max_m = 1e-3 * config.drift_max_mm, 1e-3 * config.residual_max_mm
+    look_over(recordings, plant, config.stepping, residual_max_m)
     every = settled_holds(recordings, config.hold_min_s, config.average_s, drift_max_m, loaded_from_n(robot))
     rest = _resting(config, plant, every)
     holds, rest, pressure_sim = _invert(config, plant, recordings, every, rest)
@@ -165,7 +167,6 @@ def _calibrated(
         calibration = _assemble(plant, ensemble, holds, pressure_sim, heldout, material, inverted_by, every.position)
     tracker.metric("train/weight_decay", ensemble.weight_decay)
     report_map(calibration, tracker)
-    residual_max_m = 1e-3 * config.residual_max_mm
     report_moving(calibration, plant, recordings, holds, config.hold_min_s, residual_max_m, tracker)
     report_replay(calibration, plant, recordings, holds, config.stepping, tracker)
     return calibration

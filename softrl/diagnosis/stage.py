@@ -15,7 +15,6 @@ from softrl.core.tracking import Tracker
 from softrl.diagnosis.checks.cost import warn_of_cost
 from softrl.diagnosis.checks.data import Data, Refusal, prepare, require_robot, within
 from softrl.diagnosis.checks.frames import in_other_frames, sagging_alike
-from softrl.diagnosis.checks.mistaken import mistaken
 from softrl.diagnosis.checks.prelude import preludes
 from softrl.diagnosis.checks.quality import mixed
 from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis
@@ -41,6 +40,7 @@ from softrl.diagnosis.telling.figures import draw_all
 from softrl.diagnosis.telling.report import page
 from softrl.effects.library import names
 from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.mistaken import mistaken
 from softrl.recordings.recording import RecordingSet
 from softrl.robots.robot import Robot
 

@@ -14,12 +14,12 @@ from softrl.core.errors import ConfigError, RecordingError
 from softrl.core.progress import progress
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
-from softrl.diagnosis.checks.mistaken import mistaken
 from softrl.effects.chain import EffectChain, Plant
 from softrl.effects.replay import replay
 from softrl.recordings.acting import ACTS, UNTIL
 from softrl.recordings.check import check
 from softrl.recordings.marked import DISTURBED, OUTSIDE, without
+from softrl.recordings.mistaken import mistaken
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.store import DATASET
 from softrl.recordings.write import write

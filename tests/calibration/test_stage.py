@@ -297,7 +297,7 @@ def test_bad_values_name_the_key(key: str, value: float) -> None:
 def test_simulator_out_of_reach_is_told(robot: Robot, body: PccSimulator, driver: Driver) -> None:
     recordings = record_of(driver, robot, body, config())
     far = tuple(
-        Recording(r.name, r.session, r.time, r.pressure_cmd, position=1e3 * np.asarray(r.position))
+        Recording(r.name, r.session, r.time, r.pressure_cmd, position=np.asarray(r.position) + 1e3)
         for r in recordings.recordings
     )
     with pytest.raises(RecordingError, match="check frame and units"):

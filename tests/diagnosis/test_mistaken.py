@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrl.diagnosis.checks.mistaken import mistaken
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.library import effect_class
 from softrl.effects.replay import replay
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.check import check_run
+from softrl.recordings.mistaken import mistaken
 from softrl.recordings.recording import Recording
 from tests.diagnosis.conftest import made
 

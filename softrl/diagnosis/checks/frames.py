@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from softrl.diagnosis.checks.data import Data
-from softrl.diagnosis.fitting.placement import Registration, place
 from softrl.recordings.check import RunCheck, is_elsewhere, tip_at_rest
+from softrl.recordings.placement import Registration, place
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from softrl.core.simulator import Simulator
-from softrl.diagnosis.checks.mistaken import still
 from softrl.diagnosis.fitting.hypothesis import Choice
 from softrl.pcc.simulator import LENGTH, PccSimulator
+from softrl.recordings.mistaken import still
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 

@@ -12,12 +12,12 @@ from softrl.core.identity import Same
 from softrl.core.simulator import Simulator
 from softrl.diagnosis.fitting.bins import Bins
 from softrl.diagnosis.fitting.hypothesis import LASTING, LATE, Hypothesis, Space
-from softrl.diagnosis.fitting.placement import Registration, place
 from softrl.diagnosis.fitting.still_body import StillBody
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.driving import Supply
 from softrl.effects.library import effect_class, names
 from softrl.effects.replay import CHANNELS, replay
+from softrl.recordings.placement import Registration, place
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 

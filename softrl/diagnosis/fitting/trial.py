@@ -12,10 +12,10 @@ from softrl.core.errors import ConfigError, SolverError
 from softrl.core.progress import quiet
 from softrl.diagnosis.fitting.hypothesis import Axis, Choice, Hypothesis, effect_axes
 from softrl.diagnosis.fitting.minimise import Fit, Several, least_squares, moved_on
-from softrl.diagnosis.fitting.placement import Registration
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.series.least_squares import left_out
 from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.placement import Registration
 
 log = logging.getLogger(__name__)
 FIRST_ITERATIONS = 8  # of every start, with longer steps

@@ -12,11 +12,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softrl.diagnosis.fitting.flexible import pressures
-from softrl.diagnosis.fitting.placement import Registration
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.fitting.trial import Trial
 from softrl.diagnosis.judging.locate import BLOCK_S, Finding
 from softrl.diagnosis.series.statistics import follows
+from softrl.recordings.placement import Registration
 from softrl.recordings.recording import Recording
 
 BENDS = "bends"  # how the region of each test begins

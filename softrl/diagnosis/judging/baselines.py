@@ -13,10 +13,10 @@ from softrl.diagnosis.fitting.flexible import (
     static_features,
 )
 from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, starts
-from softrl.diagnosis.fitting.placement import Registration, place
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.fitting.trial import Search, fit_trials
 from softrl.diagnosis.judging.correct import Model, Traces, model_of, rms_error, seen
+from softrl.recordings.placement import Registration, place
 
 
 def one_lag(training: Problem, tuned_point: np.ndarray, search: Search) -> Model | None:

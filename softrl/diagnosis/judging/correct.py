@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from softrl.diagnosis.fitting.hypothesis import Hypothesis
-from softrl.diagnosis.fitting.placement import Registration
 from softrl.diagnosis.fitting.problem import Problem
+from softrl.recordings.placement import Registration
 from softrl.recordings.recording import Recording
 
 
