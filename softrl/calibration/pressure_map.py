@@ -76,11 +76,15 @@ class PressureMap:
         SolverError
             If Newton's method finds no solution: the map folds there, so its training data were poor.
         """
-        target = np.ascontiguousarray(np.atleast_2d(pressure), dtype=float)
-        found, left = _invert_rows(target, self.tables)
+        target = np.atleast_2d(pressure)
+        found, left = self.sought(target)
         if not left.max() < TOLERANCE_PA:
             raise refusal(target[int(np.nanargmax(left))], float(np.nanmax(left)))
         return found.reshape(np.shape(pressure))
+
+    def sought(self, pressure: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the P_R (T, n) Pa found for P_S (T, n) Pa, and what is left (T,) Pa: ``TOLERANCE_PA`` or more is no inverse."""
+        return _invert_rows(np.ascontiguousarray(pressure, dtype=float), self.tables)
 
     def _corrections(self, pressure: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return P_S - P_R of all members (members, T, n) Pa and its slope (members, T, n, n) by P_R."""

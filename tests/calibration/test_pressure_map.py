@@ -1,5 +1,7 @@
 """f_RS: NumPy equals the trained network, its slope is right, its inverse exact, and the identity its prior."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -7,7 +9,9 @@ import torch
 from softrl.artifacts.calibration import Calibration
 from softrl.calibration.mlp import EnsembleSettings, fit_ensemble, forward
 from softrl.calibration.pressure_map import PressureMap
+from softrl.calibration.report import report_map
 from softrl.core.errors import SolverError
+from softrl.core.tracking import NullTracker
 
 SETTINGS = EnsembleSettings(members=3, hidden=8, epochs=800, learning_rate=0.01, weight_decays=(1e-6,), seed=5)
 
@@ -68,6 +72,18 @@ def test_inverse_is_exact_inside_and_outside_of_the_trained_range(calibration: C
     pressure_map = PressureMap(calibration)
     np.testing.assert_allclose(pressure_map.sim_to_real(pressure_map.real_to_sim(pressure)), pressure, atol=0.01)
     np.testing.assert_allclose(pressure_map.sim_to_real(pressure_map.real_to_sim(pressure[0])), pressure[0], atol=0.01)
+
+
+def test_a_map_that_folds_has_no_inverse_and_is_reported_all_the_same(
+    real: np.ndarray, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Commands above a supply's end bring no more about: what else there is to say of the map is said."""
+    sim, tracker = real - 1.6 * np.maximum(real - 12e3, 0.0), NullTracker()
+    made = replace(calibration_of(sim, real, replace(SETTINGS, epochs=400)), heldout=np.arange(len(real)) % 4 == 0)
+    report_map(made, tracker)
+    none = tracker.metrics["heldout/pressure_map_without_inverse_pct"]
+    assert 0.0 < none < 100.0 and 0.0 < tracker.metrics["heldout/pressure_map_inverse_rms_kpa"]
+    assert f"f_RS has no inverse at {round(1e-2 * none * made.heldout.sum())} of 23 held-out holds" in caplog.text
 
 
 def test_identity_is_the_prior(real: np.ndarray) -> None:
