@@ -82,20 +82,27 @@ class Config:
 
     def __post_init__(self) -> None:
         positive = ("runs", "hold_s", "dt_s", "hold_min_s", "average_s", "drift_max_mm", "residual_max_mm", "settle_s",
-                    "hidden", "epochs", "learning_rate", "curve_blocks")  # fmt: skip
+                    "hidden", "epochs", "learning_rate")  # fmt: skip
         for name in positive:
-            if getattr(self, name) <= 0:
+            if not 0 < getattr(self, name) < np.inf:
                 raise ConfigError(f"stage.{name}={getattr(self, name):g} must be positive")
-        if not self.stood_s >= 0.0:
+        if not 0.0 <= self.stood_s < np.inf:
             raise ConfigError(f"stage.stood_s={self.stood_s:g} must not be negative")
         if not 0.0 < self.heldout_share < 1.0:
             raise ConfigError(f"stage.heldout_share={self.heldout_share:g}; expected a share between 0 and 1")
         if self.members < 2:
             raise ConfigError(f"stage.members={self.members}; expected 2 or more, their spread is the uncertainty")
-        if not self.weight_decays or min(self.weight_decays) < 0.0:
+        if not self.weight_decays or not all(0.0 <= decay < np.inf for decay in self.weight_decays):
             raise ConfigError(f"stage.weight_decays={list(self.weight_decays)}; expected one or more, none negative")
-        if self.stretch_max <= 1.05:
+        if not 1.05 < self.stretch_max < np.inf:
             raise ConfigError(f"stage.stretch_max={self.stretch_max:g}; expected a stretch above 1.05")
+        if self.curve_blocks < 2 or self.curve_bins < 2 * self.curve_blocks:
+            raise ConfigError(
+                f"stage.curve_bins={self.curve_bins} in curve_blocks={self.curve_blocks}; expected 2 blocks or more, every "
+                "second one held out, of 2 bins each"
+            )
+        if self.holds_per_run < 3:
+            raise ConfigError(f"stage.holds_per_run={self.holds_per_run}; expected 3 or more, the first and the last are at rest")
         if self.hold_min_s > self.hold_s or self.average_s > self.hold_min_s:
             raise ConfigError(
                 f"stage.average_s={self.average_s:g}, hold_min_s={self.hold_min_s:g}, "

@@ -288,7 +288,12 @@ def test_whole_runs_are_held_out_and_the_end_of_a_single_one() -> None:
     assert split_holds(holds([0] * 10), 0.3, np.random.default_rng(0)).tolist() == [False] * 7 + [True] * 3
 
 
-@pytest.mark.parametrize(("key", "value"), [("members", 1), ("heldout_share", 1.5), ("hold_min_s", 9.0), ("runs", 0)])
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("members", 1), ("heldout_share", 1.5), ("hold_min_s", 9.0), ("runs", 0), ("curve_blocks", 1), ("curve_bins", -3),
+     ("curve_bins", 10), ("stretch_max", float("nan")), ("learning_rate", float("inf")), ("stood_s", -1.0),
+     ("holds_per_run", 2)],
+)  # fmt: skip
 def test_bad_values_name_the_key(key: str, value: float) -> None:
     with pytest.raises(ConfigError, match=f"stage.*{key}={value:g}"):
         config(**{key: value})
