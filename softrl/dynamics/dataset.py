@@ -125,19 +125,20 @@ def full_order(snapshots: Snapshots, gravity_m_s2: np.ndarray, axis: str, dt_s: 
 
 
 def random_loads(
-    robot: Robot, low: np.ndarray, high: np.ndarray, runs: int, steps: int, dt_s: float, rng: np.random.Generator
-) -> np.ndarray:
+    robot: Robot, low: np.ndarray, high: np.ndarray, runs: int, steps: int, dt_s: float, rng: np.random.Generator,
+    first: int = 0,
+) -> np.ndarray:  # fmt: skip
     """Return loads (runs, steps, n + 3) within ``low`` and ``high`` (n + 3,).
 
-    Even runs are steps, odd ones multisines. Every run starts without load; a tip force acts in every other
-    pair of runs. Pressures obey the robot's slew limit.
+    Even runs are steps, odd ones multisines, counted from ``first`` on. Every run starts without load; a tip force acts in
+    every other pair of runs. Pressures obey the robot's slew limit.
     """
     n = robot.chambers
     load = np.zeros((runs, steps, n + 3))
     for run in range(runs):
-        make = _random_steps if run % 2 == 0 else _multisine
+        make = _random_steps if (first + run) % 2 == 0 else _multisine
         load[run, :, :n] = _slewed(make(low[:n], high[:n], steps, dt_s, rng), robot.slew_pa_per_s * dt_s)
-        if run % 4 < 2:
+        if (first + run) % 4 < 2:
             load[run, :, n:] = make(low[n:], high[n:], steps, dt_s, rng)
     return load
 

@@ -75,8 +75,9 @@ def generate_chunks(
     A chunk has a seed of its own, so that neither the order of work nor a kill changes it; it counts as made once its
     mark is kept, which is after its rows are on disk. Memory holds a chunk per process, however many runs there are.
     """
-    counts = [min(runs_per_chunk, runs - start) for start in range(0, runs, runs_per_chunk)]
-    tasks = [(recipe, count, child) for count, child in zip(counts, seed.spawn(len(counts)), strict=True)]
+    starts = range(0, runs, runs_per_chunk)
+    counts = [min(runs_per_chunk, runs - start) for start in starts]
+    tasks = [(recipe, *task) for task in zip(counts, seed.spawn(len(counts)), starts, strict=True)]
     _make_files(kept, recipe, runs)
     waiting = [k for k in range(len(tasks)) if f"chunk_{k}" not in kept]
     resumed = len(tasks) - len(waiting)
@@ -85,7 +86,7 @@ def generate_chunks(
     made = parallel.map(make_chunk, [tasks[k] for k in waiting], processes)
     for number, chunk in progress(made, "chunks of motion", len(waiting)):
         k = waiting[number]
-        part = slice(k * runs_per_chunk, k * runs_per_chunk + counts[k])
+        part = slice(starts[k], starts[k] + counts[k])
         for name, values in ((ROWS, chunk.rows), (RATES, chunk.next_rate)):
             file = np.lib.format.open_memmap(kept.folder / name, mode="r+")  # anew, or all that was written stays mapped
             file[part] = values
@@ -97,10 +98,10 @@ def generate_chunks(
     return Generated(StoredWindows(*views, recipe.window), within, resumed)
 
 
-def make_chunk(recipe: Recipe, runs: int, seed: np.random.SeedSequence) -> Chunk:
-    """Return ``runs`` random runs of the recipe's body."""
+def make_chunk(recipe: Recipe, runs: int, seed: np.random.SeedSequence, first: int = 0) -> Chunk:
+    """Return ``runs`` random runs of the recipe's body, of which others come ``first``: what kinds there are goes on."""
     rng = np.random.default_rng(seed)
-    load = random_loads(recipe.robot, recipe.low, recipe.high, runs, recipe.steps, recipe.dt_s, rng)
+    load = random_loads(recipe.robot, recipe.low, recipe.high, runs, recipe.steps, recipe.dt_s, rng, first)
     made = rolled(recipe.body, load, recipe.robot.axis, recipe.dt_s)
     windows = Windows(made, recipe.window)
     z = np.concatenate([made.state[..., 8:], made.state[..., :3] - recipe.body.rest_tip], axis=2)

@@ -32,7 +32,8 @@ def made(recipe: Recipe, folder: Path, processes: int = 1) -> generate.Generated
 
 def test_stored_windows_are_those_of_memory(recipe: Recipe, tmp_path: Path) -> None:
     found = made(recipe, tmp_path)
-    parts = [make_chunk(recipe, n, s) for n, s in zip((3, 3, 1), np.random.SeedSequence(5).spawn(3), strict=True)]
+    of_chunks = zip((3, 3, 1), np.random.SeedSequence(5).spawn(3), (0, 3, 6), strict=True)
+    parts = [make_chunk(recipe, n, s, first) for n, s, first in of_chunks]
     rows = torch.tensor(np.concatenate([part.rows for part in parts]))
     assert torch.equal(found.windows.rows, rows) and len(found.windows) == RUNS * (STEPS - 1)
     index = torch.tensor([0, 19, 20, 77, len(found.windows) - 1])
@@ -44,6 +45,17 @@ def test_stored_windows_are_those_of_memory(recipe: Recipe, tmp_path: Path) -> N
     piecewise = _scaler(found.windows, runs=2)
     np.testing.assert_allclose(piecewise.mean, whole.mean, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(piecewise.spread, whole.spread, rtol=1e-9)
+
+
+@pytest.mark.parametrize("per_chunk", [1, 2, 3, 8])
+def test_kinds_of_runs_do_not_depend_on_the_chunks(recipe: Recipe, tmp_path: Path, per_chunk: int) -> None:
+    """The size of a chunk is a matter of memory: two of four runs feel a force, and steps and multisines take turns."""
+    long = replace(recipe, steps=200)
+    found = generate_chunks(long, 8, per_chunk, np.random.SeedSequence(5), LOCAL, 1, Kept("m", "x", tmp_path))
+    load = found.windows.rows[:, WINDOW:, -6:].numpy()
+    assert load[:, :, 3:].any(axis=(1, 2)).tolist() == [True, True, False, False] * 2
+    held = (np.abs(np.diff(load[:, :, 0], axis=1)) < 1.0).mean(axis=1)
+    assert (held > 0.5).tolist() == [True, False] * 4, held
 
 
 def test_processes_and_kills_change_nothing(
