@@ -20,6 +20,7 @@ from softrl.robots.robot import Robot
 
 PIECE_S = 0.5  # grid of places at which a piece may be put into a program
 QUICK_FIT = 3  # evaluations of a rival that follows a growing program
+CONVERGED = 100  # evaluations of a refit that is reported: it ends by itself before
 
 
 class Way(NamedTuple):
@@ -55,9 +56,9 @@ class Effort:
     ----------
     shortlist : candidates that are simulated in place, after all were ranked by the sums of their own responses
     exchanges : rounds in which every block may be exchanged
-    proposals : pieces that are tried at random places of the best program, and kept where full refits say they help
+    proposals : pieces that are tried at random places of the best program, and kept where refits say they help
     repeats : times that a block may stand in a program; what a repeat adds is noise averaged out, and models err alike
-    fit_evaluations : of each refit
+    fit_evaluations : of each refit of the search; what is reported, and chosen by at last, is refitted to its end
     """
 
     shortlist: int
@@ -257,6 +258,6 @@ def _score(numbers: Sequence[int], candidates: Sequence[Block], pairs: Sequence[
     return score([separation(sums(pair, pressure, sensing)) for pair in pairs])
 
 
-def refitted_separation(pair: Pair, pressure: np.ndarray, sensing: Sensing, effort: Effort) -> float:
-    """Return the separation of a pair under ``pressure`` after full refits, each rival to the other's response."""
-    return min(pursued(way, pressure, sensing, effort.fit_evaluations)[1] for way in pair.ways)
+def refitted_separation(pair: Pair, pressure: np.ndarray, sensing: Sensing) -> float:
+    """Return the separation of a pair under ``pressure`` after refits to their end, each rival to the other's response."""
+    return min(pursued(way, pressure, sensing, CONVERGED)[1] for way in pair.ways)

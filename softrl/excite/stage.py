@@ -146,8 +146,9 @@ def run(
         "default": program_of([Block("usual program", usual)]),
         "random": program_of([Block("random steps of 2 s", random)]),
     }
-    programs["planned"] = _refined(programs, pairs, candidates, robot, sensing, config)
-    excitation = _conclude(robot, pairs, programs, sensing, config.effort)
+    apart = {name: _separations(pairs, program, sensing) for name, program in programs.items()}
+    programs["planned"], apart["planned"] = _refined(programs, apart, pairs, candidates, robot, sensing, config)
+    excitation = _conclude(robot, pairs, programs["planned"], apart, sensing)
     _report(excitation, tracker)
     return excitation
 
@@ -193,31 +194,32 @@ def write_commands(folder: Path, robot: Robot, excitation: Excitation, runs: int
     log.info("wrote %d runs of commands to %s", runs, folder)
 
 
+def _separations(pairs: list[Pair], program: Program, sensing: Sensing) -> list[float]:
+    """Return how far apart each pair stays under a program, in sigma."""
+    return [refitted_separation(pair, program.pressure, sensing) for pair in pairs]
+
+
 def _refined(
     programs: dict[str, Program],
+    apart: dict[str, list[float]],
     pairs: list[Pair],
     candidates: list[Block],
     robot: Robot,
     sensing: Sensing,
     config: Config,
-) -> Program:
-    """Return the best program by full refits, the baselines included, with pieces exchanged while that helps."""
-    apart = {
-        name: score([refitted_separation(pair, program.pressure, sensing, config.effort) for pair in pairs])
-        for name, program in programs.items()
-    }
-    best = max(apart, key=lambda name: apart[name])
+) -> tuple[Program, list[float]]:
+    """Return the best program, the baselines included, with pieces exchanged while that helps, and its separations."""
+    best = max(apart, key=lambda name: score(apart[name]))
     log.info("the search goes on from the %s program", best)
     rng = np.random.default_rng(config.seed)
     refined = refine(pairs, candidates, programs[best], robot, sensing, config.effort, rng)
-    after = score([refitted_separation(pair, refined.pressure, sensing, config.effort) for pair in pairs])
-    return refined if after >= apart[best] else programs[best]
+    after = _separations(pairs, refined, sensing)
+    return (refined, after) if score(after) >= score(apart[best]) else (programs[best], apart[best])
 
 
 def _conclude(
-    robot: Robot, pairs: list[Pair], programs: dict[str, Program], sensing: Sensing, effort: Effort
+    robot: Robot, pairs: list[Pair], planned: Program, apart: dict[str, list[float]], sensing: Sensing
 ) -> Excitation:
-    planned = programs["planned"]
     return Excitation(
         robot_name=robot.name,
         time=sensing.dt_s * np.arange(1, len(planned.pressure) + 1),
@@ -229,12 +231,9 @@ def _conclude(
                 "second": pair.labels[1],
                 "name": pair.name,
                 "parameters": {way.truth.label: _values(way) for way in pair.ways},
-                "separation_sigma": {
-                    name: refitted_separation(pair, program.pressure, sensing, effort)
-                    for name, program in programs.items()
-                },
+                "separation_sigma": {name: values[k] for name, values in apart.items()},
             }
-            for pair in pairs
+            for k, pair in enumerate(pairs)
         ],
     )
 

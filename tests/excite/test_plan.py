@@ -19,10 +19,10 @@ from softrl.effects.dead_time import DeadTime
 from softrl.effects.hysteresis import Hysteresis
 from softrl.effects.lag import Lag
 from softrl.excite.block import HIGHEST_HZ, blocks
-from softrl.excite.plan import Effort, pairs_of, plan, refitted_separation, score, separation, sums
+from softrl.excite.plan import Effort, pairs_of, plan, pursued, refitted_separation, score, separation, sums
 from softrl.excite.rival import Rival, parse, rivals_of
 from softrl.excite.separation import Normal, Sensing, normal, refitted, responses, tangent
-from softrl.excite.stage import Config, csv_text, run, usual_program, write_out
+from softrl.excite.stage import SETTLED_SIGMA, Config, csv_text, run, usual_program, write_out
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.read import read
 from softrl.robots.robot import Robot
@@ -120,7 +120,7 @@ def test_a_retuned_body_absorbs_what_it_can() -> None:
     target, bare = responses(
         [seen.truth.at(seen.at_truth), rival("nothing").at(rival("nothing").point)], wave(), SENSING
     )
-    assert refitted_separation(pairs[0], wave(), SENSING, EFFORT) < 0.05 * np.linalg.norm(target - bare)
+    assert refitted_separation(pairs[0], wave(), SENSING) < 0.05 * np.linalg.norm(target - bare)
 
 
 def test_more_noise_brings_rivals_closer_in_proportion() -> None:
@@ -199,6 +199,21 @@ def test_the_stage_writes_a_program_that_reads_back(tmp_path: Path) -> None:
     header, first, *_ = csv_text(planned).splitlines()
     assert header == "time_s,p1_cmd_kpa,p2_cmd_kpa,p3_cmd_kpa"
     np.testing.assert_allclose([float(v) for v in first.split(",")[1:]], 1e-3 * planned.pressure[0], atol=1e-6)
+
+
+def test_what_is_reported_is_what_refits_leave_at_their_end(caplog: pytest.LogCaptureFixture) -> None:
+    """A search that is cut short leaves rivals farther apart than they are: 14 sigma where 0.4 are left."""
+    caplog.set_level("INFO", "softrl.excite")
+    settings = config(hypotheses=["lag", "rate_limit"])
+    planned = run(settings, robot(), body(), None, tracker=NullTracker())
+    apart, noise = planned.pairs[0]["separation_sigma"], settings.sensing
+    sensing = Sensing(noise.dt_s, noise.sample_s, 1e-3 * noise.position_mm, None)
+    rivals = rivals_of(settings.hypotheses, None, robot(), body(), settings.tuned_factor, settings.size, noise.dt_s)
+    usual = usual_program(robot(), settings.usual, noise.dt_s, round(60.0 * settings.minutes / noise.dt_s), 0)
+    ways = pairs_of(rivals, usual, sensing, settings.effort)[0].ways
+    ended = min(pursued(way, planned.pressure, sensing, 300)[1] for way in ways)
+    assert apart["planned"] == pytest.approx(ended, rel=0.02) and apart["planned"] >= apart["default"]
+    assert ("no program found tells them apart" in caplog.text) == (ended < SETTLED_SIGMA)
 
 
 def test_a_diagnosis_names_what_is_to_be_told_apart() -> None:
