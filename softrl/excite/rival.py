@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import Field, dataclass, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +20,12 @@ from softrl.robots.robot import Robot
 
 NOTHING = "nothing"  # the hypothesis that only the simulator's parameters are off
 BODY, LOG = -1, -2  # owners of free parameters beside the effects
+SHAPES = {  # parameters that say how an effect acts, not how much: with more of it they stay
+    "play": ("spread",),
+    "pressure_play": ("spread",),
+    "crosstalk": ("lean",),
+    "tube_line": ("damping_ratio",),
+}
 
 
 class Axis(NamedTuple):
@@ -122,7 +128,7 @@ def parse(text: str, robot: Robot, size: float = 1.0) -> tuple[Effect, ...]:
     Raises
     ------
     ConfigError
-        If an effect is unknown, or has no such chamber.
+        If an effect is unknown, has no such chamber, or is not to be had in such a size.
     """
     return tuple(typical(name, robot, size) for name in text.split("+") if name.strip() != NOTHING)
 
@@ -136,10 +142,7 @@ def typical(name: str, robot: Robot, size: float = 1.0) -> Effect:
             "it acts in one alone, and + between effects that act together"
         )
     cls, number = effect_class(match[1]), match[2] or match[3]
-    values: dict[str, Any] = {}
-    for f in cls.parameter_fields():
-        neutral, shown = f.metadata["neutral"], f.metadata["typical"]
-        values[f.name] = shown if f.metadata["log"] else neutral + size * (shown - neutral)
+    values: dict[str, Any] = {f.name: _sized(match[1], f, size) for f in cls.parameter_fields()}
     if number is not None:
         if not any(field.name == "chamber" for field in fields(cls)) or not 1 <= int(number) <= robot.chambers:
             raise ConfigError(
@@ -148,6 +151,34 @@ def typical(name: str, robot: Robot, size: float = 1.0) -> Effect:
             )
         values["chamber"] = int(number) - 1
     return cls(**values)
+
+
+def _sized(effect: str, field: Field[Any], size: float) -> float:
+    """Return a parameter at ``size`` of its typical strength; one of shape as it is typical.
+
+    A rate that does nothing at the end of its range, as one without limit does, is by so much nearer to it or farther.
+
+    Raises
+    ------
+    ConfigError
+        If that is outside the parameter's range.
+    """
+    m = field.metadata
+    if field.name in SHAPES.get(effect, ()):
+        return float(m["typical"])
+    if not m["log"]:
+        value = m["neutral"] + size * (m["typical"] - m["neutral"])
+    elif m["neutral"] in (m["low"], m["high"]) and m["neutral"] != m["typical"]:
+        value = m["typical"] * (size if m["neutral"] == m["low"] else 1.0 / size)
+    else:
+        value = m["typical"]
+    if not m["low"] <= value <= m["high"]:
+        nearer = "smaller" if size > 1.0 else "larger"
+        raise ConfigError(
+            f"stage.size={size:g} makes {effect}.{field.name}={value:g}, outside {m['low']:g}..{m['high']:g}; "
+            f"expected a {nearer} size"
+        )
+    return float(value)
 
 
 def rivals_of(

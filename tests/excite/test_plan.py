@@ -18,9 +18,10 @@ from softrl.core.tracking import NullTracker
 from softrl.effects.dead_time import DeadTime
 from softrl.effects.hysteresis import Hysteresis
 from softrl.effects.lag import Lag
+from softrl.effects.library import effect_class
 from softrl.excite.block import HIGHEST_HZ, blocks
 from softrl.excite.plan import Effort, pairs_of, plan, pursued, refitted_separation, score, separation, sums
-from softrl.excite.rival import Rival, parse, rivals_of
+from softrl.excite.rival import Rival, parse, rivals_of, typical
 from softrl.excite.separation import Normal, Sensing, normal, refitted, responses, tangent
 from softrl.excite.stage import SETTLED_SIGMA, Config, csv_text, run, usual_program, write_out
 from softrl.pcc.simulator import PccSimulator
@@ -252,6 +253,22 @@ def test_hypotheses_are_read_as_people_write_them() -> None:
             run(config(hypotheses=listed), robot(), body(), None, tracker=NullTracker())
     with pytest.raises(ConfigError, match="too short"):
         run(config(hypotheses=["lag", "leak"], minutes=0.01), robot(), body(), None, tracker=NullTracker())
+
+
+def test_size_scales_strengths_and_leaves_shapes() -> None:
+    """Rates that limit are strengths, the smaller the stronger; how a play is spread says nothing of how much it is."""
+    for name, rate in (("shared_flow", "rise_per_s"), ("rate_limit", "fall_per_s"), ("pi_regulator", "integral_s")):
+        small, whole, large = (getattr(typical(name, robot(), size), rate) for size in (0.5, 1.0, 2.0))
+        assert (small, large) == (pytest.approx(2.0 * whole), pytest.approx(0.5 * whole)), name
+    for name, shape, strength in (("play", "spread", "height"), ("tube_line", "damping_ratio", "period_s")):
+        whole, large = (typical(name, robot(), size) for size in (1.0, 3.0))
+        assert getattr(large, shape) == getattr(whole, shape), name
+        assert getattr(large, strength) == pytest.approx(3.0 * getattr(whole, strength)), name
+    for name in ("viscoelasticity", "leak", "hysteresis"):
+        slow = {f.name for f in effect_class(name).parameter_fields() if f.metadata["log"]}
+        assert all(getattr(typical(name, robot(), 0.5), f) == getattr(typical(name, robot()), f) for f in slow), name
+    with pytest.raises(ConfigError, match=r"stage.size=20 makes gain.gain=-3, outside 0.1..3; expected a smaller size"):
+        typical("gain", robot(), 20.0)
 
 
 def test_normal_of_a_truth_is_its_gap_to_the_rival() -> None:
