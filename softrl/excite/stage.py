@@ -12,7 +12,6 @@ from softrl.artifacts.excitation import Excitation
 from softrl.core.errors import ConfigError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
-from softrl.core.units import si_factor
 from softrl.excite.block import Block, blocks
 from softrl.excite.figures import draw_program, draw_separations
 from softrl.excite.plan import (
@@ -32,7 +31,7 @@ from softrl.excite.separation import Sensing
 from softrl.recordings.program import limited, random_steps
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.session import Identification, session_program
-from softrl.recordings.store import DATASET
+from softrl.recordings.store import DATASET, command_columns
 from softrl.recordings.write import write
 from softrl.robots.robot import Robot
 
@@ -149,7 +148,7 @@ def run(
     apart = {name: _separations(pairs, program, sensing) for name, program in programs.items()}
     programs["planned"], apart["planned"] = _refined(programs, apart, pairs, candidates, robot, sensing, config)
     excitation = _conclude(robot, pairs, programs["planned"], apart, sensing)
-    _report(excitation, tracker)
+    _report(robot, excitation, tracker)
     return excitation
 
 
@@ -177,7 +176,7 @@ def require_own(folder: Path) -> None:
     if (folder / DATASET).is_file() and "planned_by" not in (folder / DATASET).read_text():
         raise ConfigError(f"out={folder} holds a dataset that was not planned by stage=excite; choose another folder")
     for path in sorted(folder.glob("*.csv")):
-        measured = [name for name in path.read_text().partition("\n")[0].split(",") if name != "time_s" and "_cmd_" not in name]
+        measured = [name for name in path.read_text().partition("\n")[0].split(",") if name != "time_s" and "_cmd" not in name]
         if measured:
             raise ConfigError(f"out={folder}: {path.name} holds more than commands ({measured[0]}); choose another folder")
 
@@ -190,7 +189,7 @@ def write_commands(folder: Path, robot: Robot, excitation: Excitation, runs: int
     named = [
         Recording(f"excite_{k + 1}", f"session_{k + 1}", excitation.time, excitation.pressure) for k in range(runs)
     ]
-    write(folder, RecordingSet(robot.name, tuple(named), {"planned_by": "stage=excite"}))
+    write(folder, RecordingSet(robot.name, tuple(named), {"planned_by": "stage=excite"}), robot)
     log.info("wrote %d runs of commands to %s", runs, folder)
 
 
@@ -247,7 +246,7 @@ def _values(way: Way) -> dict[str, float]:
     return found
 
 
-def _report(excitation: Excitation, tracker: Tracker) -> None:
+def _report(robot: Robot, excitation: Excitation, tracker: Tracker) -> None:
     for pair in excitation.pairs:
         apart = pair["separation_sigma"]
         tracker.metric(f"separation_{pair['name']}_sigma", apart["planned"])
@@ -259,13 +258,13 @@ def _report(excitation: Excitation, tracker: Tracker) -> None:
             "" if apart["planned"] >= SETTLED_SIGMA else "; no program found tells them apart: sense more or load the tip",
         )  # fmt: skip
     tracker.metric("program_s", float(excitation.time[-1]))
-    tracker.text("excite.csv", csv_text(excitation))
+    tracker.text("excite.csv", csv_text(robot, excitation))
     tracker.figure("program", draw_program(excitation))
     tracker.figure("separations", draw_separations(excitation.pairs))
 
 
-def csv_text(excitation: Excitation) -> str:
-    """Return the program as a recording's file with commands only."""
-    names = [f"p{i + 1}_cmd_kpa" for i in range(excitation.pressure.shape[1])]
-    rows = np.hstack([excitation.time[:, None], excitation.pressure / si_factor(names[0])])
+def csv_text(robot: Robot, excitation: Excitation) -> str:
+    """Return the program as a recording's file with commands only, those that the robot takes."""
+    names, columns = zip(*command_columns(excitation.pressure, robot), strict=True)
+    rows = np.column_stack([excitation.time, *columns])
     return "\n".join([",".join(["time_s", *names]), *(",".join(f"{v:.9g}" for v in row) for row in rows)]) + "\n"

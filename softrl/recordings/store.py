@@ -10,6 +10,7 @@ import yaml
 from softrl.core.errors import RecordingError
 from softrl.core.units import si_factor
 from softrl.recordings.run import Recording
+from softrl.robots.robot import Robot
 
 DATASET = "dataset.yaml"
 OF_SESSIONS = "session_notes"  # the note that holds those of sessions, by session
@@ -23,8 +24,10 @@ UNITS = {
 }
 
 
-def store_runs(folder: Path | str, robot_name: str, recordings: tuple[Recording, ...], notes: dict[str, Any]) -> None:
-    """Write runs and notes to ``folder``; see ``recordings.write``."""
+def store_runs(
+    folder: Path | str, robot_name: str, recordings: tuple[Recording, ...], notes: dict[str, Any], robot: Robot | None = None
+) -> None:
+    """Write runs and notes to ``folder``; see ``recordings.write``. Commands are those of ``robot``, or else pressures."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     names = [r.name for r in recordings]
@@ -32,7 +35,7 @@ def store_runs(folder: Path | str, robot_name: str, recordings: tuple[Recording,
         if names.count(name) > 1 or Path(name).name != name or not name:
             raise RecordingError(f"run '{name}' cannot be a file name of its own; rename it")
     for recording in recordings:
-        _write_run(folder / f"{recording.name}.csv", recording)
+        _write_run(folder / f"{recording.name}.csv", recording, robot)
     head = {"robot": robot_name, "frame": "base", "units": UNITS, "sessions": _sessions(recordings, notes)}
     rest = {key: value for key, value in notes.items() if key != OF_SESSIONS}
     (folder / DATASET).write_text(yaml.safe_dump(head | rest, sort_keys=False, width=110))
@@ -46,18 +49,28 @@ def _sessions(recordings: tuple[Recording, ...], notes: dict[str, Any]) -> dict[
     return {session: entry | extras.get(session, {}) for session, entry in sessions.items()}
 
 
-def _write_run(path: Path, recording: Recording) -> None:
-    header, columns = zip(*_columns(recording), strict=True)
+def command_columns(pressure: np.ndarray, robot: Robot | None) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the columns of commands (steps, chambers) Pa by name: the ``robot``'s own command, where it has one, or kPa."""
+    for i, column in enumerate(pressure.T):
+        if robot is None or robot.command == "pressure":
+            yield from _scaled(f"p{i + 1}_cmd_kpa", column)
+        else:
+            number = "" if robot.chambers == 1 else f"{i + 1}"
+            yield f"{robot.command}{number}_cmd", column / robot.command_to_pa
+
+
+def _write_run(path: Path, recording: Recording, robot: Robot | None) -> None:
+    header, columns = zip(*_columns(recording, robot), strict=True)
     digits = [TIME if name == "time_s" else OTHER for name in header]
     np.savetxt(path, np.stack(columns, axis=1), fmt=digits, delimiter=",", header=",".join(header), comments="")
 
 
-def _columns(recording: Recording) -> Iterator[tuple[str, np.ndarray]]:
+def _columns(recording: Recording, robot: Robot | None) -> Iterator[tuple[str, np.ndarray]]:
     yield "time_s", recording.time
-    for channel, values in (("cmd", recording.pressure_cmd), ("meas", recording.pressure_meas)):
-        if values is not None:
-            for i in range(values.shape[1]):
-                yield from _scaled(f"p{i + 1}_{channel}_kpa", values[:, i])
+    yield from command_columns(recording.pressure_cmd, robot)
+    if recording.pressure_meas is not None:
+        for i in range(recording.pressure_meas.shape[1]):
+            yield from _scaled(f"p{i + 1}_meas_kpa", recording.pressure_meas[:, i])
     for name, values, unit in (
         ("tip", recording.position, "mm"),
         *((marker, place, "mm") for marker, place in recording.markers.items()),

@@ -23,7 +23,7 @@ from softrl.excite.block import HIGHEST_HZ, blocks
 from softrl.excite.plan import Effort, pairs_of, plan, pursued, refitted_separation, score, separation, sums
 from softrl.excite.rival import Rival, parse, rivals_of, typical
 from softrl.excite.separation import Normal, Sensing, normal, refitted, responses, tangent
-from softrl.excite.stage import SETTLED_SIGMA, Config, csv_text, run, usual_program, write_out
+from softrl.excite.stage import SETTLED_SIGMA, Config, csv_text, run, usual_program, write_commands, write_out
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.read import read
 from softrl.robots.robot import Robot
@@ -197,9 +197,21 @@ def test_the_stage_writes_a_program_that_reads_back(tmp_path: Path) -> None:
         write_out(settings, robot(), planned)
     planned.save(tmp_path / "excitation")
     np.testing.assert_array_equal(Excitation.load(tmp_path / "excitation").pressure, planned.pressure)
-    header, first, *_ = csv_text(planned).splitlines()
+    header, first, *_ = csv_text(robot(), planned).splitlines()
     assert header == "time_s,p1_cmd_kpa,p2_cmd_kpa,p3_cmd_kpa"
     np.testing.assert_allclose([float(v) for v in first.split(",")[1:]], 1e-3 * planned.pressure[0], atol=1e-6)
+
+
+def test_a_robot_is_sent_its_own_command(tmp_path: Path) -> None:
+    """A pump that takes a duty cycle is told duty cycles, and the reader makes of them the pressures that were planned."""
+    finger, duty = robot("single_chamber_finger"), 100.0 * np.array([0.0, 120.0, -60.0])[:, None]
+    planned = Excitation(finger.name, np.array([0.05, 0.10, 0.15]), duty, [], [])
+    assert csv_text(finger, planned).splitlines() == ["time_s,pump_pwm_cmd", "0.05,0", "0.1,120", "0.15,-60"]
+    for _ in range(2):
+        write_commands(tmp_path, finger, planned, 2)
+    assert (tmp_path / "excite_2.csv").read_text().splitlines()[:2] == ["time_s,pump_pwm_cmd", "0.05,0"]
+    for recording in read(tmp_path, finger).recordings:
+        np.testing.assert_allclose(recording.pressure_cmd, duty)
 
 
 def test_what_is_reported_is_what_refits_leave_at_their_end(caplog: pytest.LogCaptureFixture) -> None:
