@@ -16,6 +16,7 @@ log = logging.getLogger(__name__)
 COMMAND_TOLERANCE_PA = 1.0
 LOADED_SHARE = 0.05  # of the largest tip force: about what moves a tip by as much as a settled hold may drift
 DRIFT_ROWS = 4  # tell a drift
+NOISY = 2.6  # times the mean square of white noise in three axes, which it exceeds in one of twenty holds
 AGAIN = "holds_again"  # the recording that visits the first one's pressures in another order
 
 
@@ -184,7 +185,8 @@ def _constant_stretches(recording: Recording, hold_min_s: float) -> list[tuple[i
 def end_of_hold(recording: Recording, first: int, last: int, average_s: float) -> tuple[np.ndarray, float]:
     """Return the mean tip (3,) m over the last ``average_s``, and how far it drifts in that time, m.
 
-    Where few rows lie in it the drift is that of ``DRIFT_ROWS``, of half the hold at most; nan where those are less than two.
+    What noise may make of it is taken away. Where few rows lie in it the drift is that of ``DRIFT_ROWS``, of half the hold at
+    most; nan where those are less than two.
     """
     end = _end_rows(recording, first, last, average_s)
     half_s = 0.5 * float(recording.time[last] - recording.time[first])
@@ -193,8 +195,10 @@ def end_of_hold(recording: Recording, first: int, last: int, average_s: float) -
     if half == 0:
         return position[end].mean(axis=0), np.nan
     apart_s = recording.time[rows[-half:]].mean() - recording.time[rows[:half]].mean()
-    apart = np.linalg.norm(position[rows[-half:]].mean(axis=0) - position[rows[:half]].mean(axis=0))
-    return position[end].mean(axis=0), float(apart * average_s / apart_s)
+    squared = np.sum((position[rows[-half:]].mean(axis=0) - position[rows[:half]].mean(axis=0)) ** 2)
+    bent = np.diff(position[rows], 2, axis=0)  # noise alone, of six times its variance
+    noise = float(np.sum(bent**2) / (6.0 * len(bent))) * 2.0 / half if len(bent) else 0.0
+    return position[end].mean(axis=0), float(np.sqrt(max(squared - NOISY * noise, 0.0)) * average_s / apart_s)
 
 
 def _end_rows(recording: Recording, first: int, last: int, average_s: float) -> np.ndarray:

@@ -270,6 +270,14 @@ def test_what_a_tip_may_drift_is_the_same_however_far_apart_rows_are(row_s: floa
             settled_holds(one, 2.0, 0.5, 0.3e-3)
 
 
+def test_noise_of_a_camera_is_no_drift() -> None:
+    """0.5 mm an axis, of which means of a quarter of a second have 0.2 between them, and twice that was told as drift."""
+    rng, time = np.random.default_rng(0), np.arange(1, 40 * 150 + 1) * 0.02
+    pressure = np.repeat(rng.uniform(0.0, 3e4, (40, 3)), 150, axis=0)
+    one = Recording("a", "s", time, pressure, position=rng.normal(0.0, 0.5e-3, (len(time), 3)))
+    assert len(settled_holds(RecordingSet("triple", (one,)), 2.0, 0.5, 0.3e-3).run) >= 36
+
+
 def test_two_rows_a_hold_do_not_tell_whether_it_settled() -> None:
     time = 3.0 * np.arange(1, 13)
     one = Recording("a", "s", time, np.repeat(1e4 * np.eye(3)[[0, 1, 2, 0, 1, 2]], 2, axis=0), position=np.zeros((12, 3)))

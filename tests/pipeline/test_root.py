@@ -99,7 +99,8 @@ def test_a_run_that_is_reused_tells_which_newer_one_is_taken(
 ) -> None:  # fmt: skip
     runs = {name: SimpleNamespace(info=SimpleNamespace(run_id=name, start_time=k))
             for k, name in enumerate(("earlier", "before", "later"))}  # fmt: skip
-    assembly = Assembly(SimpleNamespace(find=lambda tags: runs[taken], every=lambda tags: [runs[taken]]), composed(f"stage={stage}"), {})
+    store = SimpleNamespace(find=lambda tags: runs[taken], every=lambda tags: [runs[taken]])
+    assembly = Assembly(store, composed(f"stage={stage}"), {})
     task = _Prepared(assembly.store, assembly, None, None, {}, "", runs["before"], None, None)
     monkeypatch.setattr(pipeline, "_prepare", lambda *_: task)
     monkeypatch.setattr(pipeline, "_reused", lambda *_: None)
