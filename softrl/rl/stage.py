@@ -77,8 +77,8 @@ def run(
 ) -> Policy:
     """Return the agent's best policy on random curves, with its errors on curves it never saw beside baselines.
 
-    Without effects it learns on the surrogate's twin, which is always where its command leads to; with ``effects`` (those
-    that a diagnosis found, with the parameters of ``simulator``) in that simulator, in motion.
+    Without effects it learns on the surrogate's twin, which is always where its command leads to; with ``effects``, or a
+    ``simulator`` whose parameters a diagnosis found, in that simulator, in motion.
     """
     if surrogate.robot_name != robot.name:
         raise ArtifactError(
@@ -87,7 +87,7 @@ def run(
     rng = np.random.default_rng(config.seed)
     space = Workspace(surrogate)
     evaluation = {curve: task.evaluation_goals(curve, space) for curve in task.curves}  # one out of reach is told at once
-    moving = bool(effects.effects) or config.motion.always
+    moving = effects.corrected or config.motion.always
     world = _moving(config.motion, task, space, Plant(simulator, effects)) if moving else partial(Batch, task, space)
     training = _training(config, task, space, moving, rng)
     validation = task.training_goals(config.validation_curves, space, rng)

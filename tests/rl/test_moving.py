@@ -11,6 +11,7 @@ import yaml
 from softrl.artifacts.surrogate import Surrogate
 from softrl.core.config import build_target
 from softrl.core.errors import ConfigError
+from softrl.core.tracking import NullTracker
 from softrl.effects.base_tilt import BaseTilt
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.delay import Delay
@@ -22,6 +23,7 @@ from softrl.effects.viscoelasticity import Viscoelasticity
 from softrl.pcc.simulator import PccSimulator
 from softrl.rl import stage
 from softrl.rl.actor import Actor
+from softrl.rl.agents.agent import Agent, Lesson, Practice
 from softrl.rl.evaluate import Controller, expert, lap_all, static_expert
 from softrl.rl.inversion import Route
 from softrl.rl.moving import MovingBatch, cornered
@@ -31,7 +33,7 @@ from softrl.rl.vector_env import TwinVecEnv
 from softrl.rl.workspace import Workspace
 from softrl.robots.robot import Robot
 from softrl.sim2real.surface import Surface
-from tests.rl.test_training import MOTION, PLANNING, agent_of, train
+from tests.rl.test_training import CONFIG, MOTION, PLANNING, agent_of, train
 
 CONF = Path(__file__).parents[2] / "conf"
 HIDDEN = (Lag(fill_s=0.2, vent_s=0.35), Viscoelasticity(0.3, 1.2, 0.0, 20.0))
@@ -180,6 +182,27 @@ def test_a_policy_tells_whether_the_body_that_it_learnt_on_was_corrected(
     actor = Actor({"weight_0": np.zeros((3, batch.observation_size)), "bias_0": np.zeros(3)}, "tanh", "clip")
     made = stage._policy(robot, task, agent_of("bc"), batch, actor, {}, chain)
     assert made.corrected == (retuned or bool(effects))
+
+
+class Pupil(Agent):
+    """An agent that looks where it is to learn, and learns nothing."""
+
+    name = "pupil"
+
+    def train(self, practice: Practice, seed: int) -> Lesson:
+        self.place = practice.make(1, seed).batch
+        return Lesson(Actor({"weight_0": np.zeros((3, self.place.observation_size)), "bias_0": np.zeros(3)}, "tanh", "clip"), [])
+
+
+@pytest.mark.parametrize("retuned", [False, True])
+def test_a_diagnosis_that_only_retunes_is_learnt_in_motion(
+    robot: Robot, body: PccSimulator, surrogate: Surrogate, task: Task, retuned: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stage, "_report", lambda *_: {})
+    pupil, chain = Pupil(), replace(chain_of(robot, ()), retuned=retuned)
+    soft = body.with_parameters(bending_stiffness_scale=0.5)
+    made = stage.run(CONFIG, robot, surrogate, task, pupil, soft, chain, tracker=NullTracker())
+    assert isinstance(pupil.place, MovingBatch) == retuned == made.corrected == bool(made.memory)
 
 
 @pytest.mark.slow
