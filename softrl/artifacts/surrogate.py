@@ -28,6 +28,8 @@ class Surrogate(Artifact):
     joint_stiffness : (3,) N m/rad, N m/rad, N/m of the joints of a mean gap at rest, the others being free
     contact_stiffness_n_per_m, contact_damping_n_s_per_m : of the tip against a surface
     mass : kg, of all links
+    gravity_m_s2 : (3,) in the base frame, under which the body hung
+    rayleigh_mass_per_s, rayleigh_stiffness_s : the body's damping, by its inertia and by its stiffness
     sample_pressure : (samples, n) Pa, sampled at equilibrium
     sample_tip : (samples, 3) m, the body's tip there
     sample_joints : (samples, 3) fitted grouped commands there
@@ -44,6 +46,7 @@ class Surrogate(Artifact):
     gap_share : (gaps,), by which each gap is softer than the mean gap
     """
 
+    schema: ClassVar[int] = 2
     stage: ClassVar[str] = "surrogate"
 
     urdf: str
@@ -58,6 +61,9 @@ class Surrogate(Artifact):
     contact_stiffness_n_per_m: float
     contact_damping_n_s_per_m: float
     mass: float
+    gravity_m_s2: tuple[float, ...]
+    rayleigh_mass_per_s: float
+    rayleigh_stiffness_s: float
     sample_pressure: np.ndarray
     sample_tip: np.ndarray
     sample_joints: np.ndarray
@@ -85,6 +91,16 @@ class Surrogate(Artifact):
         """Number of pressure chambers."""
         return self.sample_pressure.shape[1]
 
+    def require_robot(self, name: str, gravity_m_s2: tuple[float, ...]) -> None:
+        """Raise ``ArtifactError`` unless the robot is ``name`` and hangs in ``gravity_m_s2`` (3,), which the commands contain."""
+        if self.robot_name != name:
+            raise ArtifactError(f"the surrogate is of robot {self.robot_name}, but robot={name}; rerun stage=surrogate")
+        if not np.allclose(self.gravity_m_s2, gravity_m_s2, atol=1e-6):
+            raise ArtifactError(
+                f"the surrogate of {name} hangs in gravity {list(self.gravity_m_s2)} m/s^2, but "
+                f"robot.gravity_m_s2={list(gravity_m_s2)}; rerun stage=surrogate"
+            )
+
     def validate(self) -> None:
         """Check that heights rise, limits are ordered and springs are positive."""
         super().validate()
@@ -105,6 +121,11 @@ class Surrogate(Artifact):
         if (self.joint_stiffness <= 0).any():
             raise ArtifactError(
                 f"surrogate of {self.robot_name}: joint stiffness {self.joint_stiffness} is not positive"
+            )
+        if min(self.rayleigh_mass_per_s, self.rayleigh_stiffness_s) < 0:
+            raise ArtifactError(
+                f"surrogate of {self.robot_name}: damping {self.rayleigh_mass_per_s:g} 1/s, {self.rayleigh_stiffness_s:g} s; "
+                "expected none that is negative"
             )
         if self.softness_coefficients.size and len(self.gap_share) != self.gaps:
             raise ArtifactError(

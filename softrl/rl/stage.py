@@ -11,7 +11,7 @@ import numpy as np
 
 from softrl.artifacts.policy import Policy
 from softrl.artifacts.surrogate import Surrogate
-from softrl.core.errors import ArtifactError, ConfigError
+from softrl.core.errors import ConfigError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
 from softrl.effects.chain import EffectChain, Plant
@@ -80,10 +80,7 @@ def run(
     Without effects it learns on the surrogate's twin, which is always where its command leads to; with ``effects``, or a
     ``simulator`` whose parameters a diagnosis found, in that simulator, in motion.
     """
-    if surrogate.robot_name != robot.name:
-        raise ArtifactError(
-            f"the surrogate is of robot {surrogate.robot_name}, but robot={robot.name}; rerun stage=surrogate"
-        )
+    surrogate.require_robot(robot.name, robot.gravity_m_s2)
     rng = np.random.default_rng(config.seed)
     space = Workspace(surrogate)
     evaluation = {curve: task.evaluation_goals(curve, space) for curve in task.curves}  # one out of reach is told at once

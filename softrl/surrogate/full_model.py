@@ -75,10 +75,10 @@ def full_yielding(model: FemModel, robot: Robot, pressure: np.ndarray) -> Yieldi
 
 def bullet_yielding(surrogate: Surrogate, pressure: np.ndarray) -> Yielding:
     """Return how the surrogate yields in PyBullet at ``pressure`` (S, n) Pa, by differences of small forces and couples."""
-    from softrl.surrogate.parity import DAMPING_PER_S, World, settle  # PyBullet starts slowly
+    from softrl.surrogate.parity import SETTLING, World, settle  # PyBullet starts slowly
 
     theta = PressureToJoints(surrogate).joints(pressure)
-    world = World(surrogate, 1.0, DAMPING_PER_S, 1.0)
+    world = World(surrogate, 1.0, SETTLING, 1.0)
     yields, tips = np.empty((len(theta), 6, 6)), np.empty((len(theta), 3))
     size = np.repeat([SMALL_N, SMALL_NM], 3)
     for row, tip, command in zip(yields, tips, theta, strict=True):

@@ -5,11 +5,11 @@ from scipy.optimize import minimize
 
 from softrl.artifacts.surrogate import Surrogate
 from softrl.surrogate.fit import Fit
-from softrl.surrogate.simulator import SurrogateState, World
 from softrl.surrogate.twin import Twin
+from softrl.surrogate.world import Rayleigh, SurrogateState, World
 
 SETTLE_S, TICK_S = 1.5, 0.1
-DAMPING_PER_S = 30.0
+SETTLING = Rayleigh(30.0, 0.0)  # where it comes to rest does not depend on it
 DIFFERENCE = 1e-4  # of the joints' range: PyBullet's poses are too coarse for SciPy's own 1e-8
 
 
@@ -29,7 +29,7 @@ def settle(
 
 def parity(surrogate: Surrogate, theta: np.ndarray, force: np.ndarray) -> tuple[float, float]:
     """Return the largest distances in m between the tips of twin and PyBullet, free and under ``force`` (3,) N."""
-    world, twin = World(surrogate, 1.0, DAMPING_PER_S, 1.0), Twin(surrogate)
+    world, twin = World(surrogate, 1.0, SETTLING, 1.0), Twin(surrogate)
     free = [np.linalg.norm(world.pose(settle(world, t, seconds=TICK_S))[0] - twin.tip(t)[0]) for t in theta]
     expected = twin.solve(theta, force).tip
     loaded = [np.linalg.norm(world.pose(settle(world, t, force))[0] - e) for t, e in zip(theta, expected, strict=True)]
@@ -45,7 +45,7 @@ def fit_joints_by_simulation(surrogate: Surrogate, tip: np.ndarray) -> Fit:
     L-BFGS-B asks PyBullet for the tip and takes its gradient by differences. Departures: the links are put where the
     joints say instead of driven there, and the best tip counts, not the last.
     """
-    world, low, high = World(surrogate, 1.0, DAMPING_PER_S, 1.0), surrogate.joint_low, surrogate.joint_high
+    world, low, high = World(surrogate, 1.0, SETTLING, 1.0), surrogate.joint_low, surrogate.joint_high
     span, gaps = high - low, surrogate.gaps
 
     def tip_at(x: np.ndarray) -> np.ndarray:

@@ -24,6 +24,7 @@ from softrl.surrogate.fit import fit_joints
 from softrl.surrogate.full_model import report_yielding, sampled_yielding
 from softrl.surrogate.kinematics import Chain, chain_from
 from softrl.surrogate.mlp import train_network
+from softrl.surrogate.motion import report_motion
 from softrl.surrogate.report import Judged, report, report_full_model, report_workspace
 from softrl.surrogate.springs import Springs, softness_at
 from softrl.surrogate.stiffness import Compliance, Couple, Poses, Statics, body_compliance, fit_springs
@@ -126,10 +127,13 @@ def run(
     a calibration is there, the tips at which the robot settled are laid over the workspace.
     """
     full = None if mesh is None else sampled_yielding(robot, mesh, snapshots, config.full_checks, config.seed)
+    hanging = partial(model_poses, reduced_model, gravity_m_s2=np.array(robot.gravity_m_s2))
     surrogate = build_surrogate(
-        config, robot, mesh, partial(model_poses, reduced_model), float(reduced_model.rest_tip[2]), tracker,
+        config, robot, mesh, hanging, float(reduced_model.rest_tip[2]), tracker,
         None if full is None else full.yields[0, 3:, 3:],
-    )
+        (snapshots.rayleigh_mass_per_s, snapshots.rayleigh_stiffness_s),
+    )  # fmt: skip
+    report_motion(surrogate, robot, reduced_model, tracker)
     if full is not None:
         report_yielding(surrogate, full, tracker)
     # the full model's equilibria are without weight: the chain that is compared with them is one without as well
@@ -164,11 +168,12 @@ def model_poses(reduced_model: ReducedModel, loads: np.ndarray, gravity_m_s2: np
 
 def build_surrogate(
     config: Config, robot: Robot, mesh: Mesh | None, pose_of: Statics, tip_height: float, tracker: Tracker,
-    rest_turn: np.ndarray | None = None,
+    rest_turn: np.ndarray | None = None, rayleigh: tuple[float, float] = (0.0, 0.0),
 ) -> Surrogate:  # fmt: skip
     """Return the surrogate of any body that ``pose_of`` describes.
 
-    ``rest_turn`` (3, 3) rad per N m is what moments on the tip turn at rest, where that is known.
+    ``rest_turn`` (3, 3) rad per N m is what moments on the tip turn at rest, where that is known; ``rayleigh`` is the body's
+    damping by its inertia, 1/s, and by its stiffness, s.
     """
     rng = np.random.default_rng(config.seed)
     dimensions = dimensions_of(robot, mesh, tip_height, config.links)
@@ -176,7 +181,7 @@ def build_surrogate(
     samples = _sample(config, robot, dimensions, chain, pose_of, rng)
     low, high = _limits(config, robot, dimensions, samples)
     springs, judged = _springs(config, samples, chain, pose_of, low, high, rest_turn)
-    surrogate = _assemble(config, robot, dimensions, samples, springs)
+    surrogate = _assemble(config, robot, dimensions, samples, springs, rayleigh)
     return report(surrogate, judged, config.compared_fits, config.parity_samples, tracker)
 
 
@@ -274,7 +279,9 @@ def _springs(
     return fit(couple=couple), Judged(samples.residual, samples.quaternion, joints[1::2], every_second(1), fit(alike=True))
 
 
-def _assemble(config: Config, robot: Robot, dimensions: Dimensions, samples: Samples, springs: Springs) -> Surrogate:
+def _assemble(
+    config: Config, robot: Robot, dimensions: Dimensions, samples: Samples, springs: Springs, rayleigh: tuple[float, float]
+) -> Surrogate:
     seen, low, high = ~samples.heldout, springs.low, springs.high
     pressures, joints = Scaler.fit(samples.pressure[seen]), Scaler.fit(samples.joints[seen])
     x, y = pressures.scale(samples.pressure[seen]), joints.scale(samples.joints[seen])
@@ -293,6 +300,9 @@ def _assemble(config: Config, robot: Robot, dimensions: Dimensions, samples: Sam
         contact_stiffness_n_per_m=config.contact_stiffness_n_per_m,
         contact_damping_n_s_per_m=config.contact_damping_n_s_per_m,
         mass=robot.mass_kg,
+        gravity_m_s2=robot.gravity_m_s2,
+        rayleigh_mass_per_s=rayleigh[0],
+        rayleigh_stiffness_s=rayleigh[1],
         sample_pressure=samples.pressure,
         sample_tip=samples.tip,
         sample_joints=samples.joints,

@@ -61,4 +61,6 @@ def tracker() -> NullTracker:
 @pytest.fixture(scope="session")
 def surrogate(robot: Robot, tracker: NullTracker) -> Surrogate:
     """Return a surrogate of the lumped body."""
-    return build_surrogate(tiny_config(), robot, None, lumped_body(robot), robot.length_m, tracker)
+    return build_surrogate(
+        tiny_config(), robot, None, lumped_body(robot), robot.length_m, tracker, rayleigh=(0.0, 0.02)
+    )

@@ -10,9 +10,9 @@ from softrl.artifacts.surrogate import Surrogate
 from softrl.core.errors import ArtifactError
 from softrl.surrogate.fit import fit_joints, fit_joints_lbfgsb
 from softrl.surrogate.kinematics import chain_from, chain_of, grouped_poses, joint_jacobians
-from softrl.surrogate.parity import fit_joints_by_simulation
+from softrl.surrogate.parity import SETTLING, fit_joints_by_simulation
 from softrl.surrogate.report import reached_pct
-from softrl.surrogate.simulator import SurrogateState, World
+from softrl.surrogate.world import SurrogateState, World
 
 CHAIN = chain_from(np.array([0.02, 0.06, 0.1]), np.array([0.04, 0.08, 0.12]), 0.15)
 
@@ -44,7 +44,7 @@ def test_signs_and_rest() -> None:
 
 
 def test_pybullet_sees_the_same_chain(surrogate: Surrogate) -> None:
-    world = World(surrogate, 1.0, 24.0, 1.0)
+    world = World(surrogate, 1.0, SETTLING, 1.0)
     for theta in np.random.default_rng(0).uniform(surrogate.joint_low, surrogate.joint_high, (10, 3)):
         q = np.tile(theta, surrogate.gaps)
         tip, quaternion = world.pose(SurrogateState(q, np.zeros_like(q)))

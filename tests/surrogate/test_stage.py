@@ -5,9 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from softrl.artifacts.surrogate import Surrogate
 from softrl.core.errors import ConfigError
 from softrl.core.tracking import NullTracker
 from softrl.robots.robot import Robot
+from softrl.surrogate import motion
+from softrl.surrogate.simulator import SurrogateSimulator
 from softrl.surrogate.stage import build_surrogate, model_poses
 from tests.pod.conftest import fitted
 from tests.surrogate.conftest import lumped_body, tiny_config
@@ -34,3 +37,27 @@ def test_poses_without_weight_are_those_of_a_model_without() -> None:
     expected = model_poses(replace(heavy, gravity_m_s2=np.zeros(3)), loads)
     np.testing.assert_allclose(found.tip, expected.tip, atol=1e-12)
     np.testing.assert_allclose(found.quaternion, expected.quaternion, atol=1e-12)
+
+
+def test_answers_to_steps_of_pressure_are_told_beside_a_chain_that_is_there_at_once(
+    robot: Robot, surrogate: Surrogate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    body, told = SurrogateSimulator(robot, surrogate, 1.0, 1.0, 1.0), []
+    time = motion.DT_S * np.arange(1, 51)
+    pressures = surrogate.sample_pressure[surrogate.heldout][: motion.STEPS]
+    moved = np.stack([body.simulate(time, np.tile(p, (50, 1))).position for p in pressures])
+    monkeypatch.setattr(motion, "body_steps", lambda *_: moved)
+    for damping_s in (0.02, 0.03):  # as the body has it, and otherwise
+        tracker = NullTracker()
+        motion.report_motion(replace(surrogate, rayleigh_stiffness_s=damping_s), robot, fitted(3)[2], tracker)
+        told.append(tracker.metrics)
+    assert told[0]["heldout/step_mm"] < 1e-9 and told[0]["heldout/steps_count"] == motion.STEPS
+    assert 1.0 < told[1]["heldout/step_mm"] < told[1]["heldout/at_once_step_mm"]
+
+
+def test_a_body_that_nothing_acts_on_stays_where_it_hangs() -> None:
+    model, gravity = fitted(3)[2], (1.0, 0.0, 9.0)
+    tips = motion.body_steps(model, np.array([[0.0, 0.0, 0.0], [5e3, 0.0, 0.0]]), 30, gravity)
+    still = model_poses(model, np.zeros((1, 6)), np.array(gravity)).tip
+    np.testing.assert_allclose(tips[0], np.tile(still, (30, 1)), atol=1e-6)
+    assert np.linalg.norm(tips[1, -1] - still) > 1e-5

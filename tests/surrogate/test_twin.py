@@ -9,11 +9,11 @@ from softrl.artifacts.surrogate import Surrogate
 from softrl.core.tracking import NullTracker
 from softrl.surrogate.kinematics import chain_of
 from softrl.surrogate.maps import PressureToJoints, evaluate, network, network_of
-from softrl.surrogate.parity import DAMPING_PER_S, parity, settle
-from softrl.surrogate.simulator import World
+from softrl.surrogate.parity import SETTLING, parity, settle
 from softrl.surrogate.springs import Springs, constant, softness_at, springs_of, stiffness_matrix
 from softrl.surrogate.stiffness import Compliance, bending_of, chain_turn, fit_springs
 from softrl.surrogate.twin import Plane, Twin, chain_compliance
+from softrl.surrogate.world import World
 
 TILT = np.deg2rad(15.0)
 NORMAL = np.array([np.sin(TILT), 0.0, -np.cos(TILT)])
@@ -85,7 +85,7 @@ def test_pybullet_settles_where_the_twin_is(surrogate: Surrogate) -> None:
 
 def test_pybullet_presses_as_hard_as_the_twin(surrogate: Surrogate, pressed: tuple[Twin, np.ndarray, Plane]) -> None:
     _, theta, plane = pressed
-    world, felt = World(surrogate, 1.0, DAMPING_PER_S, 1.0), []
+    world, felt = World(surrogate, 1.0, SETTLING, 1.0), []
     world.place_plane(*plane, 0.0)
     for command in theta[[1, 4]]:
         settle(world, command)
