@@ -26,6 +26,7 @@ from softrl.rl.tasks.task import Task
 from softrl.rl.vector_env import TwinVecEnv
 from softrl.rl.workspace import Workspace
 from softrl.robots.robot import Robot
+from softrl.surrogate.springs import constant
 from softrl.surrogate.stage import build_surrogate
 from tests.surrogate.conftest import lumped_body, tiny_config
 
@@ -120,6 +121,24 @@ def test_the_expert_is_near_and_rest_is_not(name: str, space: Workspace) -> None
     assert good.position_rmse < 3e-4 and good.reward > 0.9 > bad.reward
     if name != "track":
         assert good.force_mae < 0.05 < bad.force_mae
+
+
+@pytest.mark.parametrize(("name", "slope_deg"), [("force", 40.0), ("hybrid", 40.0), ("force", -30.0)])
+def test_the_expert_presses_right_where_the_tip_sticks(name: str, slope_deg: float, space: Workspace) -> None:
+    task = task_of(name, lap_steps=40, slope_deg=slope_deg, friction_coefficient=0.6)
+    found = evaluate(expert, task, space, task.evaluation_goals(task.curves[0], space), 2)
+    assert found.force_mae < 0.01 and found.position_rmse < 1e-4, f"{found.force_mae:.3f} N, {1e3 * found.position_rmse:.2f} mm"
+
+
+def test_the_expert_presses_right_on_a_body_that_hardly_stretches(
+    surrogate: Surrogate,
+) -> None:
+    """Held by friction its tip is far stiffer than free."""
+    soft = constant(surrogate.joint_stiffness * [0.3, 0.3, 2.0])
+    stiff = Workspace(replace(surrogate, softness_coefficients=soft, gap_share=np.ones(surrogate.gaps)))
+    task = task_of("hybrid", lap_steps=40)
+    found = evaluate(expert, task, stiff, task.evaluation_goals("circle", stiff), 2)
+    assert found.force_mae < 0.01 and found.position_rmse < 1e-4, f"{found.force_mae:.3f} N, {1e3 * found.position_rmse:.2f} mm"
 
 
 def test_a_hidden_force_moves_tips_and_the_expert_takes_its_share_back(space: Workspace) -> None:

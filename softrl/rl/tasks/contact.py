@@ -11,7 +11,8 @@ from softrl.rl.tasks.task import TARGET_SEEN, TIP_SEEN, Seen, Task
 from softrl.rl.workspace import SMALLEST_SHARE, Workspace
 from softrl.surrogate.twin import Plane
 
-EXPERT_ITERATIONS = 12
+EXPERT_ITERATIONS, FOUND_M = 40, 1e-6  # turns of the search, and the miss that ends it
+LEFT = 0.3  # of a miss, after a step that took the force past what is wanted: with more the step was too long
 GROUND_SEED, GROUND_CURVES, GROUND_EVERY, PATCHES = 0, 4, 8, 12  # where the expert weighs position against force
 WANTED, ASKED = 18, 49  # and the forces that it tries there
 
@@ -126,24 +127,34 @@ class ContactTask(Task, ABC):
         Notes
         -----
         The free tip is aimed behind the surface and corrected by the errors of the twin's equilibrium: along the surface
-        by the position's error, across it by the force's error over the stiffness of tip and contact in series. Friction
-        counts if the tips (B, 3) m are known that it holds back, ``start``; the best aim of the search is taken.
+        by the position's error, across it by the force's error over the stiffness of tip and contact in series. A tip that
+        friction holds is stiffer than that, the more so the less a body yields along itself: steps that go too far are halved,
+        and grow again. Friction counts if the tips (B, 3) m are known that it holds back, ``start``; the best aim is taken.
         """
         plane = self.plane(space)
         normal, twin = plane[0], space.twin
         friction = 0.0 if start is None else self.friction
         soft = 1.0 / twin.contact_stiffness + twin.softness(space.rest[None], normal)[0]
-        aim = best = position - (force * soft)[:, None] * normal
-        lowest = np.full(len(aim), np.inf)
+        aim = position - (force * soft)[:, None] * normal
+        best, lowest, last, gain = aim.copy(), *np.full((2, len(aim)), np.inf), np.ones(len(aim))
+        lacked = np.zeros(len(aim))
         for _ in range(EXPERT_ITERATIONS):
-            state = twin.solve(twin.joints_for_tip(aim), None, plane, friction, start, refuse=False)
-            error = position - state.tip
+            rows = np.flatnonzero(lowest > FOUND_M)
+            if not len(rows):
+                break
+            held = None if start is None else start[rows]
+            state = twin.solve(twin.joints_for_tip(aim[rows]), None, plane, friction, held, refuse=False)
+            error = position[rows] - state.tip
             error = error - (error @ normal)[:, None] * normal
-            lacking = force - state.contact_force
+            lacking = force[rows] - state.contact_force
             miss = np.linalg.norm(error, axis=1) + soft * np.abs(lacking)
-            best = np.where((miss < lowest)[:, None], aim, best)
-            lowest = np.minimum(miss, lowest)
-            aim = aim + error - (lacking * soft)[:, None] * normal
+            nearer = rows[miss < lowest[rows]]
+            best[nearer] = aim[nearer]
+            lowest[rows] = np.minimum(miss, lowest[rows])
+            too_far = (miss > last[rows]) | ((lacking * lacked[rows] < 0.0) & (miss > LEFT * last[rows]))
+            gain[rows] = np.minimum(gain[rows] * np.where(too_far, 0.5, 1.2), 1.0)
+            last[rows], lacked[rows] = miss, lacking
+            aim[rows] += gain[rows, None] * (error - (lacking * soft)[:, None] * normal)
         return twin.joints_for_tip(best)
 
 
