@@ -206,15 +206,19 @@ def plan(
 def linearise(route: Route, request: np.ndarray, predicted: np.ndarray, settings: Inversion) -> np.ndarray:
     """Return the response (steps, 3, memory, n) m/Pa of the readings to the requests before them.
 
-    Requests ``memory_steps`` apart are changed together: each reading then answers to the last of them.
+    Requests ``memory_steps`` apart are changed together: each reading then answers to the last of them. They are changed
+    towards no pressure, or away from it where that is beyond an end of the range: nothing is sent there.
     """
     (steps, n), memory, probe = request.shape, settings.memory_steps, 1e3 * settings.probe_kpa
+    low, high = route.robot.pressure_min_pa, route.robot.pressure_max_pa
+    nudge = np.where(request > 0.0, -probe, probe)
+    nudge = np.where((request + nudge < low) | (request + nudge > high), -nudge, nudge)
     response = np.zeros((steps, 3, memory, n))
     for chamber in range(n):
         for first in range(memory):
             changed = request.copy()
-            changed[first::memory, chamber] -= probe * np.where(changed[first::memory, chamber] > 0.0, 1.0, -1.0)
-            size = (changed - request)[:, chamber]
+            changed[first::memory, chamber] += nudge[first::memory, chamber]
+            size = nudge[:, chamber]
             moved = route.predict(changed) - predicted
             for k in range(first, steps):
                 j = (k - first) % memory
