@@ -141,7 +141,10 @@ def run(
     report_full_model(
         _refitted(config, surrogate, weightless), snapshots, weightless, robot.tip_force_max_n, tracker
     )
-    report_workspace(surrogate, snapshots, np.empty((0, 3)) if calibration is None else calibration.settled_tip, tracker)
+    none = np.empty((0, 3))
+    report_workspace(
+        surrogate, none if full is None else full.tip, none if calibration is None else calibration.settled_tip, tracker
+    )
     return surrogate
 
 

@@ -8,10 +8,11 @@ import pytest
 
 from softrl.artifacts.surrogate import Surrogate
 from softrl.core.errors import ArtifactError
+from softrl.core.tracking import NullTracker
 from softrl.surrogate.fit import fit_joints, fit_joints_lbfgsb
 from softrl.surrogate.kinematics import chain_from, chain_of, grouped_poses, joint_jacobians
 from softrl.surrogate.parity import SETTLING, fit_joints_by_simulation
-from softrl.surrogate.report import reached_pct
+from softrl.surrogate.report import reached_pct, report_workspace
 from softrl.surrogate.world import SurrogateState, World
 
 CHAIN = chain_from(np.array([0.02, 0.06, 0.1]), np.array([0.04, 0.08, 0.12]), 0.15)
@@ -86,3 +87,9 @@ def test_limits_that_exclude_the_rest_pose_are_refused(surrogate: Surrogate) -> 
 def test_coverage_counts_the_tips_within_reach(surrogate: Surrogate) -> None:
     assert reached_pct(surrogate, surrogate.sample_tip[:50]) > 95.0
     assert reached_pct(surrogate, surrogate.sample_tip[:50] + np.array([0.0, 0.0, 0.1])) == 0.0
+
+
+def test_the_workspaces_of_full_model_and_robot_are_told_where_there_are_any(surrogate: Surrogate) -> None:
+    tracker, tips = NullTracker(), surrogate.sample_tip[:8]
+    report_workspace(surrogate, tips, np.empty((0, 3)), tracker)
+    assert tracker.metrics == {"workspace_full_model_reached_pct": 100.0, "workspace_full_model_tips_count": 8.0}

@@ -7,13 +7,17 @@ import pytest
 
 from softrl.artifacts.surrogate import Surrogate
 from softrl.core.tracking import NullTracker
+from softrl.robots.robot import Robot
 from softrl.surrogate.kinematics import chain_of
 from softrl.surrogate.maps import PressureToJoints, evaluate, network, network_of
 from softrl.surrogate.parity import SETTLING, parity, settle
+from softrl.surrogate.report import draw_maps
 from softrl.surrogate.springs import Springs, constant, softness_at, springs_of, stiffness_matrix
+from softrl.surrogate.stage import build_surrogate
 from softrl.surrogate.stiffness import Compliance, bending_of, chain_turn, fit_springs
 from softrl.surrogate.twin import Plane, Twin, chain_compliance
 from softrl.surrogate.world import World
+from tests.surrogate.conftest import lumped_body, tiny_config
 
 TILT = np.deg2rad(15.0)
 NORMAL = np.array([np.sin(TILT), 0.0, -np.cos(TILT)])
@@ -165,6 +169,14 @@ def test_the_map_beats_its_baselines_and_goes_round(surrogate: Surrogate, tracke
     assert found["heldout/roundtrip_pressure_kpa"] < 0.1
     maps = PressureToJoints(surrogate)
     np.testing.assert_allclose(maps.joints(maps.pressure(surrogate.sample_joints)), surrogate.sample_joints, atol=5e-4)
+
+
+def test_of_more_chambers_than_joints_other_pressures_for_the_same_joints_are_no_error(robot: Robot) -> None:
+    four = replace(robot, name="four", chamber_angle_deg=(0.0, 90.0, 180.0, 270.0))
+    made = build_surrogate(tiny_config(), four, None, lumped_body(four), four.length_m, NullTracker())
+    assert not [name for name in made.metrics if name.endswith("pressure_kpa")]
+    assert made.metrics["heldout/roundtrip_joint_angle_deg"] < 0.01
+    assert len(draw_maps(made).axes) == 1
 
 
 def test_the_compiled_network_is_the_network_and_its_slope_the_derivative(surrogate: Surrogate) -> None:
