@@ -1,11 +1,10 @@
 """Pictures of laps and of training."""
 
-from dataclasses import replace
-
 import numpy as np
 from matplotlib.figure import Figure
 
 from softrl.rl.evaluate import Evaluation
+from softrl.rl.reward import weigh
 from softrl.rl.tasks.task import Task
 from softrl.surrogate.twin import Plane
 
@@ -42,8 +41,8 @@ def draw_reward(task: Task) -> Figure:
     for axis, (name, alpha, scale, unit, label) in zip(figure.subplots(1, 2, sharey=True), shapes, strict=True):
         error = np.linspace(0.0, 15.0 * scale, 400)
         zero = np.zeros_like(error)
-        part = replace(task, alpha=alpha)
-        axis.plot(unit * error, part.reward(error, zero) if name == "R_q" else part.reward(zero, error))
+        apart = (error, zero) if name == "R_q" else (zero, error)
+        axis.plot(unit * error, weigh(alpha, *apart, task.position_scale_m, task.force_scale_n))
         axis.axvline(unit * scale, color="0.6", lw=0.8, ls="--", label=f"scale, {unit * scale:g}")
         share = task.alpha if name == "R_q" else 1.0 - task.alpha
         axis.set(xlabel=label, title=f"{name}, weight {share:g} in R", ylim=(0.0, 1.02))
@@ -58,7 +57,7 @@ def draw_history(history: list[tuple[int, float]]) -> Figure:
     axis = figure.subplots()
     steps, rewards = zip(*history, strict=True)
     axis.plot(steps, rewards, ".-")
-    best = int(np.argmax(rewards))
+    best = len(rewards) - 1 - int(np.nanargmax(rewards[::-1]))  # of equal ones the last
     axis.plot(steps[best], rewards[best], "o", mfc="none", ms=10, color="C1", label="kept")
     axis.set(xlabel="steps or epochs", ylabel="mean reward on random curves", ylim=(0.0, 1.02))
     axis.legend(frameon=False)

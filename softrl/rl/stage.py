@@ -83,6 +83,7 @@ def run(
     surrogate.require_robot(robot.name, robot.gravity_m_s2)
     rng = np.random.default_rng(config.seed)
     space = Workspace(surrogate)
+    task.check_forces(robot.tip_force_max_n, space)
     evaluation = {curve: task.evaluation_goals(curve, space) for curve in task.curves}  # one out of reach is told at once
     moving = effects.corrected or config.motion.always
     world = _moving(config.motion, task, space, Plant(simulator, effects)) if moving else partial(Batch, task, space)

@@ -160,6 +160,28 @@ def test_on_a_slope_a_gain_that_would_do_nothing_is_refused(name: str) -> None:
         task_of(name, feedback_gain=0.5)
 
 
+def test_a_task_that_pays_for_nothing_is_refused() -> None:
+    with pytest.raises(ConfigError, match="alpha=0 pays task=track for nothing"):
+        task_of("track", alpha=0.0)
+    assert task_of("hybrid", alpha=0.0).alpha == 0.0
+
+
+def test_forces_that_the_tip_is_not_made_for_are_refused_or_told(
+    space: Workspace, caplog: pytest.LogCaptureFixture
+) -> None:
+    for name in ("force", "hybrid"):
+        with pytest.raises(ConfigError, match=r"task.force_max_n=2 .*expected at most robot.tip_force_max_n=0.1"):
+            task_of(name).check_forces(0.1, space)
+        task_of(name, force_min_n=0.02, force_max_n=0.1).check_forces(0.1, space)
+        assert "without pressure the tip presses on" in caplog.text and "robot.tip_force_max_n=0.1" in caplog.text
+    caplog.clear()
+    task_of("force").check_forces(1e3, space)
+    task_of("track").check_forces(0.6, space)
+    assert not caplog.text
+    task_of("track").check_forces(0.5, space)
+    assert "task.disturbance_n=0.6 hides forces on a tip that is made for 0.5 N" in caplog.text
+
+
 def test_a_rough_slope_is_met_anew_and_the_same_in_every_evaluation(space: Workspace) -> None:
     known, rough = (task_of("hybrid", lap_steps=20, roughness_m=r, friction_spread=s) for r, s in ((0.0, 0.0), (5e-4, 1.0)))
     goals = known.evaluation_goals("circle", space)

@@ -92,7 +92,7 @@ class Best:
         """Judge ``actor`` after ``step``, keep it if it is the best so far, and return its reward."""
         reward = self._judge(actor)
         self.history.append((step, reward))
-        if reward > self._reward:  # never true of nan
+        if reward >= self._reward:  # never true of nan; of equal ones the last has learnt longest
             self._reward, self._actor = reward, actor
         return reward
 

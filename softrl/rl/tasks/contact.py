@@ -1,5 +1,6 @@
 """What the two tasks on a surface share: a slope across the workspace, its friction, forces, and the expert."""
 
+import logging
 from abc import ABC
 from dataclasses import dataclass
 from functools import lru_cache
@@ -11,6 +12,7 @@ from softrl.rl.tasks.task import TARGET_SEEN, TIP_SEEN, Seen, Task
 from softrl.rl.workspace import SMALLEST_SHARE, Workspace
 from softrl.surrogate.twin import Plane
 
+log = logging.getLogger(__name__)
 EXPERT_ITERATIONS, FOUND_M = 40, 1e-6  # turns of the search, and the miss that ends it
 LEFT = 0.3  # of a miss, after a step that took the force past what is wanted: with more the step was too long
 GROUND_SEED, GROUND_CURVES, GROUND_EVERY, PATCHES = 0, 4, 8, 12  # where the expert weighs position against force
@@ -78,6 +80,28 @@ class ContactTask(Task, ABC):
                 f"task.slope_deg={self.slope_deg:g}: the tip reaches {1e3 * radius:.2g} mm about the workspace's centre "
                 f"on that slope; expected {1e3 * SMALLEST_SHARE * space.scale:.2g} mm or more: choose a flatter one"
             )
+
+    def check_forces(self, tip_force_max_n: float, space: Workspace) -> None:
+        """Refuse wanted forces above what the robot's tip is made for; warn where a vented robot presses harder.
+
+        Raises
+        ------
+        ConfigError
+            If the largest wanted force is larger than ``tip_force_max_n``.
+        """
+        super().check_forces(tip_force_max_n, space)
+        if self.force_max_n > tip_force_max_n:
+            raise ConfigError(
+                f"task.force_max_n={self.force_max_n:g} is more than the tip is made for; expected at most "
+                f"robot.tip_force_max_n={tip_force_max_n:g}"
+            )
+        vented = float(space.twin.solve(space.rest[None], None, self.plane(space), refuse=False).contact_force[0])
+        if vented > tip_force_max_n:
+            log.warning(
+                "without pressure the tip presses on task=%s's slope with %.2g N, more than robot.tip_force_max_n=%g: "
+                "take the slope away before the robot is vented",
+                self.name, vented, tip_force_max_n,
+            )  # fmt: skip
 
     def plane(self, space: Workspace) -> Plane:
         """Return the slope through the workspace's centre."""

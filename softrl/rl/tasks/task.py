@@ -1,5 +1,6 @@
 """What a controller is asked for: targets, reward and observation; a task of its own is one file beside this one."""
 
+import logging
 from abc import ABC, abstractmethod
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, NamedTuple
@@ -12,6 +13,7 @@ from softrl.rl.tasks.curves import random_fourier
 from softrl.rl.workspace import Workspace
 from softrl.surrogate.twin import Plane
 
+log = logging.getLogger(__name__)
 # columns of an observation, see ``batch.observe``
 TIP_SEEN, THETA_SEEN, TARGET_SEEN = (0, 1, 2), (3, 4, 5), (7, 8, 9, 10)
 
@@ -91,6 +93,14 @@ class Task(ABC):
     @abstractmethod
     def training_goals(self, count: int, space: Workspace, rng: np.random.Generator) -> Goals:
         """Return ``count`` random curves."""
+
+    def check_forces(self, tip_force_max_n: float, space: Workspace) -> None:
+        """Warn of hidden forces above what the robot's tip is made for, ``tip_force_max_n``."""
+        if self.disturbance_n > tip_force_max_n:
+            log.warning(
+                "task.disturbance_n=%g hides forces on a tip that is made for %g N (robot.tip_force_max_n): lower it",
+                self.disturbance_n, tip_force_max_n,
+            )  # fmt: skip
 
     def plane(self, space: Workspace) -> Plane | None:
         """Return the surface that the tip may touch, its normal towards the robot."""

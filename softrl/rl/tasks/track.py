@@ -30,6 +30,10 @@ class Track(Task):
         super().__post_init__()
         if not 0.0 <= self.feedback_gain <= 1.0:
             raise ConfigError(f"task.feedback_gain={self.feedback_gain:g}; expected a share between 0 and 1")
+        if self.alpha == 0.0:
+            raise ConfigError(
+                "alpha=0 pays task=track for nothing, whatever the tip does; expected more than 0, or task=force or hybrid"
+            )
 
     def evaluation_goals(self, curve: str, space: Workspace) -> Goals:
         """Return circle, star or the 3-D figure-eight about the workspace's centre."""
