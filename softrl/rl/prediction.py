@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrl.core.errors import ConfigError
 from softrl.rl.batch import THETA, TIP
 
 ROBUST_ROUNDS = 5
@@ -45,6 +46,11 @@ def predict(traces: list[Trace], differences: np.ndarray, horizon: int) -> Predi
     Parameters
     ----------
     differences : (k, 3 horizon + 6 memory), see ``moving.differences``
+
+    Raises
+    ------
+    ConfigError
+        If episodes or traces are too short for a past and a future.
     """
     past, command, tip = (np.concatenate(rows) for rows in zip(*(_rows(t, differences, horizon) for t in traces), strict=True))
     of_past = np.zeros((past.shape[1], 3 * horizon))
@@ -80,9 +86,14 @@ def answer(prediction: Prediction, differences: np.ndarray, bend: float) -> np.n
 def _rows(trace: Trace, differences: np.ndarray, horizon: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return past (rows, 6 memory), commands to come (rows, 3 h) and tips to come (rows, 3 h), in differences."""
     seen, elapsed = trace
-    steps, memory = len(seen) - horizon, (differences.shape[1] - 3 * horizon) // 6
+    steps, memory = max(len(seen) - horizon, 0), (differences.shape[1] - 3 * horizon) // 6
     # no episode ends on the way; a hidden force that came with its beginning is told by no past that was before it
     whole = (elapsed[horizon:] == elapsed[:steps] + horizon) & (elapsed[:steps] >= memory)
+    if not whole.any():
+        raise ConfigError(
+            f"no step of training has stage.motion.memory_steps={memory} before it and stage.motion.horizon={horizon} after it "
+            f"in one episode; expected agent.steps={len(seen)} and task.episode_steps above {memory + horizon}"
+        )
     now = seen[:steps][whole]
     ahead = np.stack([seen[k : k + steps][whole] for k in range(1, horizon + 1)], axis=1)
     moved = [(ahead[:, :, part] - now[:, None, part]).reshape(len(now), -1) for part in (THETA, TIP)]

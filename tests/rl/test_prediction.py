@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from softrl.artifacts.policy import observation_size
+from softrl.core.errors import ConfigError
 from softrl.rl.agents.bc import _fold, _linear
 from softrl.rl.batch import THETA, TIP
 from softrl.rl.moving import differences
@@ -84,3 +85,15 @@ def test_a_few_rows_at_the_limits_count_little(trace: Trace) -> None:
     wild[::15, :, TIP] += 0.5
     clean, found = (predict([Trace(seen, trace.elapsed)], TURN, HORIZON).command for seen in (trace.seen, wild))
     assert np.abs(found - clean).max() < 0.05 * np.abs(clean).max()
+
+
+@pytest.mark.parametrize("steps", [2, HORIZON + MEMORY])
+def test_data_without_a_past_and_a_future_is_refused(trace: Trace, steps: int) -> None:
+    short = Trace(trace.seen[:steps], trace.elapsed[:steps])
+    with pytest.raises(ConfigError, match=f"expected agent.steps={steps} and task.episode_steps above {HORIZON + MEMORY}"):
+        predict([short], TURN, HORIZON)
+    in_pieces = Trace(trace.seen, trace.elapsed % (HORIZON + MEMORY))
+    with pytest.raises(ConfigError, match="in one episode"):
+        predict([in_pieces], TURN, HORIZON)
+    for whole in (HORIZON + MEMORY + 1,):
+        predict([Trace(trace.seen, trace.elapsed % whole)], TURN, HORIZON)

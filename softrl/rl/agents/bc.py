@@ -46,6 +46,8 @@ class Bc(Agent):
 
     def __post_init__(self) -> None:
         self._require_positive("envs", "steps", "iterations")
+        if self.envs * self.steps < 2:
+            raise ConfigError(f"agent.envs={self.envs} times steps={self.steps}; expected 2 steps or more to learn from")
         if self.hidden <= CARRIERS:
             raise ConfigError(f"agent.hidden={self.hidden}; expected more than {CARRIERS}")
 

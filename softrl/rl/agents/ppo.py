@@ -7,6 +7,7 @@ import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
+from softrl.core.errors import ConfigError
 from softrl.rl.actor import Actor
 from softrl.rl.agents.agent import Agent, Best, Lesson, Practice, actor_from, decaying, learn_or_keep
 from softrl.rl.agents.bc import policy_layers
@@ -43,6 +44,11 @@ class Ppo(Agent):
             "hidden", "envs", "steps", "rollout", "epochs", "batch_size", "learning_rate", "judge_every"
         )
         self._require_share("gamma")
+        if min(self.batch_size, self.envs * self.rollout) < 2:
+            raise ConfigError(
+                f"agent.batch_size={self.batch_size}, envs={self.envs} times rollout={self.rollout}; expected 2 steps or more "
+                "of both, whose advantages are compared"
+            )
 
     def train(self, practice: Practice, seed: int) -> Lesson:
         """Return the actor with the best validation reward."""

@@ -54,6 +54,10 @@ class Sac(Agent):
             "hidden", "envs", "steps", "gradient_steps", "batch_size", "buffer_size", "learning_rate", "judge_every"
         )
         self._require_share("gamma", "tau", "correction")
+        if not 0 <= self.learning_starts < self.steps:
+            raise ConfigError(
+                f"agent.learning_starts={self.learning_starts}; expected 0 or more, and less than agent.steps={self.steps}"
+            )
         if self.entropy < 0.0:
             raise ConfigError(f"agent.entropy={self.entropy:g} must not be negative")
 
