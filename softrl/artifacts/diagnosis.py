@@ -24,7 +24,7 @@ class Diagnosis(Artifact):
     effects : one entry a named effect: name, site, where, chamber (-1 all), sessions (in which alone it acts, or
         empty), past (whether another session came after them), lasting ("session" or "ever" if its time goes on from run to
         run), parameters ({value, low, high, unit, at_bound}), pinned (parameters held at the value at which they do
-        nothing), evidence (one sentence with numbers)
+        nothing), pinned_intervals ({low, high, unit} of these), evidence (one sentence with numbers)
     simulator_parameters : tunable parameter -> identified value, in the unit of its name
     retuned : tunable parameter -> {nominal, value, factor_allowed, plausible (the data do not drive it to an end
         of that range)}: the competitor that changes parameters only

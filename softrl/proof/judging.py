@@ -51,7 +51,8 @@ def plain(found: Diagnosis) -> Answer:
     return {
         "verdict": "cannot tell" if "cannot_tell" in found.unexplained else found.verdict,
         "effects": [
-            {key: e[key] for key in ("name", "site", "chamber", "parameters")} | {"pinned": e.get("pinned", {})}
+            {key: e[key] for key in ("name", "site", "chamber", "parameters")}
+            | {key: e.get(key, {}) for key in ("pinned", "pinned_intervals")}
             for e in found.effects
         ],
         "rivals": found.rivals,

@@ -87,7 +87,7 @@ def coverage(key: dict[str, Any], given: dict[str, Any]) -> tuple[int, int]:
     """Return (covered, counted) intervals of parameters that mean the same in both forms, of effects named rightly."""
     covered = counted = 0
     for parameter, value, effect in _told(key, given):
-        entry = effect["parameters"].get(parameter)
+        entry = (effect["parameters"] | effect.get("pinned_intervals", {})).get(parameter)
         if entry is None or not np.isfinite([entry["low"], entry["high"]]).all():
             continue  # not free, or beyond what the data tell
         counted += 1
@@ -96,7 +96,7 @@ def coverage(key: dict[str, Any], given: dict[str, Any]) -> tuple[int, int]:
 
 
 def pinned(key: dict[str, Any], given: dict[str, Any]) -> int:
-    """Return how many such parameters were held where they do nothing: hidden, and told as neutral without an interval."""
+    """Return how many such parameters were held where they do nothing: hidden, and told as neutral."""
     return sum(parameter in effect.get("pinned", {}) for parameter, _, effect in _told(key, given))
 
 
@@ -129,7 +129,7 @@ def metrics(rows: Sequence[Row], shuffled_finds: int, shuffled_cases: int) -> di
         "false_alarm_pct": wilson(sum(r["found_something"] for r in nulls), len(nulls)).pct,
         "unknown_flagged_pct": wilson(sum(r["verdict"] == "unknown" for r in beyond), len(beyond)).pct,
         "interval_coverage_pct": wilson(covered, counted).pct,
-        "hidden_parameters_pinned": sum(r["pinned"] for r in rows),  # that have no interval, which the coverage leaves out
+        "hidden_parameters_pinned": sum(r["pinned"] for r in rows),  # whose intervals count like others, if they have any
         **_gaps(known, "heldout", "heldout"),
         **_gaps(known, "outside", "ood"),
         "blackbox_ood_ratio": _median([_ratio(r, "blackbox") for r in known]),

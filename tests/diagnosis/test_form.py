@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrl.diagnosis.fitting.form import pinned_jacobian, taken_up, weight_error
+from softrl.diagnosis.fitting.form import freed, taken_up, weight_error
 from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, effect_axes
-from softrl.diagnosis.fitting.intervals import intervals
+from softrl.diagnosis.fitting.intervals import intervals, intervals_of_pinned
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.fitting.trial import Trial, fit_trials
 from softrl.effects.contact import Contact
@@ -48,8 +48,27 @@ def test_derivatives_by_pinned_parameters_are_those_of_free_ones(body: PccSimula
         fit=both.fit._replace(point=both.fit.point[[1, 3]], jacobian=both.fit.jacobian[:, [1, 3]]),
     )
     start = problem.residual(zero.hypothesis, zero.fit.point).flat
-    found = pinned_jacobian(problem, zero._replace(fit=zero.fit._replace(residual=start)))
-    np.testing.assert_allclose(found, both.fit.jacobian[:, [0, 2]], atol=0.02 * np.abs(both.fit.jacobian).max())
+    free, pinned = freed(problem, zero._replace(fit=zero.fit._replace(residual=start)))
+    assert free.hypothesis == both.hypothesis and pinned[:4].tolist() == [True, False, True, False]
+    assert free.fit.point[:3].tolist() == [0.0, zero.fit.point[0], 0.0]
+    np.testing.assert_allclose(free.fit.jacobian, both.fit.jacobian, atol=0.02 * np.abs(both.fit.jacobian).max())
+
+
+def test_a_parameter_that_is_held_has_an_interval_which_holds_what_is_hidden(body: PccSimulator) -> None:
+    """A turn that noise nearly covers: it does not pay, and is not nought for it."""
+    about_x = {"turn_x_rad": 0.02, "turn_y_rad": 0.001}
+    others = tuple(f.name for f in effect_class("frame").parameter_fields() if f.name != "turn_x_rad")
+    problem, trial = fitted(body, Choice("frame", pinned=others), **about_x)
+    (held,) = intervals_of_pinned(problem, trial, configured().thresholds).values()
+    assert [told.name for told in held] == list(others)
+    by_name = {told.name: told for told in held}
+    assert by_name["turn_y_rad"].low <= 0.0 <= 0.001 <= by_name["turn_y_rad"].high < 0.01
+    assert all(told.low <= 0.0 <= told.high for told in held)
+
+
+def test_nothing_held_has_no_interval(body: PccSimulator) -> None:
+    problem, trial = fitted(body, Choice("payload"), mass=0.4)
+    assert intervals_of_pinned(problem, trial, configured().thresholds) == {}
 
 
 def test_a_weight_at_the_tip_is_as_certain_as_where_the_own_mass_is_and_a_valve_bears_none(body: PccSimulator) -> None:

@@ -63,6 +63,7 @@ def test_a_hidden_payload_counts_in_masses_of_the_robot_as_described(mass: float
 
 def test_an_answer_keeps_what_was_told_as_neutral() -> None:
     turn = {"value": 0.02, "low": 0.01, "high": 0.03, "unit": "rad", "at_bound": False}
-    told = {"name": "frame", "site": "sensor", "chamber": -1, "parameters": {"turn_z_rad": turn}, "pinned": {"shift_x": 0.0}}
+    told = {"name": "frame", "site": "sensor", "chamber": -1, "parameters": {"turn_z_rad": turn}, "pinned": {"shift_x": 0.0},
+            "pinned_intervals": {"shift_x": {"low": -0.1, "high": 0.2, "unit": "1"}}}  # fmt: skip
     found = Diagnosis("tripod", "PccSimulator", "named", [], [told | {"evidence": "much"}], {}, {}, [], [], {}, {}, {}, None, {})
     assert plain(found)["effects"] == [told]

@@ -93,13 +93,16 @@ def test_intervals_count_where_both_forms_mean_the_same() -> None:
     assert coverage(hidden, said("named", "tether")) == (0, 0)
 
 
-def test_a_hidden_parameter_that_is_told_as_neutral_has_no_interval_and_is_counted_apart() -> None:
+def test_a_hidden_parameter_that_is_told_as_neutral_counts_by_its_interval_if_it_has_one() -> None:
     hidden = key(0, "single", ("turned", ("frame",)))
     hidden["hidden"][0]["parameters"] = {"frame.shift_x": 0.002, "frame.shift_y": 0.001, "frame.turn_z_rad": 0.02}
     answers = said("named", "frame")
     answers["effects"][0] |= {"parameters": {"turn_z_rad": {"value": 0.02, "low": 0.01, "high": 0.03}},
                               "pinned": {"shift_x": 0.0, "shift_y": 0.0, "turn_y_rad": 0.0}}  # fmt: skip
     assert coverage(hidden, answers) == (1, 1) and pinned(hidden, answers) == 2
+    about = {"shift_x": {"low": 0.0, "high": 0.001}, "shift_y": {"low": -0.001, "high": 0.001}}
+    told = answers | {"effects": [answers["effects"][0] | {"pinned_intervals": about}]}
+    assert coverage(hidden, told) == (2, 3) and pinned(hidden, told) == 2
     assert pinned(hidden, said("named", "tether")) == 0
     found = metrics([row_of(hidden, answers, ERRORS, 1.0)] * 3, 0, 0)
     assert found["interval_coverage_pct"] == 100.0 and found["hidden_parameters_pinned"] == 6

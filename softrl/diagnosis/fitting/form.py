@@ -12,28 +12,38 @@ from softrl.diagnosis.series.least_squares import UNSEEN
 from softrl.pcc.simulator import PccSimulator
 
 STEP = 0.02  # of differences, scaled units
+PINNED = -1  # the column of a parameter that has none
 UNEVEN_SHARE = 0.1  # of weight and inertia: what a robot whose mass is not evenly spread has otherwise, see ``weight_error``
 NUDGE = 0.05  # share of the weight by which it is varied
 
 
-def pinned_jacobian(problem: Problem, trial: Trial) -> np.ndarray:
-    """Return the derivatives (rows, q) of the residual by the parameters that are pinned at their neutral values."""
-    columns = [np.zeros((len(trial.fit.residual), 0))]
-    for choice in trial.hypothesis.effects:
-        for name, value in pinned_values(choice).items():
-            freer = choice._replace(pinned=tuple(other for other in choice.pinned if other != name))
-            effects = tuple(freer if effect == choice else effect for effect in trial.hypothesis.effects)
-            axes = effect_axes(freer)
-            own = [axis.name for axis in axes].index(name)
-            place, zero = int(columns_of(trial, choice)[0]) + own, axes[own].scaled(value)
-            step = STEP if value < axes[own].high else -STEP
-            point = np.insert(trial.fit.point, place, zero + step)
-            try:
-                moved = problem.residual(Hypothesis(effects, trial.hypothesis.tuned), point).flat
-            except SolverError:
-                continue
-            columns.append((moved - trial.fit.residual)[:, None] / step)
-    return np.hstack(columns)
+def freed(problem: Problem, trial: Trial) -> tuple[Trial, np.ndarray]:
+    """Return ``trial`` with the parameters free that are pinned, at their neutral values still, and which (p,) of its are these.
+
+    Their derivatives are found here; they are zero where the body does not run beside neutral.
+    """
+    effects = tuple(choice._replace(pinned=choice.pinned_widths) for choice in trial.hypothesis.effects)
+    whole = Hypothesis(effects, trial.hypothesis.tuned)
+    point, source = [], []
+    for choice, free in zip(trial.hypothesis.effects, effects, strict=True):
+        mine = dict(zip((axis.name for axis in effect_axes(choice)), columns_of(trial, choice), strict=True))
+        neutral = pinned_values(choice)
+        for axis in effect_axes(free):
+            source.append(int(mine.get(axis.name, PINNED)))
+            point.append(axis.scaled(neutral[axis.name]) if axis.name in neutral else trial.fit.point[mine[axis.name]])
+    tuned = np.arange(len(trial.fit.point) - len(whole.tuned), len(trial.fit.point))
+    at, source_of = np.r_[point, trial.fit.point[tuned]], np.r_[source, tuned].astype(int)
+    pinned = source_of == PINNED
+    jacobian = np.where(pinned, 0.0, trial.fit.jacobian[:, np.maximum(source_of, 0)])
+    axes = problem.space(whole).axes
+    for k in np.flatnonzero(pinned):
+        step = STEP if axes[k].physical(float(at[k])) < axes[k].high else -STEP
+        try:
+            moved = problem.residual(whole, at + step * (np.arange(len(at)) == k)).flat
+        except SolverError:
+            continue
+        jacobian[:, k] = (moved - trial.fit.residual) / step
+    return trial._replace(hypothesis=whole, fit=trial.fit._replace(point=at, jacobian=jacobian)), pinned
 
 
 def weight_error(problem: Problem, trial: Trial) -> np.ndarray:

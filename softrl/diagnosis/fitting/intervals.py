@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats
 
 from softrl.core.errors import SolverError
-from softrl.diagnosis.fitting.form import pinned_jacobian, taken_up, weight_error
+from softrl.diagnosis.fitting.form import freed, taken_up, weight_error
 from softrl.diagnosis.fitting.hypothesis import LASTING, MOMENTS, Choice, Hypothesis, effect_axes
 from softrl.diagnosis.fitting.judge import Thresholds
 from softrl.diagnosis.fitting.problem import Problem
@@ -41,7 +41,8 @@ def intervals(problem: Problem, trial: Trial, thresholds: Thresholds) -> list[In
     space = problem.space(trial.hypothesis)
     jacobian, residual = trial.fit.jacobian, trial.fit.residual
     reach = _reach(problem, jacobian, residual, thresholds)
-    pinned = pinned_jacobian(problem, trial)
+    free, are_pinned = freed(problem, trial)
+    pinned = free.fit.jacobian[:, are_pinned]
     if pinned.any():
         reach = np.maximum(reach, _with_pinned(problem, jacobian, pinned, residual, reach, thresholds))
     reach = np.hypot(reach, weight_error(problem, trial)) + _step_error(problem, trial)
@@ -60,6 +61,24 @@ def intervals(problem: Problem, trial: Trial, thresholds: Thresholds) -> list[In
         at_bound = bool(min(u - bounds[0][k], bounds[1][k] - u) < near)
         found.append(Interval(axis.owner, axis.name, axis.unit, value, low, high, at_bound))
     return found
+
+
+def intervals_of_pinned(problem: Problem, trial: Trial, thresholds: Thresholds) -> dict[Choice, list[Interval]]:
+    """Return, effect by effect, the pinned parameters with their intervals: about neutral, and where they would go if free.
+
+    That a parameter does not pay does not mean that it is neutral.
+    """
+    free, are_pinned = freed(problem, trial)
+    if not are_pinned.any():
+        return {}
+    gone = free.fit.point + taken_up(free.fit.jacobian, free.fit.residual[:, None])[:, 0]
+    found = []
+    for axis, u, told in zip(problem.space(free.hypothesis).axes, gone, intervals(problem, free, thresholds), strict=True):
+        there = axis.physical(float(u)) - told.value
+        low, high = told.low + min(there, 0.0), told.high + max(there, 0.0)
+        found.append(told._replace(low=max(low, min(axis.low, told.low)), high=min(high, max(axis.high, told.high))))
+    by_choice = zip(trial.hypothesis.effects, by_effect(free.hypothesis, found).values(), strict=True)
+    return {choice: [told for told in mine if told.name in choice.pinned] for choice, mine in by_choice}
 
 
 def _in_the_log(problem: Problem, trial: Trial) -> np.ndarray:

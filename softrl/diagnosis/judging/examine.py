@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, effect_axes, neutral
-from softrl.diagnosis.fitting.intervals import Interval, by_effect, intervals
+from softrl.diagnosis.fitting.intervals import Interval, by_effect, intervals, intervals_of_pinned
 from softrl.diagnosis.fitting.judge import SHOWN_BESIDE, Gap, Judge, Thresholds
 from softrl.diagnosis.fitting.problem import Problem, Residual
 from softrl.diagnosis.fitting.trial import (
@@ -80,11 +80,12 @@ class Part:
 
 
 class Named(NamedTuple):
-    """An effect that holds on held-out runs: its parameters, and what leaving it out costs there."""
+    """An effect that holds on held-out runs: its parameters, what leaving it out costs there, and what is pinned of it."""
 
     choice: Choice
     intervals: list[Interval]
     gap: Gap
+    pinned: Sequence[Interval] = ()
 
 
 @dataclass(frozen=True)
@@ -245,7 +246,8 @@ def _confirm(
         if plain and gaps[weakest].low > 0.0:
             found = intervals(part.problem, final, judge.thresholds)
             mine = by_effect(final.hypothesis, found)
-            return final, [Named(choice, mine[choice], gaps[choice]) for choice in without], without
+            pinned = intervals_of_pinned(part.problem, final, judge.thresholds)
+            return final, [Named(c, mine[c], gaps[c], pinned.get(c, ())) for c in without], without
         log.info("%s does not pay on held-out runs and is not named", weakest.label())
         gone.append(weakest)
         rivals = _rivals(part, judge, path, final, without[weakest], weakest, search) if len(gaps) > 1 else []

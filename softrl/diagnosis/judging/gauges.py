@@ -137,7 +137,7 @@ def _misreading(valve: Finding, doubted: Sequence[Choice], search: Search) -> Fi
     for trial in fit_trials(problem, judge.problem, [task], search):
         mine = by_effect(trial.hypothesis, intervals(problem, trial, judge.thresholds))
         choices = [swapped.get(named.choice, named.choice) for named in valve.named]
-        named = [old._replace(choice=new, intervals=mine[new]) for old, new in zip(valve.named, choices, strict=True)]
+        named = [old._replace(choice=new, intervals=mine[new], pinned=()) for old, new in zip(valve.named, choices, strict=True)]
         rivals = [r._replace(instead_of=swapped.get(r.instead_of, r.instead_of)) for r in valve.rivals]
         after = heldout_residual(judge, trial)
         return replace(valve, final=trial, named=named, rivals=rivals, residual_after=after)

@@ -13,7 +13,7 @@ from softrl.diagnosis.fitting.judge import Thresholds
 from softrl.diagnosis.fitting.minimise import least_squares
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.fitting.trial import Search, Trial, of_effects, shared_out
-from softrl.diagnosis.judging.examine import Finding, Named
+from softrl.diagnosis.judging.examine import Finding
 
 log = logging.getLogger(__name__)
 
@@ -68,7 +68,7 @@ def joined(training: Problem, findings: Sequence[Finding], search: Search, thres
     whole = fit._replace(point=point, jacobian=np.hstack([still, fit.jacobian]))
     trial = Trial(hypothesis, whole, together.registrations, together.squares, together.squares)
     mine = by_effect(hypothesis, intervals(training, trial, thresholds))
-    named = [Named(effect.choice, mine[effect.choice], effect.gap) for effect in motion.named]
+    named = [effect._replace(intervals=mine[effect.choice]) for effect in motion.named]
     return [*before, replace(motion, named=named, joint=point)]
 
 

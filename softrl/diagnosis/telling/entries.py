@@ -39,12 +39,15 @@ def _entry(finding: Finding, named: Named) -> dict[str, Any]:
         p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit, "at_bound": p.at_bound}
         for p in named.intervals
     }
+    told_of_pinned = {p.name: {"low": p.low, "high": p.high, "unit": p.unit} for p in named.pinned}
     evidence = (
         f"{finding.part.title}: without it the held-out error above the noise is {without:.3g} {unit}, with it "
         f"{without - factor * named.gap.value:.3g} {unit} (gain {factor * named.gap.low:.3g} to "
         f"{factor * named.gap.high:.3g} {unit})"
     )
-    return told | _form(finding.part, choice) | {"parameters": parameters, "evidence": evidence}
+    return told | _form(finding.part, choice) | {
+        "parameters": parameters, "pinned_intervals": told_of_pinned, "evidence": evidence
+    }  # fmt: skip
 
 
 def where(choice: Choice) -> str:

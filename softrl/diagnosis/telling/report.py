@@ -75,6 +75,12 @@ def _parameter_rows(diagnosis: Diagnosis) -> list[dict[str, Any]]:
         for name, entry in effect["parameters"].items()
     ]
     rows += [
+        {"effect": effect["name"], "where": effect["where"], "parameter": f"{name}, held",
+         "value": effect["pinned"][name], **entry}
+        for effect in diagnosis.effects
+        for name, entry in effect.get("pinned_intervals", {}).items()
+    ]  # fmt: skip
+    rows += [
         {"effect": "simulator", "where": "body", "parameter": name, "value": value, "low": "", "high": "", "unit": ""}
         for name, value in diagnosis.simulator_parameters.items()
     ]
