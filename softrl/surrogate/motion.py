@@ -8,7 +8,7 @@ from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.surrogate import Surrogate
 from softrl.core.errors import SolverError
 from softrl.core.tracking import Tracker
-from softrl.pod.rom import roll, static_coordinates
+from softrl.pod.rom import roll_poses, static_coordinates
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
@@ -46,4 +46,5 @@ def body_steps(model: ReducedModel, pressure: np.ndarray, steps: int, gravity_m_
     loads = np.zeros((len(pressure), steps, n + 3))
     loads[:, :, :n] = pressure[:, None]
     start = np.repeat(static_coordinates(model, np.zeros((1, n + 3)), gravity), len(pressure), axis=0)
-    return roll(model, DT_S, loads, start, gravity_m_s2=gravity)[:, :, n:] + model.rest_tip
+    # one by one: so few are as fast so, and what does many at once compiles for a minute
+    return roll_poses(model, DT_S, loads, start, gravity_m_s2=gravity).coordinate[:, :, n:] + model.rest_tip
