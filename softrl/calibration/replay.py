@@ -18,7 +18,6 @@ from softrl.robots.robot import Robot
 VELOCITY_WINDOW_S = 0.11
 PressureOf = Callable[[np.ndarray], np.ndarray]  # commanded (steps, n) Pa -> that of the simulator
 PAUSE_S = 0.5  # between recordings on one clock; after a longer one nobody knows what happened meanwhile
-AT_REST_SHARE = 0.02  # of the largest pressure: a first row below is that of a robot at rest
 SMALLEST_SPAN = 1e-9  # in SI; less than that is rounding
 
 
@@ -105,8 +104,7 @@ def _in_all(chain: Sequence[Recording], channel: str) -> np.ndarray | None:
 def _replayed(plant: Plant, recording: Recording, stepping: Stepping) -> Recording:
     """Return the motion from rest, or from where the robot came to under the first row: where its first pose is nearer."""
     from_rest = effects_replay(plant, recording, stepping.dt_s)
-    first = np.abs(recording.pressure_cmd[0]).max()
-    if recording.position is None or first <= AT_REST_SHARE * plant.chain.robot.largest_pa:
+    if recording.position is None or plant.chain.robot.is_at_rest(recording.pressure_cmd[0]):
         return from_rest
     stood = effects_replay(plant, recording, stepping.dt_s, settle_s=stepping.stood_s)
     away = [np.linalg.norm(made.position[0] - recording.position[0]) for made in (from_rest, stood)]

@@ -34,7 +34,7 @@ def draw_choice(choices: list[Choice]) -> Figure:
         same = [choice for choice in choices if choice.image_weight == weight]
         best = [min(c.tip_error_m for c in same if c.degree == degree) for degree in degrees]
         axes.semilogy(degrees, 1e3 * np.array(best), "o-", ms=4, label=f"images weigh {weight:g}")
-    axes.set(xlabel="degree of W", ylabel="tip rms [mm]", title="energy: cross-validation")
+    axes.set(xlabel="degree of W", ylabel="tip rms, weighed by trust [mm]", title="energy: cross-validation")
     axes.set_xticks(degrees)
     axes.legend(fontsize=8)
     return figure
@@ -47,7 +47,7 @@ def draw_convergence(choices: list[Choice], points: list[Point]) -> Figure:
     degrees = sorted({choice.degree for choice in choices})
     best = [min(c.tip_error_m for c in choices if c.degree == degree) for degree in degrees]
     left.semilogy(degrees, 1e3 * np.array(best), "ko-", ms=4)
-    left.set(xlabel="degree of W", ylabel="tip rms [mm]", title="equilibria, cross-validation", xticks=degrees)
+    left.set(xlabel="degree of W", ylabel="tip rms, weighed by trust [mm]", title="equilibria, cross-validation", xticks=degrees)
     counts = [point.equilibria for point in points]
     right.semilogy(counts, [1e3 * point.static_m for point in points], "ko-", ms=4, label="held-out equilibria")
     if np.isfinite([point.dynamic_m for point in points]).all():

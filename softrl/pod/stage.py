@@ -86,7 +86,7 @@ def _reduced(
     tracker.metric("energy_degree", choices[0].degree)
     tracker.metric("image_weight", choices[0].image_weight)
     tracker.metric("anchor_weight", choices[0].anchor_weight)
-    tracker.metric("validation/static_tip_rms_mm", 1e3 * choices[0].tip_error_m)
+    tracker.metric("validation/static_tip_weighed_rms_mm", 1e3 * choices[0].tip_error_m)
     tracker.figure("energy_choice", draw_choice(choices))
     linear = linear_model(model)
     report_statics(model, linear, samples.rows(seen), "train", tracker)

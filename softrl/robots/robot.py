@@ -8,6 +8,7 @@ from softrl.core.errors import ConfigError
 
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 OUTPUTS = ("tip_position", "tip_pose", "bend_angle")
+AT_REST_SHARE = 0.02  # of the largest pressure
 ON_A_LINE = 1e-6  # sine of the angle between directions that are opposite or equal
 
 
@@ -77,6 +78,10 @@ class Robot:
     def largest_pa(self) -> float:
         """Gauge pressure largest in size, of suction or above the room's: what shares of a pressure are shares of."""
         return max(abs(self.pressure_min_pa), abs(self.pressure_max_pa))
+
+    def is_at_rest(self, pressure: np.ndarray) -> bool:
+        """Return whether a robot under ``pressure`` Pa, of any shape, is taken to be at rest: next to none acts."""
+        return bool(np.abs(pressure).max() <= AT_REST_SHARE * self.largest_pa)
 
     @property
     def bends_in_a_plane(self) -> bool:

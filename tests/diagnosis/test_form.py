@@ -59,7 +59,7 @@ def test_a_parameter_that_is_held_has_an_interval_which_holds_what_is_hidden(bod
     about_x = {"turn_x_rad": 0.02, "turn_y_rad": 0.001}
     others = tuple(f.name for f in effect_class("frame").parameter_fields() if f.name != "turn_x_rad")
     problem, trial = fitted(body, Choice("frame", pinned=others), **about_x)
-    (held,) = intervals_of_pinned(problem, trial, configured().thresholds).values()
+    (held,) = intervals_of_pinned(problem, trial, configured().thresholds, freed(problem, trial)).values()
     assert [told.name for told in held] == list(others)
     by_name = {told.name: told for told in held}
     assert by_name["turn_y_rad"].low <= 0.0 <= 0.001 <= by_name["turn_y_rad"].high < 0.01
@@ -68,7 +68,7 @@ def test_a_parameter_that_is_held_has_an_interval_which_holds_what_is_hidden(bod
 
 def test_nothing_held_has_no_interval(body: PccSimulator) -> None:
     problem, trial = fitted(body, Choice("payload"), mass=0.4)
-    assert intervals_of_pinned(problem, trial, configured().thresholds) == {}
+    assert intervals_of_pinned(problem, trial, configured().thresholds, freed(problem, trial)) == {}
 
 
 def test_a_weight_at_the_tip_is_as_certain_as_where_the_own_mass_is_and_a_valve_bears_none(body: PccSimulator) -> None:

@@ -1,6 +1,7 @@
 """What a fit holds fixed and what may yet be otherwise: pinned parameters, and where along the robot its mass is."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,10 +18,17 @@ UNEVEN_SHARE = 0.1  # of weight and inertia: what a robot whose mass is not even
 NUDGE = 0.05  # share of the weight by which it is varied
 
 
-def freed(problem: Problem, trial: Trial) -> tuple[Trial, np.ndarray]:
-    """Return ``trial`` with the parameters free that are pinned, at their neutral values still, and which (p,) of its are these.
+class Freed(NamedTuple):
+    """A trial with the parameters free that were pinned, at their neutral values still, and which (p,) of its are these."""
 
-    Their derivatives are found here; they are zero where the body does not run beside neutral.
+    trial: Trial
+    pinned: np.ndarray
+
+
+def freed(problem: Problem, trial: Trial) -> Freed:
+    """Return ``trial`` with all its parameters free.
+
+    Derivatives by those that were pinned are found here; they are zero where the body does not run beside neutral.
     """
     effects = tuple(choice._replace(pinned=choice.pinned_widths) for choice in trial.hypothesis.effects)
     whole = Hypothesis(effects, trial.hypothesis.tuned)
@@ -43,7 +51,7 @@ def freed(problem: Problem, trial: Trial) -> tuple[Trial, np.ndarray]:
         except SolverError:
             continue
         jacobian[:, k] = (moved - trial.fit.residual) / step
-    return trial._replace(hypothesis=whole, fit=trial.fit._replace(point=at, jacobian=jacobian)), pinned
+    return Freed(trial._replace(hypothesis=whole, fit=trial.fit._replace(point=at, jacobian=jacobian)), pinned)
 
 
 def weight_error(problem: Problem, trial: Trial) -> np.ndarray:

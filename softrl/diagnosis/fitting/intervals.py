@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats
 
 from softrl.core.errors import SolverError
-from softrl.diagnosis.fitting.form import freed, taken_up, weight_error
+from softrl.diagnosis.fitting.form import Freed, freed, taken_up, weight_error
 from softrl.diagnosis.fitting.hypothesis import LASTING, MOMENTS, Choice, Hypothesis, effect_axes
 from softrl.diagnosis.fitting.judge import Thresholds
 from softrl.diagnosis.fitting.problem import Problem
@@ -36,13 +36,16 @@ class Interval(NamedTuple):
     at_bound: bool
 
 
-def intervals(problem: Problem, trial: Trial, thresholds: Thresholds) -> list[Interval]:
-    """Return every free parameter with its interval, robust to errors that stay alike within blocks and within runs."""
+def intervals(problem: Problem, trial: Trial, thresholds: Thresholds, free: Freed | None = None) -> list[Interval]:
+    """Return every free parameter with its interval, robust to errors that stay alike within blocks and within runs.
+
+    ``free`` is what ``freed`` returns, where it is known.
+    """
     space = problem.space(trial.hypothesis)
     jacobian, residual = trial.fit.jacobian, trial.fit.residual
     reach = _reach(problem, jacobian, residual, thresholds)
-    free, are_pinned = freed(problem, trial)
-    pinned = free.fit.jacobian[:, are_pinned]
+    free = free or freed(problem, trial)
+    pinned = free.trial.fit.jacobian[:, free.pinned]
     if pinned.any():
         reach = np.maximum(reach, _with_pinned(problem, jacobian, pinned, residual, reach, thresholds))
     reach = np.hypot(reach, weight_error(problem, trial)) + _step_error(problem, trial)
@@ -63,13 +66,13 @@ def intervals(problem: Problem, trial: Trial, thresholds: Thresholds) -> list[In
     return found
 
 
-def intervals_of_pinned(problem: Problem, trial: Trial, thresholds: Thresholds) -> dict[Choice, list[Interval]]:
+def intervals_of_pinned(problem: Problem, trial: Trial, thresholds: Thresholds, all_free: Freed) -> dict[Choice, list[Interval]]:
     """Return, effect by effect, the pinned parameters with their intervals: about neutral, and where they would go if free.
 
-    That a parameter does not pay does not mean that it is neutral.
+    That a parameter does not pay does not mean that it is neutral. ``all_free`` is what ``freed`` returns.
     """
-    free, are_pinned = freed(problem, trial)
-    if not are_pinned.any():
+    free = all_free.trial
+    if not all_free.pinned.any():
         return {}
     gone = free.fit.point + taken_up(free.fit.jacobian, free.fit.residual[:, None])[:, 0]
     found = []

@@ -21,7 +21,6 @@ from softrl.recordings.placement import Registration, place
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
-AT_REST_SHARE = 0.02  # a run whose first pressures stay below this share of the limit begins at rest
 UNJUDGED_S, UNJUDGED_SHARE = 1.0, 0.05  # of a run that does not begin at rest, at most: its past is only guessed
 MIN_FOLDS = 3  # parts of the data that are left out in turn, at least
 FOLDS, FOLD_S = 8, 20.0  # with fewer runs than that: so many parts, where each is as long
@@ -242,8 +241,7 @@ class Problem:
     def _from_rest(self, run: Recording) -> bool:
         """Return whether nothing acts at the beginning of ``run``, nor did before."""
         first = run.pressure_cmd[0] if run.pressure_meas is None else run.pressure_meas[0]
-        past = np.abs([first, self.before.get(run.name, first)]).max()
-        return bool(past <= AT_REST_SHARE * self.robot.largest_pa)
+        return self.robot.is_at_rest(np.array([first, self.before.get(run.name, first)]))
 
     @cached_property
     def _rows_apart(self) -> dict[str, float]:

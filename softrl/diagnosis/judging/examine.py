@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrl.diagnosis.fitting.form import freed
 from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, effect_axes, neutral
 from softrl.diagnosis.fitting.intervals import Interval, by_effect, intervals, intervals_of_pinned
 from softrl.diagnosis.fitting.judge import SHOWN_BESIDE, Gap, Judge, Thresholds
@@ -244,9 +245,10 @@ def _confirm(
             times = SHOWN_BESIDE if odd else 1.0
             plain = judge.removed(less.squares, final.squares) >= times * judge.material
         if plain and gaps[weakest].low > 0.0:
-            found = intervals(part.problem, final, judge.thresholds)
+            free = freed(part.problem, final)
+            found = intervals(part.problem, final, judge.thresholds, free)
             mine = by_effect(final.hypothesis, found)
-            pinned = intervals_of_pinned(part.problem, final, judge.thresholds)
+            pinned = intervals_of_pinned(part.problem, final, judge.thresholds, free)
             return final, [Named(c, mine[c], gaps[c], pinned.get(c, ())) for c in without], without
         log.info("%s does not pay on held-out runs and is not named", weakest.label())
         gone.append(weakest)

@@ -21,7 +21,7 @@ LOST = 0.1  # of the rms motion: an equilibrium farther off counts as lost, howe
 
 
 class Choice(NamedTuple):
-    """A candidate energy, with the rms error m of the tip at equilibria that its fit did not see."""
+    """A candidate energy, with the rms error m of the tip at equilibria that its fit did not see, weighed by trust."""
 
     image_weight: float
     anchor_weight: float

@@ -4,7 +4,6 @@ At an equilibrium the gradient of W is the load and its Hessian is the inverse o
 load gives its third derivative D. With ``r`` coordinates that is one equation for each monomial of degree 3.
 """
 
-import logging
 from collections.abc import Iterable, Iterator
 from itertools import combinations_with_replacement, permutations
 from typing import NamedTuple
@@ -14,9 +13,8 @@ from scipy.linalg import cho_factor, cho_solve
 
 from softrl.core.polynomial import basis, count, multinomials
 from softrl.pod.fitting.equilibria import Equilibria
-from softrl.pod.fitting.maps import LEAST_RIDGE, ROUNDS, SURPLUS, TINY
+from softrl.pod.fitting.maps import LEAST_RIDGE, ROUNDS, SURPLUS, cauchy, how_odd
 
-log = logging.getLogger(__name__)
 CHUNK = 8  # samples worked on at once
 MARGIN = 1.15  # the polynomial is trusted this much beyond the farthest sample
 USUAL = 3.0  # an error of so many times the usual one counts half
@@ -96,8 +94,7 @@ def trust(samples: Equilibria, frame: np.ndarray, scale: Scale, degree: int, wei
     for _ in range(ROUNDS):
         found = solve(_sum(kept, trusted, _unknowns(r, degree)), r, degree, LEAST_RIDGE)[r + 1 :]
         missed = [rows.matrix[:, :r] @ found - rows.right[:, :r] for rows in kept]
-        squares = (np.concatenate(missed) ** 2).mean(axis=1)
-        trusted = 1.0 / (1.0 + squares / max(float(np.median(squares)), TINY) / USUAL**2)
+        trusted = cauchy(how_odd((np.concatenate(missed) ** 2).mean(axis=1)), USUAL)
     return trusted
 
 

@@ -100,7 +100,7 @@ def tell_choice(model: ReducedModel, robot: Robot, samples: Equilibria, best: Ch
         )
     log.info(
         "energy of degree %d, ridge %g, images of weight %g, anchors of weight %g: tip %.3f mm in cross-validation over "
-        "%d equilibria",
+        "%d equilibria, weighed by how far each is trusted",
         best.degree,
         best.ridge,
         best.image_weight,

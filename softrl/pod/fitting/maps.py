@@ -96,9 +96,19 @@ def trust(
             found = equations(seen, goal, weight * trusted, degree, through_origin).solve(LEAST_RIDGE)
             for part in _apart((seen.design(degree) @ found.T - goal) ** 2, targets, names):
                 squares = part.mean(axis=(1, 2))
-                odd += squares / max(float(np.median(squares)), TINY) / len(targets)
-        trusted = 1.0 / (1.0 + odd / USUAL**2)
+                odd += how_odd(squares) / len(targets)
+        trusted = cauchy(odd, USUAL)
     return trusted
+
+
+def how_odd(squares: np.ndarray) -> np.ndarray:
+    """Return squared errors (S,) over the usual one, their median."""
+    return np.asarray(squares / max(float(np.median(squares)), TINY))
+
+
+def cauchy(odd: np.ndarray, usual: float) -> np.ndarray:
+    """Return Cauchy's weights (S,): a half where an error is ``usual`` times the usual one."""
+    return np.asarray(1.0 / (1.0 + odd / usual**2))
 
 
 def best_forms(
