@@ -101,11 +101,11 @@ def test_viscosity_is_that_under_the_weight(tripod: Body) -> None:
 
 def test_symmetry_spares_equilibria(tripod: Body) -> None:
     robot, _, _ = tripod
-    few = synthetic_snapshots(robot, 12, seed=7, trajectories=0)
+    few = synthetic_snapshots(robot, 6, seed=7, trajectories=0)  # three at a time: 84 equations, of 203 unknowns
     pod = pod_basis(few.displacement, few.nodal_mass, 0.9999, 8)
-    model, choices = fit_model(SETTINGS, robot, few, equilibria(few), pod, np.arange(12) % 2)
+    model, choices = fit_model(replace(SETTINGS, ridges=(1e-13,)), robot, few, equilibria(few), pod, np.arange(6) % 2)
     by_weight = {c.image_weight: c.tip_error_m for c in choices if c.degree == 4}
-    assert by_weight[1.0] < 0.5 * by_weight[0.0], by_weight
+    assert by_weight[1.0] < 0.01 * by_weight[0.0], by_weight
     assert model.symmetry == "all"
 
 
