@@ -10,6 +10,7 @@ import numpy as np
 from softrl.core.errors import SolverError
 from softrl.core.identity import Same
 from softrl.core.simulator import Simulator
+from softrl.diagnosis.fitting import effort
 from softrl.diagnosis.fitting.bins import Bins
 from softrl.diagnosis.fitting.hypothesis import LASTING, LATE, Hypothesis, Space
 from softrl.diagnosis.fitting.still_body import StillBody
@@ -218,6 +219,7 @@ class Problem:
         SolverError
             If the body diverges.
         """
+        effort.note()
         key = hypothesis, point.tobytes(), channels
         if key not in self._known:
             self._known[key] = self._replayed(hypothesis, point, channels)

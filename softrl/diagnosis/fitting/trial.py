@@ -1,15 +1,14 @@
 """A hypothesis fitted to the training runs and scored on each of them left out in turn."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import joblib
 import numpy as np
 
 from softrl.core.errors import ConfigError, SolverError
-from softrl.core.progress import quiet
+from softrl.diagnosis.fitting.effort import parallel
 from softrl.diagnosis.fitting.hypothesis import Axis, Choice, Hypothesis, effect_axes
 from softrl.diagnosis.fitting.minimise import Fit, Several, least_squares, moved_on
 from softrl.diagnosis.fitting.problem import Problem
@@ -37,6 +36,7 @@ class Search:
     starts : starting points of each fit
     iterations : Jacobians of each full fit at most
     rough_steps : steps of each rough fit at most
+    replays : of the fitted runs, after which a search looks no further
     rivals : alternatives to each named effect that are judged on the held-out runs
     fit_s : seconds of motion that fits see at most; runs are cut at a common length
     fit_lumped_s : the same for the lumped body, which is simulated much faster
@@ -48,13 +48,14 @@ class Search:
     starts: int
     iterations: int
     rough_steps: int
+    replays: int
     rivals: int
     fit_s: float
     fit_lumped_s: float
     workers: int
 
     def __post_init__(self) -> None:
-        for name in ("keep", "starts", "iterations", "rough_steps", "fit_s", "fit_lumped_s", "workers"):
+        for name in ("keep", "starts", "iterations", "rough_steps", "replays", "fit_s", "fit_lumped_s", "workers"):
             if getattr(self, name) <= 0:
                 raise ConfigError(f"stage.search.{name}={getattr(self, name):g} must be positive")
         if not 0 <= self.max_effects <= 3:
@@ -300,17 +301,3 @@ def columns_of(trial: Trial, choice: Choice) -> np.ndarray:
             return np.arange(first, first + size)
         first += size
     raise ValueError(f"{choice.label()} is not part of {trial.hypothesis.label()}")
-
-
-def parallel(task: Callable[..., Any], jobs: Sequence[tuple[Any, ...]], workers: int) -> list[Any]:
-    """Return ``task(*job)`` of every job, in order, in ``workers`` processes."""
-    if workers == 1 or len(jobs) < 2:
-        return [task(*job) for job in jobs]
-    pool = joblib.Parallel(n_jobs=workers, inner_max_num_threads=1)
-    return list(pool(joblib.delayed(_quietly)(task, job) for job in jobs))
-
-
-def _quietly(task: Callable[..., Any], job: tuple[Any, ...]) -> Any:
-    """Return ``task(*job)`` in a process that has no log of its own: its warnings would go to the terminal as they are."""
-    with quiet():
-        return task(*job)

@@ -8,10 +8,11 @@ from softrl.artifacts.calibration import Calibration
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.simulator import Simulator
 from softrl.diagnosis.checks.data import Data
+from softrl.diagnosis.fitting.effort import parallel
 from softrl.diagnosis.fitting.hypothesis import Hypothesis
 from softrl.diagnosis.fitting.judge import Judge
 from softrl.diagnosis.fitting.problem import Problem
-from softrl.diagnosis.fitting.trial import Search, fit_trials, of_effects, parallel
+from softrl.diagnosis.fitting.trial import Search, fit_trials, of_effects
 from softrl.diagnosis.judging.baselines import one_lag, without_physics
 from softrl.diagnosis.judging.correct import Model, Traces, model_of, traces
 from softrl.diagnosis.judging.ends import rejected_nominal

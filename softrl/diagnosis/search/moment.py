@@ -3,9 +3,10 @@
 import numpy as np
 
 from softrl.core.errors import SolverError
+from softrl.diagnosis.fitting.effort import parallel
 from softrl.diagnosis.fitting.hypothesis import MOMENTS
 from softrl.diagnosis.fitting.problem import Problem
-from softrl.diagnosis.fitting.trial import Search, Trial, axes_of, fit_trials, parallel
+from softrl.diagnosis.fitting.trial import Search, Trial, axes_of, fit_trials
 from softrl.diagnosis.search.onset import moments
 
 TRIED = 48  # moments in all the time, and NEAR of them about the best

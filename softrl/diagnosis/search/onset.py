@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from softrl.diagnosis.fitting.choices import may_be_gated
+from softrl.diagnosis.fitting.effort import parallel
 from softrl.diagnosis.fitting.hypothesis import LASTING, Choice, Gate
 from softrl.diagnosis.fitting.problem import Problem
-from softrl.diagnosis.fitting.trial import Search, Trial, parallel
+from softrl.diagnosis.fitting.trial import Search, Trial
 from softrl.diagnosis.search.look import Base, bases_of
 from softrl.diagnosis.search.partly import pieces_of
 from softrl.effects.library import effect_class

@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from softrl.core.errors import SolverError
+from softrl.diagnosis.fitting.effort import parallel
 from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, neutral, starts
 from softrl.diagnosis.fitting.problem import Problem
-from softrl.diagnosis.fitting.trial import Search, Trial, join, parallel
+from softrl.diagnosis.fitting.trial import Search, Trial, join
 from softrl.diagnosis.search.look import Base, bases_of
 
 RIDGE = 1e-9  # on unit columns: some say the same, some say nothing

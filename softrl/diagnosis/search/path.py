@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from softrl.diagnosis.fitting import effort
 from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.fitting.trial import Search, Trial, fit_trials, raced
@@ -22,6 +23,7 @@ class Path:
     screened : the leads of every round
     tried : for each named effect the alternatives fitted in its place, best first, with their points
     close : effects that in some round were fitted about as well as the best
+    begun : replays before it began;  cut_short : replays after which it looked no further, or 0
     fitted : fits of hypotheses with less than others, by where they began and what they competed with; None if beaten
     """
 
@@ -30,7 +32,16 @@ class Path:
     screened: list[list[Lead]] = field(default_factory=list)
     tried: dict[Choice, list[tuple[Choice, np.ndarray]]] = field(default_factory=dict)
     close: set[Choice] = field(default_factory=set)
+    begun: int = field(default_factory=lambda: effort.replays)
+    cut_short: int = 0
     fitted: dict[tuple[Hypothesis, bytes, bytes], Trial | None] = field(default_factory=dict)
+
+    def goes_on(self, search: Search) -> bool:
+        """Return whether the search may look further: not after too many replays, which is noted."""
+        if effort.replays - self.begun < search.replays:
+            return True
+        self.cut_short = search.replays
+        return False
 
     def fit(
         self,

@@ -6,10 +6,11 @@ from typing import NamedTuple
 import numpy as np
 
 from softrl.core.errors import SolverError
+from softrl.diagnosis.fitting.effort import parallel
 from softrl.diagnosis.fitting.hypothesis import Choice, effect_axes, neutral, starts
 from softrl.diagnosis.fitting.minimise import NEAR, Fit, comes_to, refine
 from softrl.diagnosis.fitting.problem import Problem
-from softrl.diagnosis.fitting.trial import Search, Trial, join, parallel, squares_left_out
+from softrl.diagnosis.fitting.trial import Search, Trial, join, squares_left_out
 from softrl.diagnosis.search.look import (
     MIN_AMPLITUDE,
     Base,

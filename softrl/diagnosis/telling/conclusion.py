@@ -58,7 +58,7 @@ def conclude(
         unexplained=unexplained(findings),
         next_experiment=next_experiment(findings, verdict, robot, data.noise),
         data={
-            "warnings": _warnings(data, whole),
+            "warnings": [*_warnings(data, whole), *_cut_short(findings)],
             "training_runs": [r.name for r in data.training],
             "heldout_runs": [r.name for r in data.heldout],
             "sessions_placed_separately": whole.register,
@@ -93,6 +93,16 @@ def cannot_tell(refusal: Refusal, robot_name: str, simulator_name: str) -> Diagn
         next_experiment=None,
         data={"warnings": [*refusal.mended, *refusal.check.warnings]},
     )
+
+
+def _cut_short(findings: list[Finding]) -> list[str]:
+    """Return which searches ended after so many replays as they were allowed, one line each."""
+    return [
+        f"{finding.part.title}: the search ended after {finding.path.cut_short} replays of the fitted runs and may not "
+        "have asked everything; stage.search.replays allows more"
+        for finding in findings
+        if finding.path.cut_short
+    ]
 
 
 def _warnings(data: Data, whole: Problem) -> list[str]:
