@@ -154,7 +154,7 @@ def prepare(
         return Refusal(found, told, mended)
     sides = hold_out(replace(recordings, recordings=moving), heldout_share, seed, few_sessions)
     training, heldout = (tuple(part for run in side.recordings for part in parts[run.name]) for side in sides)
-    training += tuple(part for run in still for part in parts[run.name])  # which would judge nothing
+    training += tuple(part for run in _beside(still, training, heldout) for part in parts[run.name])
     floor, pressure_floor = floor_of(found, usable, robot, channel), floor_of(found, usable, robot, "pressure_meas")
     travel = _travel(training, lambda run: _seen(run, robot))
     if travel < MIN_SIGNAL * floor.noise:
@@ -181,6 +181,15 @@ def prepare(
         is_known(recordings),
         floor.at_most,
     )
+
+
+def _beside(still: Sequence[Recording], training: Sequence[Recording], heldout: Sequence[Recording]) -> list[Recording]:
+    """Return the runs ``still`` that fits may see: they would judge nothing, but of a session held out whole fits know nothing.
+
+    Where every session is placed by itself, what a robot at rest shows leaves any turn open.
+    """
+    unseen = {run.session for run in heldout} - {run.session for run in training}
+    return [run for run in still if run.session not in unseen]
 
 
 def _dated(outside: tuple[Recording, ...], known: Sequence[Recording]) -> tuple[Recording, ...]:

@@ -62,8 +62,8 @@ def in_other_frames(simulated: Sequence[Recording], runs: Sequence[Recording], m
 def _apart(simulated: Sequence[Recording], runs: Sequence[Recording]) -> float:
     """Return the largest angle, rad, between the best placements of the simulation in any two sessions' frames.
 
-    A session's own placement counts only if it removes most of the error that a common one leaves there: motion along
-    one line fits at any turn about that line.
+    A session's own turn counts only if it removes most of the error that the common one leaves there: motion along one line
+    fits at any turn about that line, and no motion at any turn at all.
     """
     sessions = dict.fromkeys(run.session for run in runs)
     points, seen = [
@@ -75,7 +75,8 @@ def _apart(simulated: Sequence[Recording], runs: Sequence[Recording]) -> float:
     turns = []
     for p, q in zip(points, seen, strict=True):
         own = place(p, q)
-        turns.append(own.turn if _misplaced(own, p, q) < MISPLACED_SHARE * _misplaced(common, p, q) else common.turn)
+        shifted = Registration(common.turn, q.mean(axis=0) - common.turn @ p.mean(axis=0))
+        turns.append(own.turn if _misplaced(own, p, q) < MISPLACED_SHARE * _misplaced(shifted, p, q) else common.turn)
     cosines = [0.5 * (np.trace(a.T @ b) - 1.0) for i, a in enumerate(turns) for b in turns[:i]]
     return float(np.arccos(np.clip(min(cosines, default=1.0), -1.0, 1.0)))
 
