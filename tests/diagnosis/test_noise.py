@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from softrl.diagnosis.series.moments import at_moments
 from softrl.diagnosis.series.noise import unlike_noise
+from softrl.diagnosis.series.statistics import follows
 from tests.diagnosis.series import coloured
 
 
@@ -85,3 +87,18 @@ def test_what_waits_for_a_first_command_is_no_noise() -> None:
     found = unlike_noise([noise * np.where(np.arange(300) < 20, 0.2, 1.0)[:, None]] * 2, [drive, drive], 200, rng)
     assert found.p_value < 0.02
     assert found.share > 0.8
+
+
+@pytest.mark.parametrize("rows", range(2, 12))
+def test_a_run_of_few_rows_beside_long_ones_changes_nothing(rows: int) -> None:
+    """A table of poses may have some, beside others whose noise remembers eight rows; alone they tell nothing."""
+    rng = np.random.default_rng(20)
+    long = [np.asarray(lfilter([1.0], [1.0, *7 * [0.0], -0.6], rng.standard_normal((300, 3)), axis=0)) for _ in range(3)]
+    runs = [*long, rng.standard_normal((rows, 3))]
+    drives = [rng.standard_normal((len(run), 2)) for run in runs]
+    found = unlike_noise(runs, drives, 39, rng, [run[:, :, None] * rng.standard_normal((len(run), 1, 1)) for run in runs])
+    assert found.p_value > 0.05 and found.share < 0.1
+    assert at_moments(runs, 1e-3) == 0.0
+    assert follows([run[:, 0] for run in runs], [drive[:, 0] for drive in drives], 10)[1] > 0.01
+    few = [run[:6] for run in runs]
+    assert unlike_noise(few, [drive[:6] for drive in drives], 39, rng) == (1.0, 0.0) and at_moments(few, 1e-3) == 0.0

@@ -24,6 +24,14 @@ def test_noise_comes_again_as_rarely_as_said(memory: float) -> None:
     assert alarms <= 6, f"{alarms} of 40 false alarms at 5 %"
 
 
+def test_noise_along_one_line_comes_again_as_rarely_whichever_way_that_lies() -> None:
+    rng, alarms = np.random.default_rng(3), 0
+    for _ in range(60):
+        noise = [coloured(rng, 300, 0.5)[:, None] @ np.ones((1, 3)) for _ in range(3)]
+        alarms += repeats(noise, drives(rng), 39, rng).p_value <= 0.05
+    assert alarms <= 7, f"{alarms} of 60 false alarms at 5 %"
+
+
 def test_the_steps_of_a_coarse_regulator_are_found_in_the_channel_that_has_them() -> None:
     rng, found = np.random.default_rng(4), []
     for size in (0.0, 1.0):

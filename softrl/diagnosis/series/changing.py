@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrl.diagnosis.series.noise import redrawn
+from softrl.diagnosis.series.noise import apart, redrawn
 
 WINDOW_S = 6.0  # in which it is taken to follow them in one way
 TURN = 1e-6  # of the largest singular value of a window's pressures: less is no motion of theirs
@@ -28,9 +28,7 @@ def follows_at_times(
     In every window the series is regressed on the drives, and the squares so explained are summed over all windows. The
     same is done with noise of the series' own spectrum, drawn anew: a Monte Carlo test.
     """
-    runs = [run - run.mean(axis=0) for run in runs]
-    axes = np.linalg.eigh(sum(run.T @ run for run in runs))[1]  # along which channels are drawn one by one
-    runs = [run @ axes for run in runs]
+    runs = apart(runs)
     bases = [_bases(drive, window) for drive in drives]
     whole = sum(float(np.sum(run**2)) for run in runs)
 

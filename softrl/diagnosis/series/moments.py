@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from softrl.diagnosis.series.noise import autoregression, innovations
+from softrl.diagnosis.series.noise import centred, innovations, tells
 
 NOTHING = 1e-6  # of the largest variance: a direction with less is none
 
@@ -23,11 +23,12 @@ def at_moments(runs: Sequence[np.ndarray], level: float) -> float:
     A moment's size is the squared innovation of an autoregression fitted to the runs, beside the median of all, which a few
     moments do not move. In Gaussian noise it is chi-squared, with a degree of freedom for each direction in which a run has
     any; the level is divided by the number of moments. A fit that is a little off leaves something wherever the robot moves,
-    which raises the median as well.
+    which raises the median as well. Runs of a few rows tell no spread, and do not count.
     """
-    runs = [run - run.mean(axis=0) for run in runs]
-    memories = [autoregression([run[:, k] for run in runs]) for k in range(runs[0].shape[1])]
-    news = [innovations(run, memories) for run in runs]
+    runs, memories = centred(runs)
+    news = [innovations(run, memories) for run in runs if tells(run, memories)]
+    if not news:
+        return 0.0
     power = np.concatenate([np.sum(new**2, axis=1) for new in news])
     apart = [_independent(new) for new in news]
     freedom = np.concatenate([np.full(len(new), max(new.shape[1], 1)) for new in apart])

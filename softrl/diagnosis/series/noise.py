@@ -1,6 +1,7 @@
 """Noise of any colour: its memory, and what it would not show, jumps and errors that come with motion."""
 
 from collections.abc import Sequence
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -37,9 +38,9 @@ def autoregression(runs: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def whitened(series: np.ndarray, memory: np.ndarray) -> np.ndarray:
-    """Return ``series`` (steps,) less what ``memory`` predicts from its past; the first samples are left out."""
+    """Return ``series`` (steps,) less what ``memory`` predicts from its past; the first samples are left out, if need be all."""
     left = series[len(memory) :].copy()
-    for k, share in enumerate(memory, start=1):
+    for k, share in enumerate(memory if len(left) else (), start=1):
         left -= share * series[len(memory) - k : len(series) - k]
     return left
 
@@ -60,6 +61,16 @@ def redrawn(series: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     lines[0], lines[1:] = 0.0, np.sqrt(0.5 * power) * (drawn[0] + 1j * drawn[1])
     made = np.fft.irfft(lines, len(series), axis=0)
     return np.asarray(made * series.std(axis=0) / np.maximum(made.std(axis=0), 1e-300))
+
+
+def apart(runs: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Return ``runs`` (steps, n), each about its mean, along axes on which channels do not go together.
+
+    Noise is drawn channel by channel: what swings along one line would be drawn as several swings that partly cancel.
+    """
+    about = [run - run.mean(axis=0) for run in runs]
+    axes = np.linalg.eigh(sum(run.T @ run for run in about))[1]
+    return [run @ axes for run in about]
 
 
 class Uneven(NamedTuple):
@@ -92,9 +103,13 @@ def unlike_noise(
     between channels. Of Gaussian channels the median of the summed squares is that of chi-squared with as many degrees of
     freedom as there are ``directions`` (Satterthwaite's form, exact for equal ones; no equation number checked). A small
     chance says that there is structure, not that it is large: every simulator's body leaves some, which the share tells.
+    Runs of a few rows tell no spread, and do not count.
     """
-    runs = [run - run.mean(axis=0) for run in runs]
-    memories = [autoregression([run[:, k] for run in runs]) for k in range(runs[0].shape[1])]
+    runs, memories = centred(runs)
+    telling = [tells(run, memories) for run in runs]
+    runs, drives, slopes = (list(compress(series, telling)) for series in (runs, drives, slopes))
+    if not runs:
+        return Uneven(1.0, 0.0)
     active = [np.abs(np.diff(drive, axis=0, prepend=drive[:1])).sum(axis=1) for drive in drives]
     news = [innovations(run, memories) for run in runs]
     moves = np.concatenate([move[-len(new) :] for move, new in zip(active, news, strict=True)])
@@ -152,9 +167,24 @@ def _in_excess(square: np.ndarray, channels: float, moves: np.ndarray, still: np
 
 def innovations(run: np.ndarray, memories: Sequence[np.ndarray]) -> np.ndarray:
     """Return ``run`` (steps, n, ...) less what each channel's memory predicts; equally many first samples left out."""
-    longest = max(len(memory) for memory in memories)
     whole = [whitened(run[:, k], memory) for k, memory in enumerate(memories)]
+    longest = _longest(memories)
     return np.stack([column[longest - len(m) :] for column, m in zip(whole, memories, strict=True)], axis=1)
+
+
+def centred(runs: Sequence[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Return ``runs`` (steps, n) each about its mean, and the memory of every channel."""
+    about = [run - run.mean(axis=0) for run in runs]
+    return about, [autoregression([run[:, k] for run in about]) for k in range(about[0].shape[1])]
+
+
+def tells(run: np.ndarray, memories: Sequence[np.ndarray]) -> bool:
+    """Return whether ``run`` (steps, n) has so many innovations that their spread is known."""
+    return len(run) - _longest(memories) >= MANY
+
+
+def _longest(memories: Sequence[np.ndarray]) -> int:
+    return max(len(memory) for memory in memories)
 
 
 def _taken_up(slopes: Sequence[np.ndarray], size: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from softrl.diagnosis.series.changing import Changing
-from softrl.diagnosis.series.noise import redrawn
+from softrl.diagnosis.series.noise import apart, redrawn
 
 LEVELS = 80  # into which the range of a pressure is cut
 APART = 50  # steps of one part: only other parts tell what comes again
@@ -20,9 +20,10 @@ def repeats(
     -----
     Every sample is multiplied by the mean of those at the same level of a drive in other parts of the runs, ``APART`` steps
     long: the mean product is the power that comes again with that drive, and none in noise. A channel takes the drive with
-    the most. The same is done with noise of the series' own spectrum, drawn anew: a Monte Carlo test.
+    the most. The same is done with noise of the series' own spectrum, drawn anew channel by channel along axes on which
+    they do not go together: a Monte Carlo test.
     """
-    runs = [run - run.mean(axis=0) for run in runs]
+    runs = apart(runs)
     whole, drive = float(np.sum(np.concatenate(runs) ** 2)), np.concatenate(drives)
     low, span = drive.min(axis=0), np.maximum(np.ptp(drive, axis=0), 1e-300)
     level = np.minimum((LEVELS * (drive - low) / span).astype(int), LEVELS - 1)
