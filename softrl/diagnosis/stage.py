@@ -13,10 +13,11 @@ from softrl.core.errors import ConfigError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import Tracker
 from softrl.diagnosis.checks.cost import warn_of_cost
-from softrl.diagnosis.checks.data import Data, Refusal, prepare, require_robot, within
+from softrl.diagnosis.checks.data import Data, Refusal, prepare, require_robot
 from softrl.diagnosis.checks.frames import in_other_frames, sagging_alike
 from softrl.diagnosis.checks.prelude import preludes
 from softrl.diagnosis.checks.quality import mixed
+from softrl.diagnosis.checks.within import within
 from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis
 from softrl.diagnosis.fitting.judge import Judge, Thresholds
 from softrl.diagnosis.fitting.problem import Numerics, Problem

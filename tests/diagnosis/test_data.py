@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from softrl.core.tracking import NullTracker
-from softrl.diagnosis.checks.data import Data, Refusal, prepare, within
+from softrl.diagnosis.checks.data import Data, Refusal, prepare
 from softrl.diagnosis.checks.gaps import rows
+from softrl.diagnosis.checks.within import within
 from softrl.diagnosis.stage import run
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.recording import Recording
@@ -25,6 +26,19 @@ def test_cut_runs_fill_the_time_that_fits_may_take(lengths: tuple[float, ...]) -
     cut = [float(np.ptp(run.time)) for run in within(runs, 75.0)]
     assert sum(cut) == pytest.approx(min(75.0, sum(lengths)), abs=0.1 * len(runs))
     assert all(length in (whole, max(cut)) for length, whole in zip(np.round(cut, 6), lengths, strict=True))
+
+
+@pytest.mark.parametrize("seconds", [50.0, 300.0])
+def test_each_run_counts_by_how_slow_its_own_rows_are(seconds: float) -> None:
+    """A table of poses among logs of 0.1 s keeps as many rows as if all were tables, and so do these as if all were logs."""
+    poses = [Recording(f"poses_{k}", f"slow_{k}", 30.0 * np.arange(60), np.zeros((60, 3))) for k in range(3)]
+    logs = [resting(f"run_{k}", 295.0) for k in range(3)]
+    alone = [run for some in (poses, logs) for run in within([*some, *some], seconds)[:3]]
+    for order in ([*poses, *logs], [*logs, *poses]):
+        found = {run.name: len(run.time) for run in within(order, seconds)}
+        assert found == {run.name: len(run.time) for run in alone if run.name in found} and len(found) >= 3
+    whole = within(poses, 3 * 59 * 5.0)
+    assert [len(run.time) for run in whole] == [60, 60, 60]
 
 
 def test_a_run_that_is_too_short_is_told(body: PccSimulator) -> None:

@@ -10,8 +10,9 @@ from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.config import build
 from softrl.core.tracking import NullTracker
 from softrl.diagnosis.checks.cost import expected_s
-from softrl.diagnosis.checks.data import Data, prepare, within
+from softrl.diagnosis.checks.data import Data, prepare
 from softrl.diagnosis.checks.floor import jitter
+from softrl.diagnosis.checks.within import within
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.judging.quieter import quieter, supposed
 from softrl.diagnosis.stage import diagnose, run

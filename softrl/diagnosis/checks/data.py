@@ -9,21 +9,19 @@ import numpy as np
 from softrl.core.errors import RecordingError
 from softrl.diagnosis.checks.dead import without_dead_gauges
 from softrl.diagnosis.checks.floor import LEAST, floor_of
-from softrl.diagnosis.checks.gaps import mend_all, rows
+from softrl.diagnosis.checks.gaps import mend_all
 from softrl.diagnosis.checks.quality import torn, unusable
 from softrl.diagnosis.checks.spikes import without_spikes
-from softrl.diagnosis.fitting.problem import MIN_FOLDS
+from softrl.diagnosis.checks.within import within
 from softrl.recordings.acting import is_known
 from softrl.recordings.check import DataCheck, RunCheck, check, driven
 from softrl.recordings.gone import Now, in_order, now_after, sessions_in_order
 from softrl.recordings.marked import DISTURBED, OUTSIDE, named, without
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.split import split
-from softrl.recordings.validate import SLOW_S
 from softrl.robots.robot import Robot
 
 MIN_RUN_S = 3.0  # a shorter run says nothing about dynamics
-LEAST_S = 15.0  # fits rather see fewer runs than shorter pieces
 MIN_SIGNAL = 3.0  # travel over noise below which nothing can be told
 CHANGED_K = 1.0  # a temperature that changes less tells nothing
 ENOUGH_RUNS = 3  # of a session that is not held out as a whole: two to fit, and one to judge
@@ -259,44 +257,6 @@ def hold_out(
     halves = [split(part, share, seed, by="run") for part in parts]
     training, heldout = (tuple(r for half in halves for r in half[side].recordings) for side in (0, 1))
     return replace(recordings, recordings=training), replace(recordings, recordings=heldout)
-
-
-def within(runs: Sequence[Recording], seconds: float) -> tuple[Recording, ...]:
-    """Return runs that together last at most ``seconds``, cut at one common length; all start as recorded.
-
-    Where that would leave less than ``LEAST_S`` of each, the runs that were driven most are taken, one of every session
-    before a second of any: slow effects do not show in many short pieces. Rows more than ``SLOW_S`` apart count as if they were
-    ``SLOW_S`` apart, or hardly any would be left.
-    """
-    slower = max(float(np.median([np.median(np.diff(run.time)) for run in runs])) / SLOW_S, 1.0)
-    seconds, least = slower * seconds, slower * LEAST_S
-    count = max(int(seconds / least), MIN_FOLDS)
-    if _common_length(runs, seconds) < least and len(runs) > count:
-        drive = [float(np.sum(np.std(run.pressure_cmd[run.time < run.time[0] + least], axis=0))) for run in runs]
-        turn: dict[str, int] = {}
-        order = []
-        for k in sorted(range(len(runs)), key=lambda k: -drive[k]):
-            turn[runs[k].session] = turn.get(runs[k].session, 0) + 1
-            order.append((turn[runs[k].session], -drive[k], k))
-        chosen = sorted(k for _, _, k in sorted(order)[:count])
-        runs = [runs[k] for k in chosen]
-    length = _common_length(runs, seconds)
-    return tuple(cut(run, run.time[0] + length) for run in runs)
-
-
-def _common_length(runs: Sequence[Recording], seconds: float) -> float:
-    """Return the length, s, at which runs are cut so that together they last at most ``seconds``."""
-    lengths = np.sort([np.ptp(run.time) for run in runs])
-    if lengths.sum() <= seconds:
-        return float(lengths[-1])
-    # shorter runs stay whole, and the others share what those leave
-    shares = (seconds - (np.cumsum(lengths) - lengths)) / np.arange(len(lengths), 0, -1)
-    return float(shares[np.argmax(shares < lengths)])
-
-
-def cut(run: Recording, end: float) -> Recording:
-    """Return the run up to ``end`` s."""
-    return rows(run, slice(int(np.searchsorted(run.time, end, side="right"))))
 
 
 def rms_about_mean(series: Sequence[np.ndarray]) -> float:

@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from softrl.core.simulator import Layered
-from softrl.diagnosis.checks.data import Data, within
+from softrl.diagnosis.checks.data import Data
 from softrl.diagnosis.checks.prelude import preludes
+from softrl.diagnosis.checks.within import within
 from softrl.diagnosis.fitting.choices import candidates, in_some_sessions, that_last
 from softrl.diagnosis.fitting.hypothesis import LATE, Choice, Hypothesis
 from softrl.diagnosis.fitting.judge import Judge
