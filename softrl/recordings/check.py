@@ -9,6 +9,7 @@ from scipy.stats import chi2
 from softrl.recordings.frame import axis_vector
 from softrl.recordings.marked import DISTURBED, OUTSIDE, without
 from softrl.recordings.recording import Recording, RecordingSet
+from softrl.recordings.repeatability import repeatability, sensed
 from softrl.recordings.rhythm import periods
 from softrl.recordings.scale import UNIT_FACTOR, scale_of
 from softrl.recordings.validate import SLOW_S
@@ -20,9 +21,7 @@ HOLD_S = 1.0  # a command unchanged for twice this long ends in a window of this
 MANY, FREE = 8, 8  # rows of such a window, or else degrees of freedom of all second halves of holds
 EXCITED_SHARE = 0.02  # a chamber that moves less than this share of the pressure range is not excited
 CLIPPED_SHARE, CLIPPED_ROWS = 0.02, 3  # so many samples at one extreme value are clipping, unless the command holds there
-REPEAT_S, REPEAT_SAMPLES = 1.0, 5  # what lasts longer than this, and than so many samples, is no noise between repeats
 WHOLE = 0.01  # of a digit, by which what is a multiple of it may be off
-REPEATED_S = 3.0  # shorter stretches of equal commands do not tell how well a robot repeats itself
 REST_SHARE = 0.3  # a tip at rest this share of a length away from its place is told in another frame
 JUMP_RAD = 0.5  # an orientation that turns farther than this between samples has jumped
 
@@ -92,7 +91,7 @@ def check(recordings: RecordingSet, robot: Robot) -> DataCheck:
     channels = {channel for run in runs for channel in run.noise}
     floor = {c: float(np.median([run.noise[c] for run in runs if c in run.noise])) for c in sorted(channels)}
     excited = tuple(sorted({chamber for run in runs for chamber in run.excited}))
-    return DataCheck(runs, floor, _repeatability(recordings), excited)
+    return DataCheck(runs, floor, repeatability(without(recordings, DISTURBED, OUTSIDE).recordings), excited)
 
 
 def check_run(recording: Recording, robot: Robot) -> RunCheck:
@@ -103,9 +102,9 @@ def check_run(recording: Recording, robot: Robot) -> RunCheck:
     gaps = tuple((float(recording.time[k]), float(step[k])) for k in pauses)
     excited = driven([recording], robot)
     windows = _hold_windows(recording)
-    told = _sensed(recording) if len(step) >= 2 else ()  # of two samples nobody knows what is noise
+    told = sensed(recording) if len(step) >= 2 else ()  # of two samples nobody knows what is noise
     noise = {channel: _noise(values, windows) for channel, values in told}
-    held = {channel: _held_share(recording, values) for channel, values in _sensed(recording)}
+    held = {channel: _held_share(recording, values) for channel, values in sensed(recording)}
     jumped, rest = tuple(_jump_warnings(recording)), tip_at_rest(recording, robot)
     misplaced = "" if rest is None else _misplaced(rest, robot)
     warnings = (
@@ -149,13 +148,6 @@ def moved_by_command(recording: Recording, channel: str, component: int) -> np.n
     """
     changes = np.diff(recording.pressure_cmd, axis=0, prepend=recording.pressure_cmd[:1]) != 0.0
     return np.asarray(changes[:, component] if channel == "pressure_meas" else changes.any(axis=1))
-
-
-def _sensed(recording: Recording) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the measured channels as (steps, components)."""
-    for channel, values in recording.channels():
-        if channel not in ("time", "pressure_cmd"):
-            yield channel, values.reshape(len(values), -1)
 
 
 def _hold_windows(recording: Recording) -> list[slice]:
@@ -220,39 +212,6 @@ def _held_share(recording: Recording, values: np.ndarray) -> float:
     return float(np.mean(np.all(np.diff(values, axis=0) == 0.0, axis=1)[moving]))
 
 
-def _repeatability(recordings: RecordingSet) -> dict[str, float]:
-    """Return the rms difference over sqrt 2 between runs of a session whose commands agree, on the shorter run's times.
-
-    Of the difference only what is faster than ``REPEAT_S`` is noise: a wall that ages, or a load that came in between, is
-    not. Runs that nothing is fitted to do not count, nor does where no command changes: from what came before a body may
-    still be coming back.
-    """
-    squares: dict[str, list[float]] = {}
-    runs = without(recordings, DISTURBED, OUTSIDE).recordings
-    for i, one in enumerate(runs):
-        for other in [run for run in runs[i + 1 :] if run.session == one.session]:
-            count = min(len(one.time), len(other.time))
-            same_time = np.allclose(np.diff(one.time[:count]), np.diff(other.time[:count]), rtol=0.01)
-            long = one.time[count - 1] - one.time[0] >= REPEATED_S and np.ptp(one.pressure_cmd[:count], axis=0).any()
-            if not long or not same_time or not np.allclose(one.pressure_cmd[:count], other.pressure_cmd[:count], rtol=1e-6):
-                continue
-            theirs = dict(_sensed(other))
-            for channel, values in _sensed(one):
-                if channel in theirs:
-                    difference = values[:count] - theirs[channel][:count]
-                    squares.setdefault(channel, []).append(_quick_square(one.time[:count], difference))
-    return {channel: float(np.sqrt(np.mean(found) / 2.0)) for channel, found in squares.items()}
-
-
-def _quick_square(time: np.ndarray, values: np.ndarray) -> float:
-    """Return the mean square of ``values`` (steps, n) about their means over ``REPEAT_S``, per degree of freedom."""
-    period = float(np.median(np.diff(time))) if len(time) > 1 else REPEAT_S
-    block = np.arange(len(values)) // max(round(REPEAT_S / period), REPEAT_SAMPLES)
-    count = np.bincount(block)
-    mean = np.stack([np.bincount(block, column) for column in values.T], axis=1) / count[:, None]
-    return float(np.sum((values - mean[block]) ** 2) / (values.size - mean.size)) if len(values) > len(mean) else 0.0
-
-
 def _sampling_warnings(gaps: tuple[tuple[float, float], ...], period: float, duration: float) -> Iterator[str]:
     if period > SLOW_S and duration > LONG_S:
         yield f"lasts {duration / 3600.0:.3g} h in rows of {period:.3g} s: if the times are milliseconds, name the column time_ms"
@@ -289,7 +248,7 @@ def _scale_warnings(recording: Recording, robot: Robot) -> Iterator[str]:
 
 
 def _clipping_warnings(recording: Recording) -> Iterator[str]:
-    for channel, values in _sensed(recording):
+    for channel, values in sensed(recording):
         for i, series in enumerate(values.T):
             moved = moved_by_command(recording, channel, i)
             for extreme, name in ((series.max(), "maximum"), (series.min(), "minimum")):

@@ -105,6 +105,22 @@ def test_a_coarse_sensor_is_as_wrong_as_its_last_digit(body: PccSimulator) -> No
     assert isinstance(found, Data) and found.rounding == 0.0 and found.noise > 1e-3
 
 
+def test_a_sample_that_tracking_mistook_is_no_noise_between_repeats(body: PccSimulator) -> None:
+    whole, rng = made(body, sessions=4, noise_m=0.0), np.random.default_rng(5)
+    runs = [
+        replace(whole.recordings[k // 2], name=f"run_{k}", session=f"day_{k // 2}") for k in range(4)
+    ]  # two of equal commands a day
+    runs = [replace(run, position=np.asarray(run.position) + 1e-4 * rng.standard_normal((len(run.time), 3))) for run in runs]
+    for mistaken in ([], [(0, 700)], [(0, 700), (1, 300), (3, 500)]):
+        for k, row in mistaken:
+            position = np.array(runs[k].position)
+            position[row] += 0.05
+            runs[k] = replace(runs[k], position=position)
+        data = prepare(replace(whole, recordings=tuple(runs)), body.robot, 0.34, 0)
+        assert isinstance(data, Data) and len(data.mended) == len(mistaken)
+        assert data.noise == pytest.approx(np.sqrt(3.0) * 1e-4, rel=0.1), mistaken
+
+
 def test_a_run_of_two_rows_tells_no_noise(body: PccSimulator) -> None:
     whole = made(body, sessions=3)
     first = whole.recordings[0]

@@ -18,6 +18,7 @@ from softrl.recordings.check import DataCheck, RunCheck, check, driven
 from softrl.recordings.gone import Now, in_order, now_after, sessions_in_order
 from softrl.recordings.marked import DISTURBED, OUTSIDE, named, without
 from softrl.recordings.recording import Recording, RecordingSet
+from softrl.recordings.repeatability import repeatability
 from softrl.recordings.split import split
 from softrl.robots.robot import Robot
 
@@ -134,6 +135,7 @@ def prepare(
     marked = named(recordings, OUTSIDE)
     apart = tuple(r for r in usable if marked & {r.name, r.session})
     usable = tuple(r for r in usable if not marked & {r.name, r.session})
+    found = replace(found, repeatability=_repeatability(seen, usable))
     parts, bridged = mend_all([*usable, *apart], found)
     mended = (*_too_short(recordings), *copies, *dead, *spiked, *bridged)
     intact = tuple(run for run in usable if parts[run.name])
@@ -222,6 +224,12 @@ def _without_copies(runs: Sequence[Recording], channel: str) -> tuple[list[Recor
             first[measured] = run.name
             kept.append(run)
     return kept, lines
+
+
+def _repeatability(runs: Sequence[Recording], usable: Sequence[Recording]) -> dict[str, float]:
+    """Return how well those of the ``runs`` that are ``usable`` repeat: a copy does so exactly, what tracking mistook never."""
+    names = {run.name for run in usable}
+    return repeatability([run for run in runs if run.name in names], usable)
 
 
 def _too_short(recordings: RecordingSet) -> list[str]:
