@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from softrl.core.config import build
 from softrl.core.tracking import NullTracker
 from softrl.diagnosis.checks.prelude import preludes
 from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis
@@ -16,7 +17,8 @@ from softrl.effects.lag import Lag
 from softrl.effects.replay import replay
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.recording import Recording, RecordingSet
-from tests.diagnosis.conftest import configured, made
+from softrl.robots.robot import Robot
+from tests.diagnosis.conftest import configured, made, node
 
 LAG_S = 0.6
 
@@ -65,6 +67,18 @@ def test_a_tip_at_rest_that_something_pulled_aside_in_a_session_held_out_whole_i
     aside = replace(runs[-1], session="other", position=np.asarray(runs[-1].position) + np.array([0.03, 0.0, 0.0]))
     found = preludes(runs[:-1], (aside,), body.robot, one_frame=True)[aside.name]
     assert found == pytest.approx(np.zeros(3))
+
+
+def test_a_robot_that_reports_an_angle_began_where_that_tells_though_some_runs_saw_the_tip_too() -> None:
+    finger = build(node("robot/single_chamber_finger.yaml"), Robot, "robot")
+    body, cut = PccSimulator(robot=finger, **node("simulator/pcc.yaml")), from_row(SENT_OFF)
+    whole = made(body, (Lag(fill_s=LAG_S, vent_s=LAG_S),), sessions=3).recordings
+    runs = [
+        replace(cut(run), session="day", pressure_meas=None, bend_angle=np.asarray(run.bend_angle)[SENT_OFF:]) for run in whole
+    ]
+    blind = [replace(run, position=None, quaternion=None) for run in runs]
+    mixed = [blind[0], *runs[1:]]
+    assert preludes(mixed, mixed, finger) == preludes(blind, blind, finger) == preludes(runs, runs, finger)
 
 
 def test_a_run_under_its_first_pressures_began_there(body: PccSimulator) -> None:

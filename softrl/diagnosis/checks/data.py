@@ -10,7 +10,7 @@ from softrl.core.errors import RecordingError
 from softrl.diagnosis.checks.dead import without_dead_gauges
 from softrl.diagnosis.checks.floor import LEAST, floor_of
 from softrl.diagnosis.checks.gaps import mend_all
-from softrl.diagnosis.checks.quality import torn, unusable
+from softrl.diagnosis.checks.quality import motion_of, torn, unusable
 from softrl.diagnosis.checks.spikes import without_spikes
 from softrl.diagnosis.checks.within import within
 from softrl.recordings.acting import is_known
@@ -156,7 +156,7 @@ def prepare(
     training, heldout = (tuple(part for run in side.recordings for part in parts[run.name]) for side in sides)
     training += tuple(part for run in _beside(still, training, heldout) for part in parts[run.name])
     floor, pressure_floor = floor_of(found, usable, robot, channel), floor_of(found, usable, robot, "pressure_meas")
-    travel = _travel(training, lambda run: _seen(run, robot))
+    travel = _travel(training, lambda run: motion_of(run, robot))
     if travel < MIN_SIGNAL * floor.noise:
         said = f"the motion ({1e3 * travel:.3g} mm rms) hardly exceeds its noise ({1e3 * floor.noise:.3g} mm)"
         slow = "rows are slow, and commands do not foretell the motion: check their columns and command_acts, or record faster"
@@ -280,12 +280,6 @@ def _travel(runs: Sequence[Recording], seen: Callable[[Recording], np.ndarray]) 
         rows = np.concatenate([seen(run) for run in runs if run.session == session])
         series.append(rows - rows.mean(axis=0))
     return rms_about_mean(series)
-
-
-def _seen(run: Recording, robot: Robot) -> np.ndarray:
-    if robot.output == "bend_angle":
-        return robot.length_m * np.asarray(run.bend_angle)[:, None]
-    return np.asarray(run.position)
 
 
 def _orientation_trusted(usable: Sequence[Recording], shown: Sequence[RunCheck], robot: Robot) -> bool:

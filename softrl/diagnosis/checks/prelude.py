@@ -8,6 +8,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from softrl.core.polynomial import Basis, basis, count
+from softrl.diagnosis.checks.quality import motion_of
 from softrl.recordings.check import driven
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
@@ -71,23 +72,23 @@ def preludes(
     found: dict[str, tuple[float, ...]] = {}
     moved = list(driven(training, robot))
     limits = robot.pressure_min_pa, robot.pressure_max_pa
-    together = _response(training, moved) if one_frame else None
+    together = _response(training, moved, robot) if one_frame else None
     for session in dict.fromkeys(run.session for run in (*training, *runs)):
-        own = _response([run for run in training if run.session == session], moved)
+        own = _response([run for run in training if run.session == session], moved, robot)
         response = own or together
         if response is None:
             continue
         for run in (run for run in runs if run.session == session):
             before = np.clip(acting(run)[0], *limits)
-            if own is not None or not _stands(run, response, before[moved]):
-                before[moved] = _before(response, before[moved], _motion(run)[0], limits)
+            if own is not None or not _stands(run, motion_of(run, robot), response, before[moved]):
+                before[moved] = _before(response, before[moved], motion_of(run, robot)[0], limits)
             found[run.name] = tuple(float(p) for p in before)
     return found
 
 
-def _stands(run: Recording, response: Response, first: np.ndarray) -> bool:
-    """Return whether the tip hardly moves under the ``first`` pressures (chambers,) Pa, on the way to where they hold it."""
-    motion, changes = _motion(run), np.any(run.pressure_cmd != run.pressure_cmd[0], axis=1)
+def _stands(run: Recording, motion: np.ndarray, response: Response, first: np.ndarray) -> bool:
+    """Return whether ``motion`` (steps, n) hardly goes on under the ``first`` pressures (chambers,) Pa to where they hold it."""
+    changes = np.any(run.pressure_cmd != run.pressure_cmd[0], axis=1)
     end = int(np.argmax(changes)) if changes.any() else len(motion)
     end = min(end, int(np.searchsorted(run.time, run.time[0] + max(LAGS_S))))
     if end < 2 or run.time[end - 1] - run.time[0] < STILL_S:
@@ -118,7 +119,7 @@ def acting(run: Recording) -> np.ndarray:
     return run.pressure_cmd if run.pressure_meas is None else run.pressure_meas
 
 
-def _response(runs: Sequence[Recording], moved: list[int]) -> Response | None:
+def _response(runs: Sequence[Recording], moved: list[int], robot: Robot) -> Response | None:
     """Return the map from the pressures ``moved`` that explains most, as they are or behind a lag; None if it is little.
 
     What a run was under before is not known, so its beginning tells nothing of the map.
@@ -130,7 +131,7 @@ def _response(runs: Sequence[Recording], moved: list[int]) -> Response | None:
     degrees = [degree for degree in DEGREES if len(rows) >= TERM_ROWS * count(len(moved), degree)]
     if not (moved and degrees):
         return None
-    y = np.concatenate([_motion(run) for run in runs])[rows]
+    y = np.concatenate([motion_of(run, robot) for run in runs])[rows]
     found, least = None, (1.0 - TRUSTED) * float(np.sum(np.var(y, axis=0)))
     for lag_s in LAGS_S:
         pressure = np.concatenate([_lagged(run, acting(run)[:, moved], lag_s) for run in runs])[rows]
@@ -157,7 +158,3 @@ def _lagged(run: Recording, pressure: np.ndarray, lag_s: float) -> np.ndarray:
         return pressure
     keep = float(np.exp(-np.median(np.diff(run.time)) / lag_s))
     return np.asarray(lfilter([1.0 - keep], [1.0, -keep], pressure, axis=0, zi=keep * pressure[:1])[0])
-
-
-def _motion(run: Recording) -> np.ndarray:
-    return np.asarray(run.position if run.position is not None else np.asarray(run.bend_angle)[:, None])

@@ -65,7 +65,7 @@ def mixed(runs: Sequence[Recording], simulated: Sequence[Recording], robot: Robo
     scales, chambers = {}, {}
     for session in dict.fromkeys(run.session for run in runs):
         mine = [k for k, run in enumerate(runs) if run.session == session]
-        size = [_size(np.concatenate([_motion(side[k], robot) for k in mine])) for side in (runs, simulated)]
+        size = [_size(np.concatenate([motion_of(side[k], robot) for k in mine])) for side in (runs, simulated)]
         if min(size) > MIN_TRAVEL * robot.length_m:  # a session at rest has no size
             scales[session], chambers[session] = size[0] / size[1], driven([runs[k] for k in mine], robot)
     groups = [([s for s in scales if chambers[s] == some], MIXED_FACTOR) for some in dict.fromkeys(chambers.values())]
@@ -124,7 +124,7 @@ def _wrong_pressure(runs: Sequence[Recording], robot: Robot) -> str | None:
 
 
 def _wrong_motion(runs: Sequence[Recording], robot: Robot) -> str | None:
-    travel = max(float(np.ptp(_motion(run, robot), axis=0).max()) for run in runs)
+    travel = max(float(np.ptp(motion_of(run, robot), axis=0).max()) for run in runs)
     if robot.output == "bend_angle":
         turn = travel / robot.length_m
         if turn == 0.0:
@@ -152,7 +152,8 @@ def _seen(run: Recording) -> list[tuple[str, np.ndarray]]:
     return [(name, values.reshape(len(values), -1)) for name, values in found if values is not None]
 
 
-def _motion(run: Recording, robot: Robot) -> np.ndarray:
+def motion_of(run: Recording, robot: Robot) -> np.ndarray:
+    """Return what ``robot`` reports of its motion (steps, n) m: where the tip is, or its bend angle times its length."""
     if robot.output == "bend_angle":
         return robot.length_m * np.asarray(run.bend_angle)[:, None]
     return np.asarray(run.position)
