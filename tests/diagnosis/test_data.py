@@ -105,6 +105,12 @@ def test_a_coarse_sensor_is_as_wrong_as_its_last_digit(body: PccSimulator) -> No
     assert isinstance(found, Data) and found.rounding == 0.0 and found.noise > 1e-3
 
 
+def test_the_noise_of_an_orientation_is_that_of_its_turns(body: PccSimulator) -> None:
+    """Of 0.3 mrad about each axis, also where the body still swings at the ends of its holds."""
+    data = prepare(made(body, sessions=4), body.robot, 0.34, 0)
+    assert isinstance(data, Data) and data.turn_noise == pytest.approx(np.sqrt(3.0) * 3e-4, rel=0.1)
+
+
 def test_a_sample_that_tracking_mistook_is_no_noise_between_repeats(body: PccSimulator) -> None:
     whole, rng = made(body, sessions=4, noise_m=0.0), np.random.default_rng(5)
     runs = [

@@ -170,7 +170,7 @@ def prepare(
         all(r.pressure_meas is not None for r in whole),
         _orientation_trusted(usable, shown, robot),
         floor.noise,
-        2.0 * np.sqrt(3.0) * found.noise_floor.get("quaternion", 0.0),  # a turn is twice the quaternion's vector
+        floor_of(found, usable, robot, "quaternion").noise,
         pressure_floor.noise,
         travel,
         _travel([r for r in training if r.pressure_meas is not None], lambda run: np.asarray(run.pressure_meas)),

@@ -17,7 +17,7 @@ FEW_READINGS = 20  # a sensor that reports fewer values than this tells no noise
 
 
 class Floor(NamedTuple):
-    """The noise of one sample of a channel, rms over all its components; m or Pa.
+    """The noise of one sample of a channel, rms over all its components; m or Pa, of an orientation rad.
 
     Attributes
     ----------
@@ -53,9 +53,11 @@ def _columns(run: Recording, channel: str) -> np.ndarray:
 
 
 def _of_all(robot: Robot, channel: str) -> float:
-    """Return what makes of one component's noise that of all, of an angle in m."""
+    """Return what makes of one component's noise that of all, of an angle in m, of a quaternion that of the turn in rad."""
     if channel == "bend_angle":
         return robot.length_m
+    if channel == "quaternion":
+        return 4.0  # a turn is twice as large as what it changes of the four numbers together
     return float(np.sqrt(3.0 if channel == "position" else robot.chambers))
 
 
