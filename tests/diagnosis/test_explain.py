@@ -10,7 +10,7 @@ import pytest
 
 from softrl.diagnosis.fitting.hypothesis import Choice, Gate, Hypothesis, Space, effect_axes
 from softrl.diagnosis.judging.verdict import verdict_of
-from softrl.diagnosis.telling.entries import rival_entries
+from softrl.diagnosis.telling.entries import rival_entries, where
 from softrl.diagnosis.telling.explain import (
     _at_the_end,
     _but,
@@ -97,6 +97,20 @@ def test_an_interval_has_the_digits_that_tell_its_ends_apart() -> None:
         entry = {"value": value, "low": low, "high": high, "unit": "s", "at_bound": False}
         effect = {"name": "lag", "site": "valve", "where": "all", "parameters": {"fill_s": entry}, "evidence": "so"}
         assert f"fill_s {told}" in effect_sentence(effect, robot)
+
+
+@pytest.mark.parametrize(("choice", "told"), [
+    (Choice("gain"), "all chambers"), (Choice("payload"), "tip"), (Choice("lag"), "all chambers"),
+    (Choice("gain", 1, gate=Gate("since_s", 5.0)), "chamber 2, from a time on"),
+    (Choice("gain", sessions=("monday",)), "session monday only"),
+    (Choice("gain", sessions=("monday",), before_gauge=True), "session monday only, before the gauge"),
+    (Choice("drift", sessions=("monday",), lasting="session"),
+     "lasting through a session (its time counts from the session's first run), session monday only"),
+    (Choice("drift", 0, sessions=("monday",), lasting="session"),
+     "chamber 1, lasting through a session (its time counts from the session's first run), session monday only"),
+])  # fmt: skip
+def test_where_an_effect_acts_is_told_whole_in_one_session_too(choice: Choice, told: str) -> None:
+    assert where(choice) == told
 
 
 @pytest.mark.parametrize(

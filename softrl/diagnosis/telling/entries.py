@@ -51,18 +51,20 @@ def _entry(finding: Finding, named: Named) -> dict[str, Any]:
 
 
 def where(choice: Choice) -> str:
-    """Return in words where an effect acts."""
-    if choice.sessions and choice.chamber < 0:
-        return f"{choice.period} only"
+    """Return in words where an effect acts; what acts everywhere on the body or in all chambers, but not always, says when."""
+    told = [] if choice.sessions and choice.chamber < 0 else [_place(choice)]
+    told += [GATES[choice.gate.field]] if choice.gate else []
+    told += [f"{LASTING[choice.lasting]} (its time {COUNTED[choice.lasting]})"] if choice.lasting else []
+    told += [f"{choice.period} only"] if choice.sessions else []
+    told += [choice.gauge] if choice.gauge else []
+    return ", ".join(told)
+
+
+def _place(choice: Choice) -> str:
     if has_chamber(choice.name):
-        place = "all chambers" if choice.chamber < 0 else f"chamber {choice.chamber + 1}"
-    else:
-        places = {"valve": "all valves", "load": "tip", "sensor": "pose sensor", "chamber": "all chambers"}
-        place = "one layer" if effect_class(choice.name).layered else places.get(choice.site, "whole body")
-    place += f", {GATES[choice.gate.field]}" if choice.gate else ""
-    place += f", {LASTING[choice.lasting]} (its time {COUNTED[choice.lasting]})" if choice.lasting else ""
-    place += f", {choice.period} only" if choice.sessions else ""
-    return f"{place}, {choice.gauge}" if choice.gauge else place
+        return "all chambers" if choice.chamber < 0 else f"chamber {choice.chamber + 1}"
+    places = {"valve": "all valves", "load": "tip", "sensor": "pose sensor", "chamber": "all chambers"}
+    return "one layer" if effect_class(choice.name).layered else places.get(choice.site, "whole body")
 
 
 def shown_in(finding: Finding) -> tuple[float, str]:
