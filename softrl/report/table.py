@@ -60,8 +60,8 @@ def sweep_table(stage: str, points: Sequence[tuple[str, str, Mapping[str, float]
     words = [point[0].split() for point in points]
     shared = set.intersection(*map(set, words))
     labels = [" ".join(word for word in own if word not in shared) or "-" for own in words]
-    names = [name for name in points[0][2] if not name.startswith(HIDDEN)]
-    names = [name for name in HEADLINES.get(stage, tuple(names)) if any(name in m for _, _, m in points)][:MOST_COLUMNS]
+    measured = dict.fromkeys(name for *_, metrics in points for name in metrics if not name.startswith(HIDDEN))
+    names = [name for name in HEADLINES.get(stage, tuple(measured)) if name in measured][:MOST_COLUMNS]
     width = max(map(len, [*labels, "point"]))
     lines = [f"[{number}] {name}" for number, name in enumerate(names, start=1)]
     lines.append(f"{'point':<{width}}  {'run':<8}" + "".join(f"{f'[{k + 1}]':>12}" for k in range(len(names))))
