@@ -107,6 +107,24 @@ def test_a_loose_hose_in_the_chamber_of_one_session_is_no_other_robot(
     assert (mixed([made[0], loose, *made[2:]], made, body.robot) is not None) == refused
 
 
+def test_a_coordinate_of_few_values_is_coarse_and_not_clipped(body: PccSimulator) -> None:
+    """Across the plane of a planar robot a camera of 1 mm shows two values, which of them is a matter of its place."""
+    planar = replace(body.robot, chamber_angle_deg=(0.0, 180.0))
+    runs = made(PccSimulator(robot=planar, **node("simulator/pcc.yaml")), sessions=2, noise_m=2e-4).recordings
+    coarse = [replace(run, position=np.round(np.asarray(run.position) + 5e-4 * np.eye(3)[1], 3)) for run in runs]
+    assert unusable(coarse, planar) is None
+    assert "position[0] sits" in str(unusable([clipped(run) for run in coarse], planar))
+
+
+def test_what_a_robot_does_not_report_may_be_clipped() -> None:
+    finger = build(node("robot/single_chamber_finger.yaml"), Robot, "robot")
+    runs = made(PccSimulator(robot=finger, **node("simulator/pcc.yaml")), sessions=2).recordings
+    assert unusable([clipped(run) for run in runs], finger) is None
+    low, high = np.quantile(np.concatenate([np.asarray(run.bend_angle) for run in runs]), [0.3, 0.7])
+    held = [replace(run, bend_angle=np.clip(np.asarray(run.bend_angle), low, high)) for run in runs]
+    assert "bend_angle[0] sits" in str(unusable(held, finger))
+
+
 def test_a_rest_between_poses_is_not_clipped() -> None:
     """One row a pose, every other at rest, before a coarse sensor: half of the samples are its least value."""
     rng, finger = np.random.default_rng(1), build(node("robot/single_chamber_finger.yaml"), Robot, "robot")

@@ -11,6 +11,7 @@ from softrl.robots.robot import Robot
 
 MIN_TOTAL_S = 12.0  # recordings of less than this together say nothing about dynamics
 MAX_CLIPPED_SHARE = 0.25  # of the samples of the motion that sit at one extreme while the command moves
+FEW_VALUES = 5  # that a coordinate shows at most because its sensor is coarse: there the extremes are no rare ones
 PRESSURE_FACTOR = 20.0  # times the robot's largest pressure, or that part of it: another unit
 MIN_PRESSURE_SHARE = 1.0 / 200.0
 MAX_TRAVEL = 5.0  # lengths of the robot
@@ -26,7 +27,7 @@ def unusable(runs: Sequence[Recording], robot: Robot) -> str | None:
     total = sum(float(np.ptp(run.time)) for run in runs)
     if total < MIN_TOTAL_S:
         return f"the recordings last {total:.1f} s together, expected {MIN_TOTAL_S:g} s or more; record longer"
-    return _clipped(runs) or _wrong_pressure(runs, robot) or _wrong_motion(runs, robot)
+    return _clipped(runs, robot) or _wrong_pressure(runs, robot) or _wrong_motion(runs, robot)
 
 
 def torn(
@@ -79,22 +80,23 @@ def mixed(runs: Sequence[Recording], simulated: Sequence[Recording], robot: Robo
     return None
 
 
-def _clipped(runs: Sequence[Recording]) -> str | None:
-    """Return which coordinate of the motion sits at one extreme, or None.
+def _clipped(runs: Sequence[Recording], robot: Robot) -> str | None:
+    """Return which coordinate of the motion that ``robot`` reports sits at one extreme, or None.
 
     Measured pressures may: behind a supply that gives no more, a gauge that shows few values shows but one. ``check`` warns.
+    So may a coordinate that shows few values, such as the one across the plane of a planar robot before a coarse camera.
     """
+    channel = "bend_angle" if robot.output == "bend_angle" else "position"
     shares: dict[str, list[float]] = {}
     for run in runs:
-        for channel, values in _seen(run):
-            for k, series in enumerate(values.T):
-                moves = moved_by_command(run, channel, k)
-                if np.ptp(series) > 0.0 and np.count_nonzero(moves) > 1.0 / CLIPPED_SHARE:
-                    ends = [_share_at(series == end, run.pressure_cmd, moves) for end in (series.max(), series.min())]
-                    shares.setdefault(f"{channel}[{k}]", []).append(max(ends))
-    for channel, found in shares.items():
+        for k, series in enumerate(motion_of(run, robot).T):
+            moves = moved_by_command(run, channel, k)
+            if len(np.unique(series)) > FEW_VALUES and np.count_nonzero(moves) > 1.0 / CLIPPED_SHARE:
+                ends = [_share_at(series == end, run.pressure_cmd, moves) for end in (series.max(), series.min())]
+                shares.setdefault(f"{channel}[{k}]", []).append(max(ends))
+    for coordinate, found in shares.items():
         if np.mean(found) > MAX_CLIPPED_SHARE:
-            return f"{channel} sits at its largest or smallest value in {np.mean(found):.0%} of the samples: clipped"
+            return f"{coordinate} sits at its largest or smallest value in {np.mean(found):.0%} of the samples: clipped"
     return None
 
 
@@ -145,11 +147,6 @@ def _wraps(time: np.ndarray, angle: np.ndarray) -> bool:
     """Return whether ``angle`` (steps,) rad jumps from one end of a turn to the other."""
     jumps = (np.abs(np.diff(angle)) > WRAPPED_RAD) & (np.diff(time) < WRAPPED_S)
     return bool(jumps.any() and np.abs(angle).max() < np.pi + 0.1)
-
-
-def _seen(run: Recording) -> list[tuple[str, np.ndarray]]:
-    found = [("position", run.position), ("bend_angle", run.bend_angle)]
-    return [(name, values.reshape(len(values), -1)) for name, values in found if values is not None]
 
 
 def motion_of(run: Recording, robot: Robot) -> np.ndarray:
