@@ -171,7 +171,7 @@ def _bands(problem: Problem, main: list[np.ndarray], site: str) -> list[Finding]
     power_x, power_y = np.sum(np.abs(cut_x) ** 2, axis=0), np.sum(np.abs(cut_y) ** 2, axis=0)
     cross = np.abs(np.sum(np.conj(cut_x) * cut_y, axis=0)) ** 2
     coherence = np.divide(cross, power_x * power_y, out=np.zeros_like(cross), where=power_x * power_y > 0.0)
-    found = []
+    found, whole = [], max(float(power_y.sum()), 1e-300)  # nothing is left of a robot that the simulator made without noise
     for low, high in BANDS_HZ:
         inside = (frequency >= low) & (frequency < high)
         if not inside.any():
@@ -179,7 +179,7 @@ def _bands(problem: Problem, main: list[np.ndarray], site: str) -> list[Finding]
         largest = float(min(coherence[inside].max(), 1.0 - 1e-12))
         chance = min(1.0, coherence[inside].size * (1.0 - largest) ** (len(starts_) - 1))
         name = f"{low:g} to {high:g} Hz" if np.isfinite(high) else f"above {low:g} Hz"
-        found.append(Finding(site, name, None, "band", float(power_y[inside].sum() / power_y.sum()), chance))
+        found.append(Finding(site, name, None, "band", float(power_y[inside].sum()) / whole, chance))
     return found
 
 

@@ -1,0 +1,20 @@
+"""Tests of where simulation and measurement part."""
+
+import numpy as np
+
+from softrl.diagnosis.fitting.hypothesis import Hypothesis
+from softrl.diagnosis.fitting.problem import Problem
+from softrl.diagnosis.judging.locate import locate
+from softrl.pcc.simulator import PccSimulator
+from tests.diagnosis.conftest import configured, made
+
+
+def test_where_nothing_is_left_nothing_is_told_and_every_number_is_one(body: PccSimulator) -> None:
+    """Recordings that the simulator made itself, without noise."""
+    runs = made(body, sessions=3, noise_m=0.0).recordings
+    problem = Problem(body.robot, body, runs, configured().numerics, "motion", "command", False, False)
+    residual = problem.residual(Hypothesis((), ()), np.zeros(0))
+    assert not residual.flat.any()
+    found = locate(problem, residual, 0.0, "command to motion")
+    assert all(np.isfinite(row.effect_size) and row.p_value == 1.0 for row in found)
+    assert any(row.region == "band" for row in found)
