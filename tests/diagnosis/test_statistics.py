@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from softrl.diagnosis.series.blocks import blocks_of
-from softrl.diagnosis.series.statistics import follows, holm, slope_test, whiteness
+from softrl.diagnosis.series.statistics import follows, holm, slope_test
 from tests.diagnosis.series import coloured
 
 
@@ -65,13 +65,6 @@ def test_what_follows_a_running_maximum_is_found_and_one_jump_alone_says_nothing
     jump = np.zeros(300)
     jump[100:110] = 1.0
     assert slope_test(5.0 * jump + rng.standard_normal(300), jump, blocks_of(np.zeros(300, int), 10)) == (0.0, 1.0)
-
-
-def test_whiteness_keeps_its_level_and_rejects_colour() -> None:
-    rng = np.random.default_rng(6)
-    alarms = sum(whiteness(rng.standard_normal(400), 15)[1] < 0.05 for _ in range(400))
-    assert 8 <= alarms <= 36
-    assert whiteness(coloured(rng, 400, 0.5), 15)[1] < 1e-6
 
 
 def test_what_follows_the_drive_is_found_and_noise_with_a_memory_is_not() -> None:

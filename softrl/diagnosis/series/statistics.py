@@ -19,23 +19,6 @@ def holm(p_values: Sequence[float]) -> np.ndarray:
     return corrected
 
 
-def whiteness(series: np.ndarray, lags: int) -> tuple[float, float]:
-    """Return (portmanteau statistic, p-value) against white noise of ``series`` (steps,).
-
-    Notes
-    -----
-    Ljung and Box's statistic over ``lags`` autocorrelations (textbook form, no equation number checked).
-    """
-    n = len(series)
-    centred = series - series.mean()
-    power = float(centred @ centred)
-    if power <= 0.0 or n <= lags + 2:
-        return 0.0, 1.0
-    rho = np.array([centred[k:] @ centred[:-k] for k in range(1, lags + 1)]) / power
-    statistic = n * (n + 2) * float(np.sum(rho**2 / (n - np.arange(1, lags + 1))))
-    return statistic, float(stats.chi2.sf(statistic, lags))
-
-
 def slope_test(target: np.ndarray, regressor: np.ndarray, blocks: np.ndarray) -> tuple[float, float]:
     """Return (correlation, p-value) of ``target`` (steps,) with ``regressor`` (steps,), robust within blocks.
 
