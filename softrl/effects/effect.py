@@ -52,6 +52,7 @@ TIP, TIP_VELOCITY, GRAVITY, FORCE, FORCE_SLOPE = 0, 1, 2, 3, 4
 # FORCE          output: further force on the tip, N;  FORCE_SLOPE .. +2  output: d FORCE / d TIP, N/m (rows: force)
 
 BODY_PORT_ROWS, LOAD_PORT_ROWS = 10, 7
+STAGE = 1.0 - math.sqrt(0.5)  # share of a step after which bodies whose steps have two stages ask, besides its end
 
 
 @borrowing

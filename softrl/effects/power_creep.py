@@ -8,6 +8,7 @@ import numpy as np
 
 from softrl.core.compiled import standing_as
 from softrl.effects.effect import ADDED, ADDED_SLOPE, PORT_KERNEL, Effect, parameter, wall
+from softrl.effects.relaxation import relax, slots
 from softrl.robots.robot import Robot
 
 MODES = 8
@@ -17,33 +18,14 @@ TIMES_S = SHORTEST_S * FACTOR ** np.arange(MODES)
 
 @standing_as(PORT_KERNEL)
 def power_creep_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
-    """Advance every mode's overstress exactly for a resistance that changes linearly over the step."""
-    n, chamber = port.shape[1], int(parameters[MODES])
-    if parameters[0] != 0.0:
-        tau = TIMES_S[MODES - 1]
-        faded = math.expm1(-dt / tau)
-        for mode in range(MODES - 1, -1, -1):
-            kept = -tau / dt * faded
-            for i in range(n):
-                if chamber < 0 or chamber == i:
-                    elastic, slope = wall(port, chamber, i)
-                    change = elastic - state[MODES * n + i]
-                    overstress = (1.0 + faded) * state[mode * n + i] + kept * change
-                    port[ADDED, i] += parameters[mode] * overstress
-                    port[ADDED_SLOPE, i] += parameters[mode] * kept * slope
-                    if commit:
-                        state[mode * n + i] = overstress
-            tau /= FACTOR
-            # (1 + faded)^5 - 1: the next mode is five times as fast, and an exponential is what costs most here
-            faded *= 5.0 + faded * (10.0 + faded * (10.0 + faded * (5.0 + faded)))
-        for i in range(n):
-            if chamber < 0 or chamber == i:
-                elastic, slope = wall(port, chamber, i)
-                port[ADDED, i] += parameters[MODES + 1] * elastic
-                port[ADDED_SLOPE, i] += parameters[MODES + 1] * slope
-    if commit:
-        for i in range(n):
-            state[MODES * n + i] = wall(port, chamber, i)[0]
+    """Advance every mode's overstress, and add what all slower ones resist."""
+    relax(parameters, MODES, state, port, dt, commit)
+    chamber, slower = int(parameters[2 * MODES]), parameters[2 * MODES + 1]
+    for i in range(port.shape[1]):
+        if chamber < 0 or chamber == i:
+            elastic, slope = wall(port, chamber, i)
+            port[ADDED, i] += slower * elastic
+            port[ADDED_SLOPE, i] += slower * slope
 
 
 @dataclass(frozen=True)
@@ -68,13 +50,13 @@ class PowerCreep(Effect):
     chamber: int = -1
 
     def pack(self, robot: Robot) -> np.ndarray:
-        """Return the modes' shares (8,), the chamber, and the share of all slower modes."""
+        """Return share and relaxation time of each mode in turn, the chamber, and the share of all slower modes."""
         modes, slower = self._shares()
-        return np.array([*modes, super().pack(robot)[2], slower])
+        return np.array([*np.stack([modes, TIMES_S], axis=1).ravel(), super().pack(robot)[2], slower])
 
     def reset(self, robot: Robot) -> np.ndarray:
-        """Return every mode's overstress and the last elastic resistance of each chamber, all zero."""
-        return np.zeros((MODES + 1) * robot.chambers)
+        """Return the state of all modes at rest."""
+        return np.zeros(slots(MODES, robot.chambers))
 
     def unrelaxed(self, after_s: float) -> float:
         """Return the shares of the modes that are left, and of all slower ones."""

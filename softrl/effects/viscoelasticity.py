@@ -7,7 +7,8 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import ADDED, ADDED_SLOPE, PORT_KERNEL, Effect, parameter, wall
+from softrl.effects.effect import PORT_KERNEL, Effect, parameter
+from softrl.effects.relaxation import relax, slots
 from softrl.robots.robot import Robot
 
 
@@ -15,27 +16,8 @@ from softrl.robots.robot import Robot
 def viscoelasticity_kernel(
     parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool
 ) -> None:
-    """Advance each branch's overstress exactly for a resistance that changes linearly over the step."""
-    n = port.shape[1]
-    chamber = int(parameters[4])
-    for branch in range(2):
-        share, tau = parameters[2 * branch], parameters[2 * branch + 1]
-        if share == 0.0:
-            continue
-        faded = math.expm1(-dt / tau)
-        kept = -tau / dt * faded
-        for i in range(n):
-            if chamber < 0 or chamber == i:
-                elastic, slope = wall(port, chamber, i)
-                change = elastic - state[2 * n + i]
-                overstress = (1.0 + faded) * state[branch * n + i] + kept * change
-                port[ADDED, i] += share * overstress
-                port[ADDED_SLOPE, i] += share * kept * slope
-                if commit:
-                    state[branch * n + i] = overstress
-    if commit:
-        for i in range(n):
-            state[2 * n + i] = wall(port, chamber, i)[0]
+    """Advance both branches' overstress."""
+    relax(parameters, 2, state, port, dt, commit)
 
 
 @dataclass(frozen=True)
@@ -61,8 +43,8 @@ class Viscoelasticity(Effect):
     chamber: int = -1
 
     def reset(self, robot: Robot) -> np.ndarray:
-        """Return both branches' overstress and the last elastic resistance of each chamber, all zero."""
-        return np.zeros(3 * robot.chambers)
+        """Return the state of both branches at rest."""
+        return np.zeros(slots(2, robot.chambers))
 
     def unrelaxed(self, after_s: float) -> float:
         """Return the shares of both branches that are left."""

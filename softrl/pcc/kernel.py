@@ -5,21 +5,19 @@ its length at rest, and what the curvature loses from base to tip. These are the
 chamber are bend and change of curvature in its plane.
 """
 
-import math
 from typing import Any
 
 import numba as nb
 import numpy as np
 
 from softrl.core.compiled import summing
-from softrl.effects.effect import BODY_PORT_ROWS, LOAD_PORT_ROWS, STRAIN
+from softrl.effects.effect import BODY_PORT_ROWS, LOAD_PORT_ROWS, STAGE, STRAIN
 from softrl.pcc.forces import run_body_effects, run_load_effects
 from softrl.pcc.model import GAINED, LAST, MOVED, TRIAL, VELOCITY, WORK_ROWS, fill_shape, stretching
 from softrl.pcc.newton import solve_step
 from softrl.pcc.pose import squared_bend, stumpff, tip_orientation, tip_position
 
 REFRESHED = 16  # steps after which a Jacobian that was corrected on the way is made anew: inertia changes with the shape
-STAGE = 1.0 - math.sqrt(0.5)  # share of a step that each of its two stages takes
 
 
 @summing
