@@ -74,8 +74,9 @@ def _bridged(stamps: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarr
     if not len(lost):
         return stamps, rows
     between = [np.arange(stamps[k] + period[k], stamps[k + 1] - 0.5 * period[k], period[k]) for k in lost]
-    filled = np.union1d(stamps, np.concatenate(between))
-    return filled, evenly(filled, stamps, rows)
+    added = np.concatenate(between)
+    places = np.searchsorted(stamps, added)  # stamps stay as they are: rows that come at one time are each their own
+    return np.insert(stamps, places, added), np.insert(rows, places, evenly(added, stamps, rows), axis=0)
 
 
 def _filled_in(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -93,12 +94,12 @@ def evenly(at: np.ndarray, time: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 
 def _mean_held(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray, dt_s: float) -> np.ndarray:
-    """Return the mean over each step (time - dt, time] of ``rows`` (samples, n), each held until its stamp.
+    """Return the mean over each step (time - dt, time] of ``rows`` (samples, n), each held until its stamp, the last to the end.
 
     A change within a step acts on the rest of the step only: taken whole, uneven stamps would make it early by half a
     step on average, which looks like a delay of the robot.
     """
-    begin, end = stamps[0] - dt_s - max(stamps[0] - time[0], 0.0), stamps[-1] + dt_s
+    begin, end = stamps[0] - dt_s - max(stamps[0] - time[0], 0.0), max(stamps[-1], time[-1]) + dt_s
     knots = np.r_[begin, stamps, end]
     held = np.vstack([rows, rows[-1:]])
     total = np.vstack([np.zeros((1, rows.shape[1])), np.cumsum(held * np.diff(knots)[:, None], axis=0)])

@@ -64,6 +64,26 @@ def test_pressures_arrive_when_they_were_commanded(dt_s: float, uneven_s: float)
     assert np.abs(apart).max() < 1e-4 or uneven_s > 0.0
 
 
+@pytest.mark.parametrize("early_s", [0.3, 0.7])
+def test_a_command_that_came_early_acts_to_the_end(early_s: float) -> None:
+    """The last row too is held until the recording ends: nothing was vented there."""
+    time, command = 1.0 * np.arange(11), np.repeat([[1e4], [2e4]], [8, 3], axis=0) * np.ones(3)
+    later = np.where(np.arange(11) < 7, 0.0, -early_s)
+    grid, acts, _ = drive_on_grid(Recording("run", "day", time, command), 0.05, "command", 0.0, later=later)
+    np.testing.assert_allclose(acts, np.where(grid[:, None] > 7.0 - early_s + 1e-6, 2e4, 1e4) * np.ones(3))
+
+
+def test_rows_that_come_at_one_time_act_in_their_order_beside_lost_ones() -> None:
+    time = np.r_[0.1 * np.arange(30), 3.5 + 0.1 * np.arange(30)]
+    command = 1e3 * np.arange(60)[:, None] * np.ones(3)
+    later = np.repeat([0.07, -0.07], [20, 40])  # the second clock's first row comes no sooner than the first's last
+    whole, part = (
+        drive_on_grid(Recording("run", "day", time[:rows], command[:rows]), 0.01, "command", 0.0, later=later[:rows])[1]
+        for rows in (60, 30)
+    )
+    np.testing.assert_allclose(whole[:280], part[:280])
+
+
 @pytest.mark.parametrize("lost", [1, 5, 40])
 def test_a_command_is_not_early_by_the_rows_that_a_log_has_lost(lost: int) -> None:
     time = 0.02 * np.arange(1, 1001)
