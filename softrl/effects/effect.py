@@ -169,7 +169,7 @@ class Effect:
         and no gate
     stores : whether its first parameter is a flow into a store of each chamber's, which stays when a gate stops the flow
     before_gauge : whether an effect on chambers acts before their pressures are measured, at the valve, so that gauges show it
-    begun_s : how long the clock, and that of ``since_s``, had gone on already at the first sample of a run, s
+    begun_s : how long the clock of what ``lasts``, and that of ``since_s``, had gone on already at the first sample of a run, s
     behind_gauge : whether an effect of valves lies between where pressures are measured and the chambers: gauges do not show it
     above_share : share of the robot's largest pressure above which it acts; ``EVERYWHERE`` for all pressures
     over_s : how long it takes from ``since_s`` until it acts in full, s: a camera is knocked in a moment, a leak tears open

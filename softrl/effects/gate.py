@@ -179,13 +179,14 @@ def _gate_of(effect: Effect) -> Any:
 def hook_of(effect: Effect, robot: Robot, before_s: float = 0.0, temperature: np.ndarray | None = None) -> Hook:
     """Return ``effect`` as a kernel takes it, its clock as it stands ``before_s`` before the first sample.
 
+    What goes on with the recording, as temperatures and readings do, begins with each part of a run anew.
     ``temperature`` (seconds,) degree Celsius, one value a second from the first sample on, goes to what needs it.
     """
     kernel, parameters, state = type(effect).kernel, effect.pack(robot), effect.reset(robot)
     if effect.needs == "temperature" and temperature is not None:
         parameters = np.r_[parameters, temperature]
     if effect.clock is not None:
-        state[effect.clock] = effect.begun_s - before_s
+        state[effect.clock] = (effect.begun_s if effect.lasts else 0.0) - before_s
     if not effect.gated:
         return Hook(kernel, parameters, state)
     above = effect.above_share * robot.largest_pa if effect.above_share > EVERYWHERE else -np.inf

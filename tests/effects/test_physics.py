@@ -658,6 +658,19 @@ def test_a_wall_softens_with_the_recorded_temperature_only() -> None:
         np.testing.assert_allclose(seen[ADDED_SLOPE], np.expm1(-0.02 * warm) * 2e4)
 
 
+def test_a_part_of_a_run_has_temperatures_of_its_own() -> None:
+    """They are told from its first sample on, however long the run had gone on; what is timed by the run opens by that."""
+    temperature = np.linspace(20.0, 30.0, 11)
+    port = np.zeros((BODY_PORT_ROWS, 3))
+    port[ELASTIC] = 1e3
+    for since_s, share in ((0.0, 1.0), (296.0, 1.0), (304.0, 0.5)):
+        effect = ThermalSoftening(softening_per_k=0.02, since_s=since_s, over_s=2.0, begun_s=300.0)
+        (hook,) = EffectChain(ROBOT, (effect,), temperature=temperature).hooks("body")
+        seen = port.copy()
+        hook.kernel(hook.parameters, hook.state, seen, 5.0, True)
+        np.testing.assert_allclose(seen[ADDED], share * np.expm1(-0.02 * 5.0) * 1e3)
+
+
 def test_friction_loop_grows_with_pressure_not_with_rate() -> None:
     strain = 0.05 * np.sin(np.linspace(0, 20, 2000))
     for pressure, height in ((0.0, 0.1 * FULL), (1e4, 0.1 * FULL + 0.05 * 1e4)):
