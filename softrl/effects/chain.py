@@ -116,11 +116,11 @@ class EffectChain:
         return np.asarray(command + shown - self.reported(rest, dt_s)[-1])
 
 
-def _place(effect: Effect) -> tuple[int, int, int, bool, str]:
-    """Return what effects are sorted by."""
+def _place(effect: Effect) -> tuple[Any, ...]:
+    """Return what effects are sorted by; of one name by their fields, for what they do in two chambers need not commute."""
     of_source = effect.acts_at == "valve" and effect.name() in SOURCE
     source = SOURCE.index(effect.name()) if of_source else len(SOURCE)
-    return SITES.index(effect.acts_at), source, SITES.index(effect.site), effect.of_area, effect.name()
+    return SITES.index(effect.acts_at), source, SITES.index(effect.site), effect.of_area, effect.name(), *vars(effect).values()
 
 
 @lru_cache(maxsize=64)

@@ -262,6 +262,14 @@ def test_order_of_the_list_does_not_matter() -> None:
     np.testing.assert_array_equal(simulate(effects).position, simulate(effects[::-1]).position)
 
 
+def test_nor_does_it_among_effects_of_one_name() -> None:
+    """What a chamber feels of another is felt by a third in turn."""
+    both = [library.effect_class("crosstalk")(share=0.3, chamber=chamber) for chamber in (0, 1)]
+    pressures = np.array([[1e4, 2e4, 0.0]])
+    acting = [chain_of(simulator().robot, order).filter(["chamber"], pressures, 0.01) for order in (both, both[::-1])]
+    np.testing.assert_array_equal(*acting)
+
+
 def test_members_within_their_bounds_converge_together() -> None:
     rng = np.random.default_rng(7)
     for _ in range(40):
