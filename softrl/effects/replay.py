@@ -202,15 +202,11 @@ def _reported(
     """
     taken_at = _as_measured(recording, robot, time, dt_s, motion, taken)
     reports_angle = "bend_angle" in channels and (robot.output == "bend_angle" or recording.bend_angle is not None)
-    quaternion = None
-    if "quaternion" in channels:
-        quaternion = _sampled(taken_at, time, dt_s, motion.quaternion)
-        quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
     return replace(
         recording,
         pressure_meas=_held(recording.time, time, dt_s, motion.pressure) if "pressure_meas" in channels else None,
         position=_sampled(taken_at, time, dt_s, motion.position) if "position" in channels else None,
-        quaternion=quaternion,
+        quaternion=_turned(taken_at, time, dt_s, motion.quaternion) if "quaternion" in channels else None,
         bend_angle=_bent(robot, taken_at, time, dt_s, motion.quaternion) if reports_angle else None,
         markers={},
     )
@@ -218,7 +214,7 @@ def _reported(
 
 def _bent(robot: Robot, wanted: np.ndarray, time: np.ndarray, dt_s: float, quaternion: np.ndarray) -> np.ndarray:
     """Return the bend angle (samples,) rad at the times ``wanted``; the steps of the grid tell how often it has gone round."""
-    angle, counted = bend_angle(robot, _sampled(wanted, time, dt_s, quaternion)), bend_angle(robot, quaternion)
+    angle, counted = bend_angle(robot, _turned(wanted, time, dt_s, quaternion)), bend_angle(robot, quaternion)
     counted = _sampled(wanted, time, dt_s, counted[:, None])[:, 0]
     return np.asarray(angle + 2.0 * np.pi * np.round((counted - angle) / (2.0 * np.pi)))
 
@@ -265,6 +261,12 @@ def _sampled(wanted: np.ndarray, time: np.ndarray, dt_s: float, values: np.ndarr
     """
     place = (wanted - time[0]) / dt_s
     return _interpolated(place, np.ascontiguousarray(values))
+
+
+def _turned(wanted: np.ndarray, time: np.ndarray, dt_s: float, quaternion: np.ndarray) -> np.ndarray:
+    """Return unit quaternions (samples, 4) w x y z at the times ``wanted``: between two steps a chord is shorter than either."""
+    chord = _sampled(wanted, time, dt_s, quaternion)
+    return np.asarray(chord / np.linalg.norm(chord, axis=1, keepdims=True))
 
 
 def _held(wanted: np.ndarray, time: np.ndarray, dt_s: float, values: np.ndarray) -> np.ndarray:

@@ -42,6 +42,15 @@ class Creeping(Wire):
         return replace(super().simulate(time, pressure), position=creep)
 
 
+class Turning(Wire):
+    """A body whose tip turns by 10 rad/s in the plane of +x, whatever the pressure."""
+
+    def simulate(self, time, pressure, tip_force=None, body=(), load=()):  # type: ignore[no-untyped-def]
+        half = 5.0 * (time - time[0])
+        turn = np.stack([np.cos(half), 0.0 * half, np.sin(half), 0.0 * half], axis=1)
+        return replace(super().simulate(time, np.zeros((len(time), 3))), quaternion=turn)
+
+
 ROBOT = Robot(
     name="wire", chamber_angle_deg=(-90.0, -210.0, -330.0), chamber_radius_m=0.05, chamber_area_m2=1e-3, length_m=0.2,
     mass_kg=1.0, pressure_min_pa=-1e4, pressure_max_pa=3e4, slew_pa_per_s=1e6, tip_force_max_n=1.0, axis="+z",
@@ -150,6 +159,15 @@ def test_a_slow_sensor_reports_the_pose_of_its_last_reading_whatever_the_step(pe
     stepwise = held.simulate(grid, pressure).position  # the kernel, that a rig runs by
     at = period_s * np.floor(grid / period_s + 1e-6)
     np.testing.assert_allclose(stepwise, 1e4 * np.sin(np.outer(at, [1.1, 0.7, 0.4])), atol=20.0)
+
+
+@pytest.mark.parametrize("dt_s", [0.01, 0.04])
+def test_a_bend_angle_between_two_steps_is_that_of_a_turn(dt_s: float) -> None:
+    """Half way between two poses an even turn about one axis is half done, on beyond half a turn too."""
+    finger = replace(ROBOT, chamber_angle_deg=(180.0,), output="bend_angle")
+    time = np.r_[0.0, dt_s * (np.arange(1, 40) - 0.5)]
+    run = Recording("run", "day", time, np.zeros((40, 1)), bend_angle=10.0 * time)
+    np.testing.assert_allclose(replay(Plant(Turning(finger), chain_of(finger, ())), run, dt_s).bend_angle, 10.0 * time, atol=1e-9)
 
 
 def cut(effects: list[Effect], from_s: float) -> tuple[Plant, Recording]:
