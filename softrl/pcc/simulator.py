@@ -149,18 +149,16 @@ class PccSimulator:
         """(chambers, 3): chamber elongation per coordinate (b_x, b_y, epsilon)."""
         return _strains_of(tuple(self.robot.chamber_angle_deg), self.robot.chamber_radius_m / self.length_m)
 
-    @property
-    def _maps(self) -> tuple[np.ndarray, ...]:
-        return _maps_of(tuple(self.robot.chamber_angle_deg), self.robot.chamber_radius_m / self.length_m)
-
     @cached_property
     def _model(self) -> Model:
         """What the kernel reads, about the equilibrium under gravity alone."""
-        return self._model_about(self._equilibrium((_NONE, _NONE)))
+        return self._straight._replace(rest=self._equilibrium((_NONE, _NONE)))
 
-    def _model_about(self, rest: np.ndarray) -> Model:
+    @cached_property
+    def _straight(self) -> Model:
+        """What the kernel reads, about the straight body."""
         r, length = self.robot, self.length_m
-        plane, to_strain, to_moving = self._maps
+        plane, to_strain = _maps_of(tuple(r.chamber_angle_deg), r.chamber_radius_m / length)
         end = self.mass_scale * self.end_mass_kg
         mass, uneven = self.mass_scale * r.mass_kg - end, self._uneven
         bending, _, axial = self.stiffness
@@ -168,7 +166,8 @@ class PccSimulator:
         if r.chambers == 1:
             stiffness = stiffness[[0, 3]]
         work = r.chamber_area_m2 * length  # of a pascal over a strain of 1
-        elastic = stiffness[: len(to_moving)]
+        elastic = stiffness[: to_strain.shape[1]]
+        to_moving = _moving_of(to_strain, elastic)
         to_elastic = np.ascontiguousarray(to_moving.T * elastic / work)
         gravity = np.array(r.gravity_m_s2, dtype=float)
         return Model(
@@ -184,7 +183,7 @@ class PccSimulator:
             slope=np.sum(to_elastic * to_moving.T, axis=1),
             wall=_wall_of(to_strain, elastic) / work,
             beside=np.diag(elastic) - work * to_strain.T @ to_elastic,
-            rest=rest,
+            rest=np.zeros(len(stiffness)),
             length=float(length),
             mass=float(mass),
             end=float(end),
@@ -207,7 +206,7 @@ class PccSimulator:
             QUASI_STATIC_S,
             held,
             np.zeros((1, 3)) if tip_force is None else np.atleast_2d(tip_force).astype(float),
-            self._model_about(np.zeros(order)),
+            self._straight,
             loads_only,
         )
         return y
@@ -298,7 +297,7 @@ class PccSimulator:
         there.
         """
         hooks = pack(body) if body else _NONE, pack(load) if load else _NONE
-        model = self._model_about(self._equilibrium(hooks)) if load else self._model
+        model = self._straight._replace(rest=self._equilibrium(hooks)) if load else self._model
         y, velocity = model.rest.copy(), np.zeros_like(model.rest)
         held = np.ascontiguousarray(pressure, dtype=float)
         force = np.zeros((len(time), 3)) if tip_force is None else np.ascontiguousarray(tip_force, dtype=float)
@@ -316,15 +315,25 @@ def _strains_of(angles_deg: tuple[float, ...], lever: float) -> np.ndarray:
 
 @cache
 def _maps_of(angles_deg: tuple[float, ...], lever: float) -> tuple[np.ndarray, ...]:
-    """Return the plane (2,) of a robot with one chamber; and what the chambers' places make of the coordinates that stretch them.
+    """Return the plane (2,) of a robot with one chamber; and the strains (chambers, moving) of the coordinates that stretch them.
 
-    Those are all three, or the bend in the plane: strains (chambers, moving) of them, and the pseudo-inverse of that.
+    Those are all three, or the bend in the plane.
     """
     strain, plane = _strains_of(angles_deg, lever), np.zeros(2)
     if len(angles_deg) == 1:
         plane = strain[0, :2] / lever
         strain = strain[:, :2] @ plane[:, None]
-    return plane, np.ascontiguousarray(strain), np.linalg.pinv(strain)
+    return plane, np.ascontiguousarray(strain)
+
+
+def _moving_of(to_strain: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
+    """Return the coordinates (moving, chambers) of least energy for strains, with ``stiffness`` (moving,) J.
+
+    Two chambers leave one coordinate open. Any other choice would mix bends and elongation by their units, and walls that follow
+    what holds the chambers would gain work along a closed path.
+    """
+    root = np.sqrt(stiffness)
+    return np.linalg.pinv(to_strain / root) / root[:, None]
 
 
 def _wall_of(to_strain: np.ndarray, stiffness: np.ndarray) -> np.ndarray:

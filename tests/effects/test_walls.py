@@ -77,6 +77,15 @@ def test_a_stiffer_body_of_two_chambers_is_stiffer_out_of_their_plane_too(angles
         np.testing.assert_allclose(told, rest_of(twice, [], (0.0, 0.0), force), atol=2e-5)
 
 
+@pytest.mark.parametrize("angles", [(0.0, 180.0), (0.0, 90.0), (0.0, 120.0), (-120.0, 120.0, 0.0), (0.0, 90.0, 180.0, 270.0)])
+def test_a_force_moves_the_tip_across_it_as_one_across_does_along_it(angles: tuple[float, ...]) -> None:
+    """Betti's law, of walls that have not relaxed yet: whatever chambers leave open, no closed path gains work."""
+    body, effect, push = segment(0.1, angles), Viscoelasticity(5.0, 300.0, 0.0, 1.0), 0.05
+    forces, none = push * np.eye(3), np.zeros(len(angles))
+    moved = [rest_of(body, [effect], none, force) - rest_of(body, [effect], none, -force) for force in forces]
+    np.testing.assert_allclose(moved, np.transpose(moved), atol=1e-3 * np.abs(moved).max())
+
+
 @pytest.mark.parametrize("name", WALLS)
 def test_what_is_said_of_one_wall_depends_on_its_own_strain(name: str) -> None:
     """Else a closed path would gain work: the pressure that holds a chamber is in part that of the others' walls."""
