@@ -242,4 +242,6 @@ class RomSimulator:
         held = self._loads(pressure, tip_force)
         moving = rest.copy(), np.zeros(len(rest)), STILL.copy()
         position, quaternion, _ = self._run(*moving, rest, float(time[1] - time[0]), held, hooks, len(held))
+        unpack(hooks[0], body)
+        unpack(hooks[1], load)
         return Motion(np.asarray(time, dtype=float), position, quaternion, held[:, : self.robot.chambers].copy())

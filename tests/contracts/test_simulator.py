@@ -126,6 +126,21 @@ def test_a_chain_of_steps_carries_the_effects_along(case: tuple[Robot, Simulator
     assert np.abs(whole.position - bare).max() > 1e-4
 
 
+def test_effects_have_come_as_far_in_a_simulation_as_in_its_steps(case: tuple[Robot, Simulator]) -> None:
+    """Who goes on from either finds the hooks' own states there."""
+    robot, simulator = case
+    time, pressure = program(robot, steps=20)
+    effects = chain_of(robot, [Viscoelasticity(0.4, 0.3, 0.0, 1.0), Payload(0.2)])
+    whole, stepped = ((effects.hooks("body"), effects.hooks("load")) for _ in range(2))
+    simulator.simulate(time, pressure, None, *whole)
+    state = effects.at_rest(simulator, stepped[1])
+    for row in pressure:
+        state = simulator.step(state, row, DT_S, None, *stepped)
+    for (one,), (other,) in zip(whole, stepped, strict=True):
+        assert np.abs(other.state).max() > 0.0
+        np.testing.assert_allclose(one.state, other.state, rtol=1e-5, atol=1e-5 * np.abs(other.state).max())
+
+
 def test_it_comes_to_rest_under_a_load_where_the_simulation_starts(case: tuple[Robot, Simulator]) -> None:
     robot, simulator = case
     effects = chain_of(robot, [Payload(0.2), Tether(stiffness_n_per_m=30.0, offset_x=0.2, offset_y=-0.2)])
