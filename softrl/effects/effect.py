@@ -299,10 +299,6 @@ class Effect:
         """Return the effects at single sites that this one is made of: itself, unless it acts at several."""
         return (self,)
 
-    def taken_at(self, time: np.ndarray) -> np.ndarray:
-        """Return when a sensor took what it reports at ``time`` (steps,) s since the first sample."""
-        return time
-
     def undo(self, robot: Robot, reported: np.ndarray, share: np.ndarray, dt_s: float) -> np.ndarray:
         """Return the pressures (steps, chambers) Pa behind what a gauge ``reported``; of its error ``share`` (steps, 1) acts."""
         raise NotImplementedError(f"effect {self.name()} does not act on a pressure sensor")

@@ -21,7 +21,7 @@ def supply_limit_kernel(parameters: np.ndarray, state: np.ndarray, value: np.nda
 
 @dataclass(frozen=True)
 class SupplyLimit(Effect):
-    """Ceiling and floor of the supplied pressure, as shares of the robot's largest and smallest pressure.
+    """Ceiling and floor of the supplied pressure, as shares of the robot's highest and lowest pressure.
 
     A robot without suction (``pressure_min_pa >= 0``) has no floor, one with nothing else (``pressure_max_pa <= 0``) no ceiling.
 

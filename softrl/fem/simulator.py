@@ -51,14 +51,9 @@ class Hooks(NamedTuple):
 
 
 class FemState(NamedTuple):
-    """A moving body, its volumes (n,) m^3 one step ago, its tip's velocity (3,) m/s, and the volumes from which strains count.
-
-    Those are, without them, the ones under weight alone.
-    """
+    """A moving body, and the volumes (n,) m^3 from which strains count: without them, those under weight alone."""
 
     body: State
-    volume_before: np.ndarray
-    tip_velocity: np.ndarray
     rest: np.ndarray | None = None
 
 
@@ -183,7 +178,7 @@ class FemSimulator:
         return self._still(self._rest)
 
     def _still(self, pose: Pose) -> FemState:
-        return FemState(self.model.state(pose), self.model.volumes(pose), np.zeros(3))
+        return FemState(self.model.state(pose))
 
     def step(
         self, state: FemState, pressure: np.ndarray, dt_s: float, tip_force: np.ndarray | None = None,
@@ -205,15 +200,13 @@ class FemSimulator:
     def _advance(
         self, state: FemState, load: np.ndarray, dt_s: float, gravity: np.ndarray, start: Pose | None
     ) -> FemState:
-        model = self.model
-        moved, solve = model.step(state.body, load, dt_s, gravity, start)
+        moved, solve = self.model.step(state.body, load, dt_s, gravity, start)
         if not solve.converged:
             raise SolverError(
                 f"simulator fem: a step of {dt_s:g} s did not converge in {solve.iterations} iterations; "
                 "try a smaller dt_s, or weaker effects"
             )
-        velocity = (model.tip(moved.pose) - model.tip(state.body.pose)) / dt_s
-        return FemState(moved, model.volumes(state.body.pose), velocity)
+        return FemState(moved)
 
     def _advance_with_effects(self, state: FemState, given: np.ndarray, dt_s: float, hooks: Hooks) -> FemState:
         """Find the load at which the body ends the step where the effects add just that load; then commit them.
