@@ -1,11 +1,13 @@
 """What measured pressures are taken for once the valve before them is understood."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.judging import parts
 from softrl.effects.chain import EffectChain, SignalFilter
 from softrl.effects.driving import drive_on_grid, evenly
@@ -47,7 +49,7 @@ def understood(monkeypatch: pytest.MonkeyPatch, robot: Robot, time: np.ndarray, 
 
     monkeypatch.setattr(parts, "supplied", supplied)
     space = SimpleNamespace(effects=lambda *_: (LAG,), late=lambda _: 0.0)
-    problem = SimpleNamespace(robot=robot, space=lambda _: space)
+    problem = SimpleNamespace(robot=robot, space=lambda _: space, on=lambda _: problem, late_in=lambda _, late_s: late_s)
     final = SimpleNamespace(hypothesis=None, fit=SimpleNamespace(point=None))
     return SimpleNamespace(final=final, part=SimpleNamespace(problem=problem))
 
@@ -71,6 +73,18 @@ def test_the_body_is_driven_the_same_by_an_understood_valve_and_by_its_pressures
     _, command, _ = drive_on_grid(run, 0.01, "command", 0.0, 0.03)
     made = EffectChain(tripod, (LAG,)).filter(["valve"], command, 0.01)
     np.testing.assert_allclose(seen, made, atol=1e-3 * np.ptp(true))
+
+
+def test_an_understood_valve_is_as_late_as_each_log_is_slow(monkeypatch: pytest.MonkeyPatch, tripod: Robot) -> None:
+    """A log is late by a share of its rows: of one of twice the interval the valve's commands act twice as late, too."""
+    (often, time, true), (seldom, *_) = steps(tripod, 0.1), steps(tripod, 0.2)
+    valve = understood(monkeypatch, tripod, time, true)
+    monkeypatch.setattr(Problem, "space", lambda *_: SimpleNamespace(effects=lambda *_: (LAG,), late=lambda _: 0.04))
+    runs = (often, replace(seldom, name="seldom"))
+    valve.part.problem = Problem(
+        tripod, SimpleNamespace(), runs, SimpleNamespace(), "pressure", "command", False, False, interval_s=0.1
+    )  # fmt: skip
+    assert [known.late_s for _, known in parts._understood(runs, valve, 1.0)] == pytest.approx([0.04, 0.08])
 
 
 @pytest.mark.parametrize(("unexplained", "kept"), [(0.0, 0.0), (3e3, 1.0)])

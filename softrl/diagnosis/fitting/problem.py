@@ -253,13 +253,17 @@ class Problem:
         apart = {run.name: float(np.median(np.diff(run.time))) / self.interval_s for run in self.runs}
         return {name: times if abs(times - 1.0) > SAME_RATE else 1.0 for name, times in apart.items()}
 
+    def late_in(self, run: Recording, late_s: float) -> float:
+        """Return how late, s, the log of ``run`` has it that rows act, where that of most runs is ``late_s`` late."""
+        return late_s * self._rows_apart[run.name]
+
     def _unjudged(self, run: Recording) -> float:
         return 0.0 if self._from_rest(run) else min(UNJUDGED_S, UNJUDGED_SHARE * float(np.ptp(run.time)))
 
     def _replay(self, plant: Plant, run: Recording, channels: tuple[str, ...], late_s: float) -> Recording:
         settle = 0.0 if self._from_rest(run) else self.numerics.settle_s
         before, supply, later = self.before.get(run.name), self.supply.get(run.name), self._later.get(run.name)
-        late_s *= self._rows_apart[run.name]
+        late_s = self.late_in(run, late_s)
         made = replay(plant, run, self.numerics.dt_s, self.drive, settle, before, channels, late_s, supply, later)
         for name in self._compared:
             if not np.isfinite(_present(getattr(made, name))).all():

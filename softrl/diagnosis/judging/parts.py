@@ -145,7 +145,7 @@ def _understood(runs: Sequence[Recording], valve: Finding, noise: float) -> list
     leaves, as in Wiener's filter of a signal that is as white. Beside each run stands the valve, for what it does between
     samples.
     """
-    final, problem = valve.final, valve.part.problem
+    final, problem = valve.final, valve.part.problem.on(runs)
     space, point, found = problem.space(final.hypothesis), final.fit.point, []
     for run, made, to in zip(runs, supplied(runs, valve), supplied(runs, valve, shown=False), strict=True):
         chain = chain_of(problem.robot, space.effects(point, run.session, run.gone_s))
@@ -154,7 +154,7 @@ def _understood(runs: Sequence[Recording], valve: Finding, noise: float) -> list
         square = float(np.mean(np.sum(apart**2, axis=1)))
         apart *= max(1.0 - noise**2 / square, 0.0) if square > 0.0 else 0.0
         mended = replace(run, pressure_meas=to.pressure_meas + apart)
-        found.append((mended, Supply(chain, space.late(point), apart)))
+        found.append((mended, Supply(chain, problem.late_in(run, space.late(point)), apart)))
     return found
 
 
