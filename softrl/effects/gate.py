@@ -172,7 +172,7 @@ def _gate_of(effect: Effect) -> Any:
         return gated_flow
     if effect.site == "sensor" and effect.channel == "pose":
         return gated_pose
-    on_its_way = effect.site == "valve" and (effect.piped or effect.shifts_time)
+    on_its_way = effect.site == "valve" and (effect.piped or effect.shifts_time or effect.sticks)
     return gated_way if on_its_way else KERNELS.get(effect.site, gated_signal)
 
 

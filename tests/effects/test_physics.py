@@ -326,9 +326,10 @@ def test_leak_that_opens_above_a_pressure_leaves_its_deficit_behind() -> None:
 
 @pytest.mark.parametrize(
     "valve",
-    [Lag(0.5, 1.0), RateLimit(0.4, 0.4), FlowLimit(0.4, 0.5), Orifice(0.5, 0.5), PiRegulator(0.1, 0.5), TubeLine(0.6, 0.4)],
+    [Lag(0.5, 1.0), RateLimit(0.4, 0.4), FlowLimit(0.4, 0.5), Orifice(0.5, 0.5), PiRegulator(0.1, 0.5), TubeLine(0.6, 0.4),
+     Deadband(0.05, 0.4, 0.6)],
     ids=lambda effect: effect.name(),
-)
+)  # fmt: skip
 def test_a_valve_that_is_slow_above_a_pressure_vents_as_slowly_as_it_fills(valve: Effect) -> None:
     threshold, band = 0.3 * FULL, 0.05 * FULL
     command = np.vstack([step_to(0.0, 10), step_to(0.8 * FULL, 600), step_to(0.0, 600)])
