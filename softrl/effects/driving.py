@@ -44,7 +44,7 @@ def drive_on_grid(
         stamps = np.maximum.accumulate(stamps + later)
     if drive == "measured" and supply is not None:
         _, command, _ = drive_on_grid(recording, dt_s, "command", settle_s, late_s + supply.late_s, later=later)
-        valve = replace(supply.chain, effects=supply.chain.at("valve"), before_s=settle_s)
+        valve = replace(supply.chain, effects=supply.chain.at("valve"), before_s=settle_s + dt_s)
         if first and recording.pressure_meas is not None:
             command[:first] = valve.stood_under(command[0], recording.pressure_meas[0] - supply.apart[0], first, dt_s)
         pressure = valve.filter(["valve"], command, dt_s) + evenly(time, stamps, supply.apart)

@@ -90,7 +90,8 @@ def replay_batch(
     if past is not None and drive == "command" and recording.pressure_meas is None:
         pressure, past = np.vstack([past, pressure[len(past) :]]), None
     taken = [_taken_at(plant.chain, recording) for plant in plants]
-    plants = [_under(plant, settle_s, _each_second(Same(recording))) for plant in plants]
+    before_s = settle_s + dt_s  # a run begins a step before its first row, which is where that step has led
+    plants = [_under(plant, before_s, _each_second(Same(recording))) for plant in plants]
     if drive == "command":
         first = None if recording.pressure_meas is None else (round(settle_s / dt_s), recording.pressure_meas[0])
         motions = simulate_batch(plants, time, pressure, force, workers, past, first)
@@ -98,7 +99,7 @@ def replay_batch(
         behind = [_behind_valve(plant) for plant in plants]
         motions = []
         for gauges, group in groupby(range(len(plants)), lambda k: plants[k].chain.gauges):
-            since_s = dt_s * np.arange(1, len(pressure) + 1) - settle_s
+            since_s = dt_s * np.arange(len(pressure)) - settle_s
             seen = _seen_by(gauges, plants[0].chain.robot, pressure, since_s)
             motions += simulate_batch([behind[k] for k in group], time, seen, force, workers, past)
     robot = plants[0].chain.robot
@@ -106,10 +107,10 @@ def replay_batch(
     return [_reported(recording, robot, time, dt_s, motion, when, channels) for motion, when in pairs]
 
 
-def _under(plant: Plant, settle_s: float, temperature: np.ndarray | None) -> Plant:
-    """Return the plant without readers of sensors, its clocks and surroundings those of a run that settles before."""
+def _under(plant: Plant, before_s: float, temperature: np.ndarray | None) -> Plant:
+    """Return the plant without readers of sensors, its clocks and surroundings those of a run that went on ``before_s``."""
     effects = _without_readers(plant.chain)
-    return replace(plant, chain=replace(plant.chain, effects=effects, before_s=settle_s, temperature=temperature))
+    return replace(plant, chain=replace(plant.chain, effects=effects, before_s=before_s, temperature=temperature))
 
 
 @lru_cache(maxsize=KEPT)

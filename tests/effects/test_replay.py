@@ -10,6 +10,7 @@ from softrl.effects.command_map import CommandMap
 from softrl.effects.deadband import Deadband
 from softrl.effects.driving import Supply, drive_on_grid
 from softrl.effects.effect import Effect
+from softrl.effects.failure import Failure
 from softrl.effects.gain import Gain
 from softrl.effects.hold import Hold
 from softrl.effects.lag import Lag
@@ -168,6 +169,27 @@ def test_a_bend_angle_between_two_steps_is_that_of_a_turn(dt_s: float) -> None:
     time = np.r_[0.0, dt_s * (np.arange(1, 40) - 0.5)]
     run = Recording("run", "day", time, np.zeros((40, 1)), bend_angle=10.0 * time)
     np.testing.assert_allclose(replay(Plant(Turning(finger), chain_of(finger, ())), run, dt_s).bend_angle, 10.0 * time, atol=1e-9)
+
+
+ONSETS = [Failure(0.4, 2.0), Gain(0.6, since_s=2.0, over_s=0.1), PressureSensor(0.6, 0.0, since_s=2.0, over_s=0.1)]
+
+
+@pytest.mark.parametrize("effect", ONSETS, ids=lambda effect: effect.name())
+@pytest.mark.parametrize("dt_s", [0.05, 0.01, 0.0025])
+@pytest.mark.parametrize("settle_s", [0.0, 1.0])
+def test_what_begins_at_a_time_does_so_whatever_the_step(effect: Effect, dt_s: float, settle_s: float) -> None:
+    """Two seconds after the first row, which may be stamped anything, and not a step before."""
+    since = 0.05 * np.arange(81)
+    run = Recording("run", "day", 7.0 + since, np.full((81, 3), 1e4), pressure_meas=np.full((81, 3), 1e4))
+    plant = Plant(Wire(ROBOT), chain_of(ROBOT, [effect]))
+    share = np.clip((since - 2.0) / (0.1 if effect.since_s else 1e-9), 0.0, 1.0)
+    made = replay(plant, run, dt_s, settle_s=settle_s)
+    assert made.position is not None and made.pressure_meas is not None
+    changed = made.pressure_meas if effect.channel == "pressure" else made.position
+    np.testing.assert_allclose(changed[:, 0], 1e4 * (1.0 - 0.4 * share), atol=1e-3)
+    if effect.channel == "pressure":
+        driven = replay(plant, run, dt_s, drive="measured", settle_s=settle_s).position
+        np.testing.assert_allclose(driven[:, 0], 1e4 / (1.0 - 0.4 * share), atol=1e-3)
 
 
 def cut(effects: list[Effect], from_s: float) -> tuple[Plant, Recording]:
