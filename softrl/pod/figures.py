@@ -32,8 +32,9 @@ def draw_choice(choices: list[Choice]) -> Figure:
     degrees = sorted({choice.degree for choice in choices})
     for weight in sorted({choice.image_weight for choice in choices}):
         same = [choice for choice in choices if choice.image_weight == weight]
-        best = [min(c.tip_error_m for c in same if c.degree == degree) for degree in degrees]
-        axes.semilogy(degrees, 1e3 * np.array(best), "o-", ms=4, label=f"images weigh {weight:g}")
+        tried = sorted({choice.degree for choice in same})  # a body that had to be linear was tried at one degree alone
+        best = [min(c.tip_error_m for c in same if c.degree == degree) for degree in tried]
+        axes.semilogy(tried, 1e3 * np.array(best), "o-", ms=4, label=f"images weigh {weight:g}")
     axes.set(xlabel="degree of W", ylabel="tip rms, weighed by trust [mm]", title="energy: cross-validation")
     axes.set_xticks(degrees)
     axes.legend(fontsize=8)

@@ -1,5 +1,6 @@
 """A body whose energy is a polynomial is found again, for any number of chambers."""
 
+import logging
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from softrl.core.polynomial import basis
 from softrl.pod.fitting.basis import pod_basis
 from softrl.pod.fitting.energy import Weights, accumulate, scale_of, solve, trust
 from softrl.pod.fitting.equilibria import equilibria
-from softrl.pod.fitting.fit import fit_model, linear_model
+from softrl.pod.fitting.fit import fit_model, linear_model, tell_choice
 from softrl.pod.fitting.map_fit import fit_maps
 from softrl.pod.fitting.settling import equilibria_of
 from softrl.pod.report import mass_errors, motions, orientation_errors, statics
@@ -165,10 +166,32 @@ def test_hardly_any_equilibria_make_a_linear_body_and_a_warning(tripod: Body, ca
     robot, snapshots, _ = tripod
     pod = pod_basis(snapshots.displacement, snapshots.nodal_mass, 0.99, 4)
     samples = equilibria(snapshots).rows(np.arange(5))
-    model, _ = fit_model(
+    model, choices = fit_model(
         replace(SETTINGS, energy_degree_max=2), robot, snapshots, samples, pod, np.arange(5) % 2
     )
     prediction, failed = statics(model, samples)
     assert failed == 0
     assert prediction.tip_errors().max() < np.linalg.norm(prediction.full[:, 3:], axis=1).max()
-    assert len(caplog.records) <= 1
+    assert not caplog.records, "a fit may be one of several that only judge"
+    tell_choice(model, robot, samples, choices[0])
+    (record,) = (record for record in caplog.records if record.levelno == logging.WARNING)
+    assert "5 equilibria is stable at rest; the reduced model is linear" in record.getMessage()
+
+
+def test_a_ridge_that_is_too_much_for_any_energy_is_not_the_only_one_tried(tripod: Body) -> None:
+    """The middle one of two is the larger one."""
+    robot, snapshots, _ = tripod
+    pod = pod_basis(snapshots.displacement, snapshots.nodal_mass, 0.99, 4)
+    settings = replace(SETTINGS, ridges=(1e-9, 1e-6))
+    model, choices = fit_model(settings, robot, snapshots, equilibria(snapshots), pod, np.arange(40) % 2)
+    assert choices[0].degree == 4 and choices[0].ridge == 1e-9, choices[0]
+    unseen = equilibria(synthetic_snapshots(robot, 15, seed=99, trajectories=0))
+    assert statics(model, unseen)[0].tip_errors().max() < 1e-5
+
+
+def test_a_ridge_below_round_off_is_refused(tripod: Body) -> None:
+    robot, snapshots, _ = tripod
+    pod = pod_basis(snapshots.displacement, snapshots.nodal_mass, 0.99, 4)
+    samples = equilibria(snapshots).rows(np.arange(3))
+    with pytest.raises(ConfigError, match=r"stage\.ridges: 1e-15 is less than round-off"):
+        fit_model(SETTINGS, robot, snapshots, samples, pod, np.arange(3) % 2)

@@ -42,6 +42,16 @@ def test_it_reduces_a_body_and_says_how_well(tripod: Body, tmp_path: Path) -> No
     assert again.robot_name == robot.name
 
 
+def test_a_body_that_no_energy_holds_is_linear(tripod: Body, caplog: pytest.LogCaptureFixture) -> None:
+    """And told so once for the fit that is judged and once for that to all, not for those of the convergence figure."""
+    robot, snapshots, _ = tripod
+    tracker = NullTracker()
+    model = run(config(ridges=[1e-6], image_weights=[0.1, 1.0], convergence_shares=[0.3, 1.0]), robot, snapshots, tracker=tracker)
+    assert model.energy.shape == (1 + 6 + 21,)
+    assert tracker.metrics["heldout/static_tip_rms_mm"] < tracker.metrics["heldout/motion_tip_rms_mm"]
+    assert caplog.text.count("the reduced model is linear") == 2 and "smaller stage.ridges" in caplog.text
+
+
 def test_it_is_deterministic_and_does_without_trajectories(tripod: Body) -> None:
     robot, snapshots, _ = tripod
     still = replace(

@@ -106,14 +106,15 @@ def tried(settings: FitSettings, candidates: Candidates) -> list[Choice]:
     """Return the candidates without anchors, the best first, see ``best_first``.
 
     First all weights of images and degrees at the middle ridge are tried, then the other ridges at the best weight, near
-    its degree and the degree below.
+    its degree, or at all degrees where that ridge is too much or too little for any to be stable at rest.
     """
     ridges = sorted(settings.ridges)
     middle = ridges.pop(len(ridges) // 2)
     degrees = range(2, settings.energy_degree_max + 1)
     choices = [candidates.judged(weight, 0.0, degree, middle) for weight in candidates.image_weights for degree in degrees]
     best = best_first(choices)[0]
-    near = [degree for degree in degrees if abs(degree - best.degree) <= 1]
+    lost = not stands(candidates.model(best))
+    near = [degree for degree in degrees if lost or abs(degree - best.degree) <= 1]
     choices += [candidates.judged(best.image_weight, 0.0, degree, ridge) for degree in near for ridge in ridges]
     return best_first(choices)
 

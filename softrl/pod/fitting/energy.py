@@ -9,8 +9,9 @@ from itertools import combinations_with_replacement, permutations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
+from softrl.core.errors import ConfigError
 from softrl.core.polynomial import basis, count, multinomials
 from softrl.pod.fitting.equilibria import Equilibria
 from softrl.pod.fitting.maps import LEAST_RIDGE, ROUNDS, SURPLUS, cauchy, how_odd
@@ -174,6 +175,11 @@ def solve(normal: Normal, order: int, degree: int, ridge: float) -> np.ndarray:
     ``ridge`` is relative to the mean diagonal of the equations about the quadratic part. A coefficient is held towards
     zero by the inverse of its multinomial number, which has no preferred direction: powers of a coordinate in which the
     samples are thin stay small, where a ridge relative to each column lets them run wild beyond the samples.
+
+    Raises
+    ------
+    ConfigError
+        If the equations leave something open, and the ridge is less than round-off.
     """
     table = basis(order, degree)
     kept = slice(order + 1, None)
@@ -182,5 +188,11 @@ def solve(normal: Normal, order: int, degree: int, ridge: float) -> np.ndarray:
     scaled = normal.matrix[:size, :size] * spread * spread[:, None]
     quadratic = order * (order + 1) // 2
     scaled[np.diag_indices(size)] += ridge * float(np.trace(scaled[:quadratic, :quadratic])) / quadratic
-    factor = cho_factor(scaled, lower=True, overwrite_a=True, check_finite=False)
+    try:
+        factor = cho_factor(scaled, lower=True, overwrite_a=True, check_finite=False)
+    except LinAlgError as singular:
+        raise ConfigError(
+            f"stage.ridges: {ridge:g} is less than round-off in an energy of degree {degree}; choose larger ones, or run "
+            "stage=fem with more equilibria"
+        ) from singular
     return np.r_[np.zeros(order + 1), cho_solve(factor, normal.right[:size] * spread, check_finite=False) * spread]

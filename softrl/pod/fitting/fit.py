@@ -38,6 +38,7 @@ from softrl.pod.fitting.settling import anchor_loads, settles, trial_loads
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
+LINEAR = 0.0  # the ridge of a choice that is none: no energy that was fitted is stable at rest
 
 
 def fit_model(
@@ -69,14 +70,9 @@ def fit_model(
         trusted = first_that_settles(candidates, choices, trial)
     best = trusted or first_that_settles(candidates, choices, trial, thrown=False) or safest(candidates, choices)
     if best is None:
-        log.warning(
-            "no energy fitted to %d equilibria is stable at rest; the reduced model is linear, from the compliance of "
-            "the equilibrium nearest to rest: run stage=fem with more equilibria",
-            len(samples.load),
-        )
         model = replace(draft, energy=_linear_energy(samples, frame))
         errors = squared_tip_errors(model, samples)
-        best = Choice(0.0, 0.0, 2, 0.0, float(np.sqrt(errors.mean())))
+        best = Choice(0.0, 0.0, 2, LINEAR, float(np.sqrt(errors.mean())))
     else:
         model = candidates.model(best)
     return model, [best, *(choice for choice in choices if choice != best)]
@@ -92,8 +88,14 @@ def folds_of(samples: Equilibria, robot: Robot, folds: int, rng: np.random.Gener
 
 
 def tell_choice(model: ReducedModel, robot: Robot, samples: Equilibria, best: Choice) -> None:
-    """Log what was chosen, and warn of wells."""
-    if not settles(model, trial_loads(robot, samples), thrown=True):
+    """Log what was chosen, and warn of wells, or of a body that had to be linear."""
+    if best.ridge == LINEAR:
+        log.warning(
+            "no energy fitted to %d equilibria is stable at rest; the reduced model is linear, from the compliance of "
+            "the equilibrium nearest to rest: smaller stage.ridges, or more equilibria of stage=fem, help",
+            len(samples.load),
+        )
+    elif not settles(model, trial_loads(robot, samples), thrown=True):
         log.warning(
             "every energy has wells or saddles beyond its samples, in which a fast motion may be caught; the safest was "
             "taken: more equilibria, or a larger tip_force_scale of stage=fem, help"
