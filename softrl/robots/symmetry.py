@@ -26,14 +26,15 @@ def symmetries(direction: np.ndarray) -> list[Symmetry]:
     -----
     Every symmetry sends the first chamber to some chamber, by a turn or by a mirror; those are tried, and kept when
     they send the whole layout onto itself. One chamber has its own mirror; three at equal angles have six symmetries.
+    Of chambers one above the other, at one angle, none tells which goes where: they have the identity alone.
     """
-    found = []
+    found = [_symmetry(np.eye(len(direction)), np.eye(2))]
     for sign in (1.0, -1.0):
         for target in direction:
             c, s = _quotient(target, direction[0], sign)
             plane = np.array([[c, -sign * s], [s, sign * c]])
             permutation = _permutation(direction, plane)
-            if permutation is not None:
+            if permutation is not None and not np.allclose(plane, np.eye(2)):
                 found.append(_symmetry(permutation, plane))
     return found
 

@@ -22,6 +22,13 @@ def test_an_uneven_layout_keeps_only_its_mirror() -> None:
     assert len(symmetries(direction)) == 2
 
 
+def test_chambers_at_one_angle_have_the_identity_alone() -> None:
+    """An arm of two segments has its chambers one above the other."""
+    two_segments = np.tile(robot_with(3).chamber_direction, (2, 1))
+    (found,) = symmetries(two_segments)
+    np.testing.assert_array_equal(found.coordinate, np.eye(9))
+
+
 @pytest.mark.parametrize("chambers", [1, 2, 3])
 def test_images_are_equilibria_of_the_same_body(chambers: int) -> None:
     robot = robot_with(chambers)
