@@ -1,18 +1,20 @@
 """POD Galerkin against the full model whose equations it projects."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from softrl.artifacts.snapshots import Snapshots
+from softrl.core import fingerprint
 from softrl.core.errors import ConfigError, SolverError
 from softrl.core.tracking import NullTracker
 from softrl.fem.law import STRESS, TANGENT
 from softrl.fem.material import StableNeoHookean
 from softrl.fem.stage import run as run_fem
 from softrl.pod.galerkin.hyperreduction import sample_elements
-from softrl.pod.galerkin.model import build_body, elastic, full_displacements
+from softrl.pod.galerkin.model import GalerkinBody, build_body, elastic, full_displacements
 from softrl.pod.galerkin.simulator import GalerkinSimulator
 from tests.bench.full import full_simulator
 from tests.fem.bodies import box_robot, hollow_box, model_of
@@ -46,6 +48,23 @@ def simulator(snapshots: Snapshots, folder: Path) -> GalerkinSimulator:
         again = made.with_parameters(mass_scale=2.0)
         assert again.body is made.body
     return made
+
+
+def test_a_body_is_built_anew_where_code_that_made_it_has_changed(
+    simulator: GalerkinSimulator, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That of the training motion, for one."""
+    read, built = fingerprint._source, []
+
+    def build(this: GalerkinSimulator) -> GalerkinBody:
+        built.append(this)
+        return simulator.body
+
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(GalerkinSimulator, "_build", build)
+    assert replace(simulator).body.elements == simulator.body.elements and not built
+    monkeypatch.setattr(fingerprint, "_source", lambda module: read(module) + "#" * (module == "softrl.fem.sampling"))
+    assert replace(simulator).body.elements == simulator.body.elements and built
 
 
 def test_all_nodes_are_found_again_from_the_corners(snapshots: Snapshots) -> None:

@@ -120,7 +120,7 @@ class GalerkinSimulator:
         settings = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in skip}
         settings |= {name: getattr(self.snapshots, name) for name in MODEL}
         mark = fingerprint.of_values([settings, asdict(self.robot), fingerprint.of_arrays(arrays),
-                                      fingerprint.of_code("softrl.pod.galerkin.model")])  # fmt: skip
+                                      fingerprint.of_code(__name__)])  # fmt: skip
         kept = Kept("galerkin", mark)
         if "body" not in kept:
             kept.save("body", pack(self._build()))
