@@ -8,6 +8,12 @@ import numpy as np
 from softrl.artifacts.artifact import Artifact
 from softrl.core.errors import ArtifactError
 
+PER_SAMPLE = (
+    "coordinate", "energy", "compliance", "tangent_stiffness", "tangent_mass", "moments", "moment_slope", "give", "give_spin",
+    "inner_give", "inner_spin", "inner_mass", "inner_coupling", "inner_viscosity", "inner_drag", "viscosity_by_gravity",
+    "layer_energy", "layer_slope", "layer_give", "layer_drop", "layer_spin", "tip_spin", "tip_quaternion", "displacement",
+)  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Snapshots(Artifact):
@@ -42,8 +48,8 @@ class Snapshots(Artifact):
         where layers are stiffer, volumes and tip held, see ``fem.layers``
     tip_spin : (samples, 3, n + 3) rotation of the plate by the loads, rad per Pa and N
     tip_quaternion : (samples, 4) w x y z of the plate relative to rest
-    slopes : by the name of each of ``ANSWERS``, its change with the load, the load first: (samples, n + 3, ...); that of
-        the compliance is symmetric in all three
+    slopes : by the names of those of the arrays above whose change with the load is known, that change, the load first:
+        (samples, n + 3, ...); that of the compliance is symmetric in all three
     displacement : (samples, nodes, 3) m, float32, on the mesh's corner nodes
     nodal_mass : (nodes,) kg on the same nodes
     trajectory_time : (steps,) s, common to all trajectories
@@ -119,6 +125,7 @@ class Snapshots(Artifact):
     def validate(self) -> None:
         """Check that every per-sample array has one row per load."""
         super().validate()
-        for name in ("coordinate", "energy", "compliance", "moments", "give", "tip_quaternion", "displacement"):
-            if len(getattr(self, name)) != len(self.loads):
-                raise ArtifactError(f"Snapshots.{name} has {len(getattr(self, name))} rows for {len(self.loads)} loads")
+        rows = {name: getattr(self, name) for name in PER_SAMPLE} | {f"slopes/{name}": part for name, part in self.slopes.items()}
+        for name, part in rows.items():
+            if len(part) != len(self.loads):
+                raise ArtifactError(f"Snapshots.{name} has {len(part)} rows for {len(self.loads)} loads")
