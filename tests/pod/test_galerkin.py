@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from softrl.artifacts.snapshots import Snapshots
+from softrl.bench.rom import RomBench
+from softrl.bench.watch import Watch
 from softrl.core import fingerprint
 from softrl.core.errors import ConfigError, SolverError
 from softrl.core.tracking import NullTracker
@@ -16,9 +18,11 @@ from softrl.fem.stage import run as run_fem
 from softrl.pod.galerkin.hyperreduction import sample_elements
 from softrl.pod.galerkin.model import GalerkinBody, build_body, elastic, full_displacements
 from softrl.pod.galerkin.simulator import GalerkinSimulator
+from softrl.pod.simulator import RomSimulator
 from tests.bench.full import full_simulator
 from tests.fem.bodies import box_robot, hollow_box, model_of
 from tests.fem.test_stage import CONFIG
+from tests.pod.conftest import fitted
 
 BOX, LAW = hollow_box(chambers=2), StableNeoHookean(1e6, 0.45)
 
@@ -65,6 +69,21 @@ def test_a_body_is_built_anew_where_code_that_made_it_has_changed(
     assert replace(simulator).body.elements == simulator.body.elements and not built
     monkeypatch.setattr(fingerprint, "_source", lambda module: read(module) + "#" * (module == "softrl.fem.sampling"))
     assert replace(simulator).body.elements == simulator.body.elements and built
+
+
+def test_the_bench_tells_how_long_a_body_takes_to_build_only_where_it_does(
+    simulator: GalerkinSimulator, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, snapshots, model = fitted(2)
+    rom, loads = RomSimulator(robot, model, 1.0, 1.0, 1.0), [np.zeros((2, 5))]
+    told = []
+    monkeypatch.setattr(GalerkinSimulator, "_build", lambda this: simulator.body)
+    for place in (folder, tmp_path):
+        monkeypatch.chdir(place)
+        settings = (1, 0, 0, 0, {}, 0.2, 0.1, 0.01, 10, 1, 10)
+        bench = RomBench(rom, replace(simulator), None, None, *settings, snapshots)  # type: ignore[arg-type]
+        told.append("galerkin_build_s" in bench._galerkin(Watch(1), loads)[1])
+    assert told == [False, True]
 
 
 def test_all_nodes_are_found_again_from_the_corners(snapshots: Snapshots) -> None:

@@ -114,17 +114,24 @@ class GalerkinSimulator:
     @cached_property
     def body(self) -> GalerkinBody:
         """The reduced equations, built or read back."""
+        if not self.is_built:
+            self._kept.save("body", pack(self._build()))
+        return unpack(GalerkinBody, self._kept.load("body"))  # type: ignore[no-any-return]
+
+    @property
+    def is_built(self) -> bool:
+        """Whether the body was built before, and is read back."""
+        return "body" in self._kept
+
+    @cached_property
+    def _kept(self) -> Kept:
         arrays = {f"mesh.{f.name}": getattr(self.mesh, f.name) for f in fields(self.mesh)}
         arrays |= {f"snapshots.{name}": getattr(self.snapshots, name) for name in ("loads", "displacement")}
         skip = (*TUNABLE, "mesh", "snapshots", "robot")
         settings = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in skip}
         settings |= {name: getattr(self.snapshots, name) for name in MODEL}
-        mark = fingerprint.of_values([settings, asdict(self.robot), fingerprint.of_arrays(arrays),
-                                      fingerprint.of_code(__name__)])  # fmt: skip
-        kept = Kept("galerkin", mark)
-        if "body" not in kept:
-            kept.save("body", pack(self._build()))
-        return unpack(GalerkinBody, kept.load("body"))  # type: ignore[no-any-return]
+        code = fingerprint.of_code(__name__)
+        return Kept("galerkin", fingerprint.of_values([settings, asdict(self.robot), fingerprint.of_arrays(arrays), code]))
 
     def _build(self) -> GalerkinBody:
         shots = self.snapshots

@@ -106,7 +106,7 @@ def begin_insides(
 
 @standing
 def end_insides(inner: np.ndarray, y: np.ndarray, dt: float, insides: Any, part: np.ndarray, bent: np.ndarray) -> None:
-    """Bring ``inner`` (2, 3, lanes) up to date with the arrivals at ``y``; fill twice the energies it stores, ``bent``."""
+    """Bring ``inner`` (2, 6, lanes) up to date with the arrivals at ``y``; fill twice the energies it stores, ``bent``."""
     left, given = insides.push, insides.rows
     for k in range(SHAPES):
         for i in range(len(y)):

@@ -1,7 +1,7 @@
 """Products of a table and the monomials of many trajectories in step, in tiles that stay in the processor's registers.
 
 A product of these sizes spends its time on multiplications alone, a tenth more than the processor needs at least. A library's
-is as fast, but cannot pause where the degree of the monomials rises (``fill_rows_and_pulls``), does lanes that wait
+is as fast, but cannot pause where the degree of the monomials rises (``columns.fill_curves``), does lanes that wait
 for nothing as well, and rounds differently from one machine or number of threads to another.
 """
 

@@ -8,7 +8,7 @@ from softrl.pod.step.inside import LEAST
 
 
 def ray(degree: Tensor, radius: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return w_d and its two derivatives (B, k) at ``radius`` (B, 1); see ``pod.step.kernel``."""
+    """Return w_d and its two derivatives (B, k) at ``radius`` (B, 1); see ``pod.step.potential``."""
     beyond, bend = radius - 1.0, degree * (degree - 1.0)
     return 1.0 + beyond * (degree + 0.5 * bend * beyond), degree + bend * beyond, bend.expand(len(radius), -1)
 
