@@ -17,6 +17,7 @@ from softrl.pod.figures import draw_choice, draw_convergence, draw_motion, draw_
 from softrl.pod.fitting.basis import PodBasis, pod_basis, projection_errors
 from softrl.pod.fitting.equilibria import equilibria
 from softrl.pod.fitting.fit import fit_model, folds_of, linear_model, tell_choice
+from softrl.pod.fitting.map_fit import tell_symmetry
 from softrl.pod.fitting.settings import FitSettings
 from softrl.pod.report import report_motions, report_speed, report_statics, report_weight, statics
 from softrl.robots.robot import Robot
@@ -82,6 +83,7 @@ def _reduced(
     tasks = [(config, robot, snapshots, part, pod, folds_of(part, robot, config.folds, rng)) for part in parts]
     fits = dict(parallel.map(fit_model, tasks, config.processes))
     (model, choices), (whole, whole_choices) = fits[0], fits[1]
+    tell_symmetry(robot, samples, whole.frame)
     tell_choice(model, robot, samples.rows(seen), choices[0])
     tracker.metric("energy_degree", choices[0].degree)
     tracker.metric("image_weight", choices[0].image_weight)

@@ -16,7 +16,7 @@ from softrl.pod.fitting.candidates import Candidates, Choice
 from softrl.pod.fitting.energy import Weights, accumulate, scale_of, solve, trust
 from softrl.pod.fitting.equilibria import equilibria
 from softrl.pod.fitting.fit import fit_model, linear_model, tell_choice
-from softrl.pod.fitting.map_fit import fit_maps
+from softrl.pod.fitting.map_fit import fit_maps, tell_symmetry
 from softrl.pod.fitting.settling import equilibria_of
 from softrl.pod.report import mass_errors, motions, orientation_errors, statics
 from softrl.pod.step.tables import tables_of
@@ -84,6 +84,8 @@ def test_a_body_without_the_symmetry_of_its_chambers_has_no_images(
     assert np.abs(mass_errors(model, unseen)).max() < 1e-3
     nearest = np.linalg.norm(seen.loads / np.abs(seen.loads).max(axis=0), axis=1).argmin()
     assert np.abs(mass_errors(model, equilibria(seen).rows([nearest]))).max() < 1e-5
+    assert not caplog.records, "a fit may run in a worker, whose log is nobody's"
+    tell_symmetry(robot, equilibria(seen), model.frame)
     assert "robot.chamber_angle_deg" in caplog.text and "without images" in caplog.text
 
 

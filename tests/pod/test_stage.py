@@ -14,7 +14,9 @@ from softrl.core.errors import ArtifactError, ConfigError
 from softrl.core.tracking import NullTracker
 from softrl.pod.stage import Config, run
 from softrl.robots.robot import Robot
+from tests.pod import synthetic
 from tests.pod.synthetic import robot_with
+from tests.pod.test_fit import Lopsided
 
 CONF = Path(__file__).parents[2] / "conf"
 Body = tuple[Robot, Snapshots, ReducedModel]
@@ -50,6 +52,15 @@ def test_a_body_that_no_energy_holds_is_linear(tripod: Body, caplog: pytest.LogC
     assert model.energy.shape == (1 + 6 + 21,)
     assert tracker.metrics["heldout/static_tip_rms_mm"] < tracker.metrics["heldout/motion_tip_rms_mm"]
     assert caplog.text.count("the reduced model is linear") == 2 and "smaller stage.ridges" in caplog.text
+
+
+def test_a_lopsided_body_is_told_once_whoever_fits(
+    tripod: Body, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(synthetic, "law_of", lambda robot: Lopsided(robot.chamber_direction))
+    lopsided = synthetic.synthetic_snapshots(tripod[0], 20, seed=3, trajectories=0)
+    run(config(convergence_shares=[0.5, 1.0]), tripod[0], lopsided, tracker=NullTracker())
+    assert caplog.text.count("changes the body's mass at rest") == 1
 
 
 def test_it_is_deterministic_and_does_without_trajectories(tripod: Body) -> None:

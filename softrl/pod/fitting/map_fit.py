@@ -73,18 +73,20 @@ def fit_maps(
     return maps
 
 
-def _images_of(robot: Robot, samples: Equilibria, frame: np.ndarray) -> list[Symmetry]:
-    """Return the robot's symmetries besides the identity, but for those that the body plainly lacks."""
-    images = images_of(robot)
-    shares = [lopsided(samples, image, frame) for image in images]
-    if max(shares, default=0.0) > LOPSIDED:
+def tell_symmetry(robot: Robot, samples: Equilibria, frame: np.ndarray) -> None:
+    """Warn where the body plainly lacks a symmetry of the robot's, once for all fits: workers' logs are nobody's."""
+    if len(_images_of(robot, samples, frame)) < len(images_of(robot)):
         log.warning(
             "robot %s: a symmetry of its chambers' layout changes the body's mass at rest by more than %.0f %%: its maps are "
             "fitted without images of the samples by such symmetries; if the body is meant to have them, put the centre of its "
             "base at x = y = 0 and check robot.chamber_angle_deg, else run stage=fem with more equilibria",
             robot.name, 100.0 * LOPSIDED,
         )  # fmt: skip
-    return [image for image, share in zip(images, shares, strict=True) if share <= LOPSIDED]
+
+
+def _images_of(robot: Robot, samples: Equilibria, frame: np.ndarray) -> list[Symmetry]:
+    """Return the robot's symmetries besides the identity, but for those that the body plainly lacks."""
+    return [image for image in images_of(robot) if lopsided(samples, image, frame) <= LOPSIDED]
 
 
 def modes_of(samples: Equilibria, largest: np.ndarray, most: int) -> np.ndarray:
