@@ -40,7 +40,8 @@ class Config:
     tetrahedra : edge length and envelope, where a surface is to be meshed; where null, of the tripod those of its geometry,
         of the user's own surface by its walls
     geometry : measures of the tripod
-    regions : where base, plate and ribs are; where null, those of the geometry if the robot may be that tripod, else the ends
+    regions : where base, plate and ribs are; where null, those of the geometry if the mesh is made of it or the robot may be
+        that tripod, else the ends
     """
 
     source: str
@@ -67,7 +68,8 @@ class Config:
 
     def regions_of(self, points: np.ndarray, robot: Robot) -> Regions:
         """Return where base, plate and ribs of a body with ``points`` (nodes, 3) m are."""
-        return self.regions.of_tripod(self.geometry) if self.geometry.is_of(robot) else self.regions.of_ends(points)
+        of_geometry = self.source in (SAMPLE, GENERATE) or self.geometry.is_of(robot)
+        return self.regions.of_tripod(self.geometry) if of_geometry else self.regions.of_ends(points)
 
 
 def run(config: Config, robot: Robot, *, tracker: Tracker) -> Mesh:

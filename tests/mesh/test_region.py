@@ -6,8 +6,11 @@ import pytest
 from softrl.artifacts.mesh import BASE, FIRST_RIB, PLATE
 from softrl.core.errors import ConfigError, MeshError
 from softrl.core.tracking import NullTracker
+from softrl.mesh.geometry import build_tripod
 from softrl.mesh.region import tag_nodes
 from softrl.mesh.stage import run
+
+OWN = "source=body.stl"  # a file of the user's, which is not read here
 
 
 @pytest.fixture(scope="module")
@@ -81,11 +84,22 @@ def test_of_the_tripod_regions_are_where_its_measures_put_them(regions) -> None:
     assert np.allclose(np.subtract(regions.rib_to_m, regions.rib_from_m), 0.005)
 
 
+@pytest.mark.parametrize(
+    ("changed", "measure"), [({"chamber_angle_deg": (0.0, 90.0, 180.0, 270.0)}, ""), ({}, "geometry.plate_to_m=0.18")]
+)
+def test_what_is_generated_has_the_ribs_of_its_measures_whatever_the_robot(configure, robot, changed, measure) -> None:
+    config = configure("source=generate", *filter(None, [measure]))
+    made = dataclasses.replace(robot, **changed)
+    found = config.regions_of(build_tripod(config.geometry, made).points, made)
+    assert len(found.rib_from_m) == config.geometry.bulges
+    assert (found.base_below_m, found.plate_to_m) == (config.geometry.foot_height_m, config.geometry.plate_to_m)
+
+
 def test_of_another_robot_the_ends_are_rigid_unless_something_is_said(configure, robot) -> None:
     other, points = dataclasses.replace(robot, length_m=0.12), np.array([[0.0, 0.0, -0.01], [0.0, 0.0, 0.11]])
-    found = configure().regions_of(points, other)
+    found = configure(OWN).regions_of(points, other)
     assert np.allclose((found.base_below_m, found.plate_from_m, found.plate_to_m), (-0.0076, 0.1076, 0.11))
     assert found.rib_from_m == ()
-    said = configure("regions.plate_from_m=0.1", "regions.rib_from_m=[0.05]", "regions.rib_to_m=[0.06]")
+    said = configure(OWN, "regions.plate_from_m=0.1", "regions.rib_from_m=[0.05]", "regions.rib_to_m=[0.06]")
     found = said.regions_of(points, other)
     assert (found.plate_from_m, found.rib_from_m, found.rib_to_m) == (0.1, (0.05,), (0.06,))
