@@ -14,6 +14,7 @@ from softrl.robots.robot import Robot
 
 MM = 1e3  # the solid modeller works in mm, where its single precision is 1e-5
 OTHER = 0.01  # of its length: a robot that differs by more is another
+RIB_CORNERS = 3  # one a bellows: with fewer it is no polygon
 PROFILE_POINTS = 9  # along one bulge; more would be finer than what the envelope of the tetrahedraliser keeps
 
 
@@ -92,6 +93,11 @@ class TripodGeometry:
 
 def build_tripod(geometry: TripodGeometry, robot: Robot) -> Surface:
     """Return the closed surface of the solid with its cavities, in the base frame, m."""
+    if robot.chambers < RIB_CORNERS:
+        raise ConfigError(
+            f"stage.source=generate builds bellows around ribs, of {RIB_CORNERS} chambers or more; robot {robot.name} has "
+            f"{robot.chambers}: give its mesh or surface, stage.source=<mesh>"
+        )
     g = geometry
     solid, cavities = _plate(g, robot), Manifold()
     bellows, cavity = _bellows(g)

@@ -74,6 +74,12 @@ def test_other_numbers_of_chambers(configure, robot) -> None:
     assert cavities_of(surface, four, "four").chamber.max() == 3
 
 
+@pytest.mark.parametrize("angles", [(0.0,), (0.0, 180.0)])
+def test_fewer_chambers_than_a_rib_has_corners_are_refused(configure, robot, angles) -> None:
+    with pytest.raises(ConfigError, match=f"of 3 chambers or more; robot tripod has {len(angles)}"):
+        build_tripod(configure().geometry, dataclasses.replace(robot, chamber_angle_deg=angles))
+
+
 def test_ribs_that_reach_no_bellows_are_noticed(configure, robot) -> None:
     surface = build_tripod(configure("geometry.rib_inradius_m=0.01").geometry, robot)
     with pytest.raises(MeshError, match="7 separate solids"):
