@@ -115,6 +115,15 @@ def _cells(content: meshio.Mesh, path: Path) -> np.ndarray:
     for kinds, corners in ((("tetra", "tetra10"), 4), (("triangle", "triangle6"), 3)):
         blocks = [block.data[:, :corners] for block in content.cells if block.type in kinds and len(block.data)]
         if blocks:
+            _refuse_others(content, kinds, corners - 1, path)
             return np.concatenate(blocks).astype(np.int64)
     found = ", ".join(sorted({block.type for block in content.cells})) or "nothing"
     raise MeshError(f"{path} holds no tetrahedra and no triangles ({found}); export it with one of the two")
+
+
+def _refuse_others(content: meshio.Mesh, kinds: tuple[str, ...], dimension: int, path: Path) -> None:
+    """Raise ``MeshError`` if there are elements of ``dimension`` beside ``kinds``: left out, they would look like cavities."""
+    others = {block.type for block in content.cells if block.dim == dimension and block.type not in kinds and len(block.data)}
+    if others:
+        found = ", ".join(sorted(others))
+        raise MeshError(f"{path} holds {found} beside {kinds[0]}; expected {kinds[0]} alone: export all elements as these")

@@ -62,6 +62,23 @@ def test_quadratic_elements_give_their_corners(tmp_path, body, robot) -> None:
     assert read.volume() == pytest.approx(body.volume(), rel=1e-9)
 
 
+def test_elements_of_another_kind_are_refused_and_not_left_out_as_a_cavity(tmp_path, cubes, block, robot) -> None:
+    solid = cubes(block, edge=0.0353)
+    bits = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
+    corners = 0.0353 * (bits + np.array([-0.5, -0.5, 2.0]))
+    hexahedron = np.linalg.norm(solid.points[None] - corners[:, None], axis=2).argmin(axis=1)[None]
+    inside = (np.abs(solid.points[solid.corners].mean(axis=1) - corners.mean(axis=0)) < 0.5 * 0.0353).all(axis=1)
+    assert inside.sum() == 6
+    path = write(tmp_path / "mixed.vtu", solid.points, tetra=solid.corners[~inside], hexahedron=hexahedron)
+    with pytest.raises(MeshError, match=r"mixed\.vtu holds hexahedron beside tetra; expected tetra alone"):
+        read_mesh(path, 1.0, robot)
+    path = write(tmp_path / "boundary.vtu", solid.points, tetra=solid.corners, quad=hexahedron[:, :4])
+    assert isinstance(read_mesh(path, 1.0, robot), Tetrahedra)  # a face of a volume mesh is no element of it
+    path = write(tmp_path / "faces.vtu", solid.points, triangle=solid.boundary(), quad=hexahedron[:, :4])
+    with pytest.raises(MeshError, match="holds quad beside triangle"):
+        read_mesh(path, 1.0, robot)
+
+
 def test_wrong_unit_is_told_with_the_right_one(tmp_path, body, robot) -> None:
     path = write(tmp_path / "mm.vtu", 1e3 * body.points, tetra=body.corners)
     with pytest.raises(MeshError, match=r"176\.5 m high with stage\.unit_m=1.*set stage\.unit_m=0\.001 \(mm\)"):
