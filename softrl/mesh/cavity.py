@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrl.core.errors import MeshError
-from softrl.mesh.surface import Surface, enclosed_volume, label_shells
+from softrl.mesh.surface import Surface, centroid, enclosed_volume, label_shells
 from softrl.mesh.tetrahedra import Tetrahedra
 from softrl.robots.robot import Robot
 
@@ -47,7 +47,7 @@ def cavities_of(boundary: Surface, robot: Robot, name: str) -> Cavities:
     _check_touch(boundary.points, shells, name)
     _check_numbers(volume, robot, name)
     cavities = [shell for shell, v in zip(shells, volume, strict=True) if v < 0]
-    centre = np.array([boundary.points[np.unique(c)].mean(axis=0) for c in cavities])
+    centre = np.array([centroid(boundary.points, cavity) for cavity in cavities])
     if robot.chambers == 1:
         _check_side(centre[0], boundary.points, robot, name)
     order = match_chambers(centre, robot, name)
@@ -104,7 +104,7 @@ def _check_side(centre: np.ndarray, points: np.ndarray, robot: Robot, name: str)
         return
     angle, wanted = np.rad2deg(np.arctan2(aside[1], aside[0])), robot.chamber_angle_deg[0]
     off = degrees_apart(np.array([wanted]), np.array([angle])).item()
-    told = f"{name} has its cavity at {angle:.0f} deg around z, but robot {robot.name} has its chamber at {wanted:g} deg"
+    told = f"{name} has its cavity at {angle:z.0f} deg around z, but robot {robot.name} has its chamber at {wanted:g} deg"
     advice = "turn the mesh, or set robot.chamber_angle_deg"
     if off > ACROSS_DEG:
         raise MeshError(f"{told}; {advice}")
@@ -122,7 +122,7 @@ def match_chambers(centre: np.ndarray, robot: Robot, name: str) -> list[int]:
     nearest, off = apart.argmin(axis=1), apart.min(axis=1)
     # half of what separates two chambers, with a margin: nearer to its own chamber than to any other
     allowed = 0.4 * 360.0 / robot.chambers
-    found, asked = ", ".join(f"{a:.0f}" for a in angle), ", ".join(f"{a:g}" for a in wanted)
+    found, asked = ", ".join(f"{a:z.0f}" for a in angle), ", ".join(f"{a:g}" for a in wanted)
     advice = "turn the mesh, or set robot.chamber_angle_deg"
     if len(set(nearest.tolist())) < robot.chambers or off.max() > allowed:
         raise MeshError(

@@ -39,6 +39,14 @@ def enclosed_volume(points: np.ndarray, triangles: np.ndarray) -> float:
     return float(np.einsum("ti,ti->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6.0)
 
 
+def centroid(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Return the centroid (3,) m of the volume inside closed ``triangles``, wherever its surface is finer."""
+    middle = points[triangles].mean(axis=(0, 1))
+    corner = points[triangles] - middle
+    share = np.einsum("ti,ti->t", corner[:, 0], np.cross(corner[:, 1], corner[:, 2]))
+    return np.asarray(middle + share @ corner.sum(axis=1) / (4.0 * share.sum()))
+
+
 def merge_points(points: np.ndarray, triangles: np.ndarray, tolerance: float) -> Surface:
     """Return the surface with points closer than about ``tolerance`` (m) made one (STL repeats every corner)."""
     _, first, number = np.unique(np.round(points / tolerance), axis=0, return_index=True, return_inverse=True)

@@ -5,8 +5,8 @@ import pytest
 
 from softrl.artifacts.mesh import tetrahedron_volumes
 from softrl.core.errors import MeshError
-from softrl.mesh.cavity import find_cavities
-from softrl.mesh.surface import enclosed_volume
+from softrl.mesh.cavity import cavities_of, find_cavities
+from softrl.mesh.surface import Surface, enclosed_volume
 from tests.mesh.conftest import THREE, hollow
 
 CELL = 1e-6  # m^3 of a cube of 10 mm
@@ -92,6 +92,22 @@ def test_the_side_of_a_single_cavity_is_compared(cubes, block, robot, caplog) ->
     assert "finger has its cavity at 0 deg around z, but robot tripod has its chamber at 40 deg" in caplog.text
     with pytest.raises(MeshError, match=r"cavity at 0 deg around z, .* chamber at 180 deg; turn the mesh"):
         find((8, 5), 180.0)
+
+
+def test_a_cavity_is_where_its_volume_is_and_not_its_nodes(cubes, block, robot, caplog) -> None:
+    # a cavity in the middle, one of whose triangles is cut into many: it still lies on no side
+    solid = cubes(hollow(block, (5, 5)))
+    points, triangles = solid.points, solid.boundary()
+    own = np.isclose(points[triangles][:, :, 0], 0.005).all(axis=1) & (np.abs(points[triangles][:, :, 1]) < 0.006).all(axis=1)
+    for _ in range(300):
+        at = np.flatnonzero(own)[0]
+        corners, apex = triangles[at], len(points)
+        points = np.vstack([points, points[corners].mean(axis=0)])
+        cut = np.array([[*pair, apex] for pair in zip(corners, np.roll(corners, -1), strict=True)])
+        triangles, own = np.vstack([np.delete(triangles, at, axis=0), cut]), np.r_[np.delete(own, at), [True] * 3]
+    one = dataclasses.replace(robot, chamber_angle_deg=(180.0,))
+    assert len(cavities_of(Surface(points, triangles), one, "finger").triangles) > 600
+    assert not caplog.records
 
 
 def test_two_bodies_are_refused(cubes, block, robot) -> None:

@@ -5,6 +5,7 @@ from softrl.core.errors import MeshError
 from softrl.mesh.reader import join_surfaces
 from softrl.mesh.surface import (
     Surface,
+    centroid,
     check_closed,
     enclosed_volume,
     label_shells,
@@ -30,6 +31,18 @@ def test_enclosed_volume_is_that_of_the_solid_wherever_it_stands() -> None:
     assert enclosed_volume(CORNERS, tetrahedron().triangles) == pytest.approx(1 / 6, rel=1e-12)
     assert tetrahedron(2.0, shift=1e4).volume() == pytest.approx(8 / 6, rel=1e-9)
     assert flipped(tetrahedron()).volume() == pytest.approx(-1 / 6, rel=1e-12)
+
+
+def test_the_centroid_is_that_of_the_volume_wherever_the_surface_is_finer() -> None:
+    surface = tetrahedron(2.0, shift=3.0)
+    assert centroid(surface.points, surface.triangles) == pytest.approx([3.0] * 3, rel=1e-12)
+    for _ in range(4):  # one corner's triangles cut into three, again and again
+        first, middle = surface.triangles[0], surface.points[surface.triangles[0]].mean(axis=0)
+        cut = np.array([[*pair, len(surface.points)] for pair in zip(first, np.roll(first, -1), strict=True)])
+        surface = Surface(np.vstack([surface.points, middle]), np.vstack([cut, surface.triangles[1:]]))
+    assert surface.volume() == pytest.approx(8 / 6, rel=1e-12)
+    assert np.abs(surface.points.mean(axis=0) - 3.0).max() > 0.05
+    assert centroid(surface.points, surface.triangles[:, ::-1]) == pytest.approx([3.0] * 3, rel=1e-12)
 
 
 def test_the_wall_of_a_thin_plate_is_its_thickness(cubes) -> None:
