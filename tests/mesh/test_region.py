@@ -95,6 +95,17 @@ def test_what_is_generated_has_the_ribs_of_its_measures_whatever_the_robot(confi
     assert (found.base_below_m, found.plate_to_m) == (config.geometry.foot_height_m, config.geometry.plate_to_m)
 
 
+@pytest.mark.parametrize("height", [0.3, 0.1, 0.005])
+def test_the_ends_are_rigid_alike_whatever_the_size(configure, robot, height) -> None:
+    z = np.repeat(np.linspace(0.0, height, 101), 3)
+    points = np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1)
+    other = dataclasses.replace(robot, length_m=height)
+    region = tag_nodes(points, configure(OWN).regions_of(points, other), "body")
+    assert [(region == part).sum() for part in (BASE, PLATE)] == [3 * 4, 3 * 4]  # up to three of a hundred steps
+    told = configure(OWN, "regions.tolerance_m=0.0").regions_of(points, other)
+    assert told.tolerance_m == 0.0
+
+
 def test_of_another_robot_the_ends_are_rigid_unless_something_is_said(configure, robot) -> None:
     other, points = dataclasses.replace(robot, length_m=0.12), np.array([[0.0, 0.0, -0.01], [0.0, 0.0, 0.11]])
     found = configure(OWN).regions_of(points, other)
