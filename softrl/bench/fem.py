@@ -158,8 +158,8 @@ class FemBench:
 
     def _step(self, model: FemModel, state: State) -> State:
         moved, solve = model.step(state, self._load, self.dt_s)
-        if not solve.converged:
-            raise SolverError(f"a step of {self.dt_s:g} s did not converge in {solve.iterations} iterations")
+        if solve.failure:
+            raise SolverError(f"a step of {self.dt_s:g} s failed, {solve.failure}")
         return moved
 
     def _run(self, model: FemModel, steps: int) -> State:

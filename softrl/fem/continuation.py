@@ -103,11 +103,9 @@ def follow(
 def _rest(model: FemModel, width: int) -> Equilibrium:
     zero = np.zeros(width)
     solve = model.static(zero)
-    if not solve.converged:
+    if solve.failure:
         raise SolverError(
-            f"no equilibrium at rest: Newton stopped after {solve.iterations} iterations with "
-            f"{solve.residual_n:.1e} N left; "
-            "check the mesh, and the weight against the material's modulus"
+            f"no equilibrium at rest: {solve.failure}; check the mesh, and the weight against the material's modulus"
         )
     return Equilibrium(zero, solve.pose, model.tangent(solve.pose, zero), Cost(0, 0, 0, 0.0, ()))
 
@@ -191,10 +189,8 @@ def _arrived(model: FemModel, here: Place, pose: Pose, unit: np.ndarray, parts: 
 
 
 def _check_solve(solve: Solve) -> None:
-    if not solve.converged:
-        raise SolverError(f"Newton stopped after {solve.iterations} iterations, {solve.residual_n:.1e} N left")
-    if not solve.stable:
-        raise SolverError("the equilibrium is not stable: its stiffness has a negative pivot")
+    if solve.failure:
+        raise SolverError(solve.failure)
 
 
 def _check_way(model: FemModel, here: Place, there: Place, stride: int) -> None:

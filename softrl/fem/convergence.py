@@ -152,8 +152,8 @@ def _equilibrium(model: FemModel, load: np.ndarray, start: Pose | None) -> Pose:
     """Return the equilibrium near ``start``; from rest it is approached in two halves of the load."""
     for share in (0.5, 1.0) if start is None else (1.0,):
         solve = model.static(share * load, start)
-        if not solve.converged:
-            raise SolverError(f"no equilibrium on {model.coupling.unknowns} unknowns; use a smaller load")
+        if solve.failure:
+            raise SolverError(f"no equilibrium on {model.coupling.unknowns} unknowns: {solve.failure}; use a smaller load")
         start = solve.pose
     assert start is not None
     return start

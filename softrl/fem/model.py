@@ -280,10 +280,11 @@ class FemModel:
                 blocks[self.pairs.diagonal[:, None], range(3), range(3)] += inertia + drag
             return Value(energy, gradient + push, blocks)
 
-        ready, self._stepping = self._stepping == dt, dt
+        ready, self._stepping = self._stepping == dt, 0.0
         guesses = (extrapolated, state.pose) if start is None else (start,)
         first = min(guesses, key=lambda pose: objective(pose, ENERGY).energy)
         solve = minimise(objective, first, self.coupling, self._solver, self.newton, ready)
+        self._stepping = dt if solve.stable else 0.0  # by factors with a shift steps are short anywhere
         velocity = (solve.pose.position - before) / dt
         return Step(State(solve.pose, velocity, self.coupling.difference(state.pose, solve.pose)), solve)
 

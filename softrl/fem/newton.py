@@ -63,6 +63,16 @@ class Solve(NamedTuple):
     steps_m: tuple[float, ...]
     stable: bool
 
+    @property
+    def failure(self) -> str:
+        """Why it ended at no minimum; nothing where it did.
+
+        The shift of a Hessian that is not positive shortens its steps, so that a short one does not tell of an equilibrium.
+        """
+        if not self.converged:
+            return f"Newton stopped after {self.iterations} iterations, {self.residual_n:.1e} N left"
+        return "" if self.stable else "the equilibrium is not stable: its stiffness has a negative pivot"
+
 
 class Value(NamedTuple):
     """An objective at a pose: energy in J, nodal gradient (nodes, 3) N, node-pair Hessian blocks or None."""

@@ -201,11 +201,9 @@ class FemSimulator:
         self, state: FemState, load: np.ndarray, dt_s: float, gravity: np.ndarray, start: Pose | None
     ) -> FemState:
         moved, solve = self.model.step(state.body, load, dt_s, gravity, start)
-        if not solve.converged:
-            raise SolverError(
-                f"simulator fem: a step of {dt_s:g} s did not converge in {solve.iterations} iterations; "
-                "try a smaller dt_s, or weaker effects"
-            )
+        if solve.failure:
+            hint = "try a smaller dt_s, or weaker effects"
+            raise SolverError(f"simulator fem: a step of {dt_s:g} s failed, {solve.failure}; {hint}")
         return FemState(moved)
 
     def _advance_with_effects(self, state: FemState, given: np.ndarray, dt_s: float, hooks: Hooks) -> FemState:

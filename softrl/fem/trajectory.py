@@ -33,18 +33,15 @@ def roll_out(model: FemModel, load: np.ndarray, dt_s: float, rest: Pose) -> Traj
     Raises
     ------
     SolverError
-        If a step does not converge.
+        If a step does not end at a minimum.
     """
     state = model.state(rest)
     coordinates, quaternions = [], []
     iterations = factorisations = 0
     for number, row in enumerate(load):
         state, solve = model.step(state, row, dt_s)
-        if not solve.converged:
-            raise SolverError(
-                f"step {number + 1} of {dt_s:g} s did not converge in {solve.iterations} Newton iterations "
-                f"({solve.residual_n:.1e} N left); a smaller stage.dt_s may help"
-            )
+        if solve.failure:
+            raise SolverError(f"step {number + 1} of {dt_s:g} s failed, {solve.failure}; a smaller stage.dt_s may help")
         iterations, factorisations = iterations + solve.iterations, factorisations + solve.factorisations
         coordinates.append(model.coordinate(state.pose))
         quaternions.append(model.tip_quaternion(state.pose))

@@ -8,10 +8,11 @@ from scipy.integrate import solve_bvp
 from scipy.spatial.transform import Rotation
 
 from softrl.artifacts.mesh import PLATE, Mesh
-from softrl.core.errors import MeshError
+from softrl.core.errors import MeshError, SolverError
 from softrl.fem.material import StableNeoHookean, StVenantKirchhoff, lame
 from softrl.fem.newton import NewtonSettings
 from softrl.fem.solver import SuperLuSolver
+from softrl.fem.trajectory import roll_out
 from tests.fem.bodies import NEWTON, bar, error_norms, hollow_box, hollow_sphere, model_of, solved_inside
 
 LOAD = np.array([4e3, -2e3, 0.2, -0.1, 0.15])  # two chambers, Pa and N
@@ -295,6 +296,24 @@ def test_a_solve_ends_where_its_factorisations_are_used_up(box: Mesh) -> None:
     assert ended.factorisations == whole.factorisations - 1 > 0
     enough = model_of(box, newton=fresh).static(LOAD, most_factors=whole.factorisations)
     np.testing.assert_array_equal(enough.pose.position, whole.pose.position)
+
+
+@pytest.mark.parametrize("share", [0.9, 1.05])
+def test_a_short_step_by_a_shifted_stiffness_is_no_equilibrium(share: float) -> None:
+    # a column pressed by more than Euler's load, and a little aside: it is on its way, and the shift makes its steps short
+    width, height, young = 4e-3, 0.06, 1e6
+    euler = np.pi**2 * young * width**4 / 12.0 / (4.0 * height**2)
+    model = model_of(bar((2, 2, 10), (width, width, height)), newton=NewtonSettings(1e-6, 40, 0.5))
+    load = np.array([0.0, 1e-6, 0.0, -share * euler])
+    at_rest, solve = model.static(load), model.step(model.state(), load, 1e9).solve
+    assert at_rest.converged and solve.converged
+    if share < 1.0:
+        assert at_rest.failure == solve.failure == ""
+    else:
+        assert "not stable" in at_rest.failure and "not stable" in solve.failure
+        assert "not stable" in model.step(model.state(), load, 1e9).solve.failure  # not by the factors that the first one left
+        with pytest.raises(SolverError, match=r"step 1 of 1e\+09 s failed, the equilibrium is not stable.*smaller stage.dt_s"):
+            roll_out(model, load[None], 1e9, model.rest())
 
 
 def test_newton_converges_quadratically(box: Mesh) -> None:

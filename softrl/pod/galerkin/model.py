@@ -68,7 +68,7 @@ def full_displacements(
     found = []
     for load, corners in progress(list(zip(loads, corner_displacement, strict=True)), "nodes between corners"):
         solve = model.static(load, _pose_of(model, corners.astype(float)))
-        if solve.converged:
+        if not solve.failure:
             found.append(solve.pose.position - model.solid.points)
     if not found:
         raise SolverError("no snapshot is an equilibrium of this mesh and material; rerun stage=fem with them")
@@ -80,8 +80,8 @@ def moving_displacements(model: FemModel, load: np.ndarray, dt_s: float) -> np.n
     state, found = model.state(), []
     for row in progress(load, "motion of the full model"):
         state, solve = model.step(state, row, dt_s)
-        if not solve.converged:
-            raise SolverError(f"a training step of {dt_s:g} s did not converge in {solve.iterations} iterations")
+        if solve.failure:
+            raise SolverError(f"a training step of {dt_s:g} s failed, {solve.failure}")
         found.append(state.pose.position - model.solid.points)
     return np.array(found)
 
