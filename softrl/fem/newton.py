@@ -98,7 +98,7 @@ def minimise(
     learnt = Secants(solver)
     pose, value = start, objective(start, STRESS)
     steps: list[float] = []
-    factorisations, fresh, reusable, positive = 0, False, factors_ready, True
+    factorisations, fresh, reusable, positive = 0, False, factors_ready and settings.reuse_below > 0, True
     previous = np.inf
     residual = coupling.reduce(value.gradient, pose)
     while len(steps) < settings.max_iterations:

@@ -288,6 +288,14 @@ def test_reused_factors_give_the_same_equilibrium(box: Mesh) -> None:
     assert np.abs(always.pose.position - often.pose.position).max() < 1e-9
 
 
+def test_without_reuse_every_iteration_of_every_step_has_its_own_factors(box: Mesh) -> None:
+    model = model_of(box, newton=replace(NEWTON, reuse_below=0.0))
+    state = model.state()
+    for _ in range(2):
+        state, solve = model.step(state, LOAD, 1e-3)
+        assert solve.factorisations == solve.iterations > 0
+
+
 def test_a_solve_ends_where_its_factorisations_are_used_up(box: Mesh) -> None:
     fresh = replace(NEWTON, reuse_below=0.0)
     whole = model_of(box, newton=fresh).static(LOAD)
