@@ -65,7 +65,7 @@ class TetrahedraWanted:
     def of_walls(self, surface: Surface) -> TetrahedraSettings:
         """Return the settings, by the walls and the height of the solid that ``surface`` bounds where nothing is said."""
         wall, height = surface.wall(), float(np.ptp(surface.points[:, 2]))
-        edge = min(EDGE_WALLS * wall, EDGE_HEIGHTS * height)
+        edge = min(EDGE_WALLS * wall, EDGE_HEIGHTS * height) if self.edge_m is None else self.edge_m
         made = self.or_else(edge, min(ENVELOPE_WALLS * wall, ENVELOPE_EDGES * edge))
         log.info(
             "walls of %.1f mm on average: stage.tetrahedra.edge_m=%.4f, envelope_m=%.5f", MM * wall, made.edge_m, made.envelope_m

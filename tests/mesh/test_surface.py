@@ -13,7 +13,7 @@ from softrl.mesh.surface import (
     orient_shells,
     winding_number,
 )
-from softrl.mesh.tetrahedra import Tetrahedra, tidy
+from softrl.mesh.tetrahedra import Tetrahedra, TetrahedraWanted, tidy
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
 
@@ -49,6 +49,14 @@ def test_the_wall_of_a_thin_plate_is_its_thickness(cubes) -> None:
     plate = cubes(np.ones((30, 30, 1), bool), 0.01)
     wall = Surface(plate.points, plate.boundary()).wall()
     assert wall == pytest.approx(0.01 / (1.0 + 2.0 / 30.0))  # its rim is area, too
+
+
+def test_the_envelope_of_an_edge_that_was_told_is_a_tenth_of_it(cubes) -> None:
+    body = cubes(np.ones((10, 10, 10), bool), 0.01)
+    surface = Surface(body.points, body.boundary())
+    for told, edge, envelope in ((None, 0.1 / 7.0, 0.01 / 7.0), (0.001, 0.001, 1e-4), (0.05, 0.05, 0.125 * surface.wall())):
+        made = TetrahedraWanted(told, None, 10.0).of_walls(surface)
+        assert (made.edge_m, made.envelope_m) == pytest.approx((edge, envelope))
 
 
 def test_winding_number_tells_inside_from_outside() -> None:
