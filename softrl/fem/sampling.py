@@ -48,10 +48,14 @@ def at_corners(robot: Robot, loads: np.ndarray) -> np.ndarray:
     return np.asarray((loads[:, : robot.chambers, None] == ends).any(axis=2).all(axis=1))
 
 
-def load_scale(robot: Robot) -> np.ndarray:
-    """Return the scale (chambers + 3,) of a load: half the pressure range, and the largest tip force."""
+def load_scale(robot: Robot, centre: np.ndarray | None = None) -> np.ndarray:
+    """Return the scale (chambers + 3,) of a load: half the pressure range, and the largest tip force.
+
+    Of forces about a ``centre`` (3,) N that is farther from none than they are from it, that way: it is part of every path.
+    """
     half = 0.5 * (robot.pressure_max_pa - robot.pressure_min_pa)
-    return np.r_[np.full(robot.chambers, half), np.full(3, max(robot.tip_force_max_n, 1e-3))]
+    force = max(robot.tip_force_max_n, 1e-3, 0.0 if centre is None else float(np.linalg.norm(centre)))
+    return np.r_[np.full(robot.chambers, half), np.full(3, force)]
 
 
 def paths(loads: np.ndarray, scale: np.ndarray, count: int) -> list[np.ndarray]:

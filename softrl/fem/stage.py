@@ -46,7 +46,7 @@ class Config:
     faces_share: float  # share of them with one pressure at its limit
     tip_force_scale: float  # largest sampled tip force over the robot's: inertia and weight pull at a body like more
     weight_share: float  # of the weight's pull at the tip at rest, about which tip forces are sampled
-    load_step: float  # longest load step, in units of (half the pressure range, largest sampled tip force)
+    load_step: float  # longest load step, in units of (half the pressure range, radius or middle of the sampled tip forces)
     paths: int  # warm-started chains of samples; more are better balanced, each begins at rest
     trajectories: int
     duration_s: float  # of each trajectory
@@ -88,6 +88,22 @@ class Body(NamedTuple):
     material: Material
 
 
+class Plan(NamedTuple):
+    """What is to be computed.
+
+    Attributes
+    ----------
+    loads : (samples, chambers + 3) Pa and N;  chains : their row numbers in the order of paths
+    scale : (chambers + 3,) unit of ``stage.load_step``
+    programs : loads (steps, chambers + 3) of each motion
+    """
+
+    loads: np.ndarray
+    chains: list[np.ndarray]
+    scale: np.ndarray
+    programs: list[np.ndarray]
+
+
 def run(
     config: Config, robot: Robot, mesh: Mesh, parallel: Parallel | None = None, *, tracker: Tracker
 ) -> Snapshots:
@@ -103,11 +119,11 @@ def run(
     """
     robot.check_upright("stage=fem")
     body = Body(config, robot, mesh, material_of(config.law, config.moduli_pa, config.poisson))
-    pulled = _pulled(body)
+    pulled = replace(robot, tip_force_max_n=config.tip_force_scale * robot.tip_force_max_n)
     centre = config.weight_share * pull_at_rest(build_model(body), np.array(robot.gravity_m_s2))[robot.chambers :]
     even = sobol_loads(pulled, config.equilibria, config.faces_share, centre, config.seed)
     loads = np.vstack([even, corner_loads(pulled, config.equilibria // CORNERS, centre)])
-    scale = load_scale(pulled)
+    scale = load_scale(pulled, centre)
     loads, chains = with_waypoints(loads, paths(loads, scale, config.paths), scale, config.load_step)
     clock = np.arange(1, round(config.duration_s / config.dt_s) + 1) * config.dt_s
     programs = [
@@ -116,7 +132,8 @@ def run(
     ]
     began = time.monotonic()
     kept = Kept("fem", _mark(body))
-    samples, misses, trajectories, reused = _compute(body, loads, chains, programs, parallel or LOCAL, kept)
+    plan = Plan(loads, chains, scale, programs)
+    samples, misses, trajectories, reused = _compute(body, plan, parallel or LOCAL, kept)
     tracker.metric("parts_resumed", reused)
     log.info("%d equilibria and %d trajectories in %.0f s", len(samples), len(trajectories), time.monotonic() - began)
     _record_failures(loads, misses, tracker)
@@ -143,30 +160,26 @@ def build_model(body: Body, gravity_m_s2: tuple[float, ...] = (0.0, 0.0, 0.0)) -
     )
 
 
-def _pulled(body: Body) -> Robot:
-    """Return the robot with the largest tip force that is sampled."""
-    return replace(body.robot, tip_force_max_n=body.config.tip_force_scale * body.robot.tip_force_max_n)
-
-
 def _compute(
-    body: Body, loads: np.ndarray, chains: list[np.ndarray], programs: list[np.ndarray], parallel: Parallel, kept: Kept
+    body: Body, plan: Plan, parallel: Parallel, kept: Kept
 ) -> tuple[list[Found], list[Lost], list[Trajectory], int]:
     """Work off all chains and programs in parallel; the result does not depend on where, or after how many kills.
 
     Returns equilibria and misses in the order of ``loads``, trajectories in that of ``programs``, and how many parts
     an earlier run had kept.
     """
+    loads, chains, scale, programs = plan
     # the longest first: else one core works off the last of them while the others wait
     tasks: dict[str, tuple[Any, ...]] = {f"trajectory_{k}": (_move, body, program) for k, program in enumerate(programs)}
     longest = sorted(range(len(chains)), key=lambda k: -len(chains[k]))
-    tasks |= {f"chain_{k}": (_trace, body, loads, chains[k]) for k in longest}
+    tasks |= {f"chain_{k}": (_trace, body, loads, scale, chains[k]) for k in longest}
     # in memory from here on: another run of the same samples may end first, and clears the folder
     parts = {name: kept.load(name) for name in tasks if name in kept}
     waiting, reused = [name for name in tasks if name not in parts], len(parts)
     if reused:
         log.info("%d of %d chains and trajectories were finished by an earlier run and are kept", reused, len(tasks))
     if len(waiting) == len(tasks) and len(loads) >= FORETOLD:
-        _foretell(body, loads, chains, programs)
+        _foretell(body, plan)
     results = parallel.map(_part, [tasks[name] for name in waiting], body.config.processes)
     for number, arrays in progress(results, "FEM: motions, then chains of equilibria", len(waiting)):
         parts[waiting[number]] = arrays
@@ -178,10 +191,11 @@ def _compute(
     return samples, misses, [unpack(Trajectory, arrays) for arrays in moved if arrays], reused
 
 
-def _foretell(body: Body, loads: np.ndarray, chains: list[np.ndarray], programs: list[np.ndarray]) -> None:
+def _foretell(body: Body, plan: Plan) -> None:
     """Log about how long all will take, by a few equilibria and steps: the first part of many ends only after minutes."""
+    loads, chains, scale, programs = plan
     began = time.monotonic()
-    _trace(body, loads, chains[0][:TRIED])
+    _trace(body, loads, scale, chains[0][:TRIED])
     traced = time.monotonic()
     for program in programs[:1]:
         _move(body, program[:TRIED])
@@ -210,16 +224,16 @@ def _part(compute: Callable[..., Chain | Trajectory | None], *arguments: Any) ->
     return made.arrays() if isinstance(made, Chain) else pack(made)
 
 
-def _trace(body: Body, loads: np.ndarray, chain: np.ndarray) -> Chain:
+def _trace(body: Body, loads: np.ndarray, scale: np.ndarray, chain: np.ndarray) -> Chain:
     """Return the equilibria of the rows in ``chain``, and which of them are missed."""
-    return trace(build_model(body), loads, chain, load_scale(_pulled(body)), body.config.load_step)
+    return trace(build_model(body), loads, chain, scale, body.config.load_step)
 
 
 def _move(body: Body, program: np.ndarray) -> Trajectory | None:
     """Return the motion under ``program`` and weight, or None, with a warning, where a step does not converge."""
     model = build_model(body, body.robot.gravity_m_s2)
     try:
-        rest = next(follow(model, np.zeros((1, program.shape[1])), load_scale(_pulled(body)), body.config.load_step))
+        rest = next(follow(model, np.zeros((1, program.shape[1])), load_scale(body.robot), body.config.load_step))
         if isinstance(rest, Missed):
             raise SolverError(f"no rest under the robot's weight: {rest.reason}")
         return roll_out(model, program, body.config.dt_s, rest.pose)

@@ -13,7 +13,9 @@ from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ConfigError, SolverError
 from softrl.core.tracking import NullTracker
 from softrl.fem import stage
+from softrl.fem.chain import Chain
 from softrl.fem.material import StableNeoHookean
+from softrl.fem.model import FemModel
 from softrl.fem.stage import Body, Config, build_model, run
 from tests.fem.bodies import assert_same, box_robot
 
@@ -109,6 +111,22 @@ def test_failures_are_counted_and_too_many_are_an_error(box: Mesh) -> None:
     with pytest.raises(SolverError, match="of 6 loads found no equilibrium"):
         hopeless = replace(CONFIG, max_iterations=1, tolerance_m=1e-14, trajectories=0)
         run(hopeless, box_robot(2), box, tracker=NullTracker())
+
+
+def test_a_robot_made_for_little_force_needs_no_more_equilibria(box: Mesh, monkeypatch: pytest.MonkeyPatch) -> None:
+    # half its weight is most of a load's way there, and no longer a way than of other robots
+    counts = []
+
+    def trace(model: FemModel, loads: np.ndarray, *rest: object) -> Chain:
+        counts.append(len(loads))
+        raise SolverError("enough")
+
+    monkeypatch.setattr(stage, "trace", trace)
+    config = replace(CONFIG, weight_share=0.5, load_step=0.8, trajectories=0)
+    for most in (0.5, 0.05, 1e-3, 1e-5):
+        with pytest.raises(SolverError, match="enough"):
+            run(config, replace(box_robot(2), tip_force_max_n=most), box, tracker=NullTracker())
+    assert max(counts) <= 1.5 * counts[0]
 
 
 def test_bad_settings_are_refused() -> None:
