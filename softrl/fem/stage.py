@@ -71,12 +71,22 @@ class Config:
         for key in ("tip_force_scale", "load_step", "duration_s", "hold_s", "dt_s"):
             if not getattr(self, key) > 0:
                 raise ConfigError(f"stage.{key}={getattr(self, key):g} must be positive")
+        if self.trajectories and self.steps < 2:
+            raise ConfigError(
+                f"stage.duration_s={self.duration_s:g} is {self.steps} steps of stage.dt_s={self.dt_s:g}; expected two or more, "
+                "or stage.trajectories=0"
+            )
         for key in ("faces_share", "weight_share", "max_failed_share"):
             if not 0 <= getattr(self, key) <= 1:
                 raise ConfigError(f"stage.{key}={getattr(self, key):g} is outside 0..1")
         for key in ("rayleigh_mass_per_s", "rayleigh_stiffness_s"):
             if getattr(self, key) < 0:
                 raise ConfigError(f"stage.{key}={getattr(self, key):g} must not be negative")
+
+    @property
+    def steps(self) -> int:
+        """Number of time steps of a trajectory."""
+        return round(self.duration_s / self.dt_s)
 
 
 class Body(NamedTuple):
@@ -125,7 +135,7 @@ def run(
     loads = np.vstack([even, corner_loads(pulled, config.equilibria // CORNERS, centre)])
     scale = load_scale(pulled, centre)
     loads, chains = with_waypoints(loads, paths(loads, scale, config.paths), scale, config.load_step)
-    clock = np.arange(1, round(config.duration_s / config.dt_s) + 1) * config.dt_s
+    clock = np.arange(1, config.steps + 1) * config.dt_s
     programs = [
         step_program(robot, clock, config.hold_s, rng)
         for rng in np.random.default_rng(config.seed).spawn(config.trajectories)

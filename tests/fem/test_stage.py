@@ -134,6 +134,10 @@ def test_bad_settings_are_refused() -> None:
         replace(CONFIG, dt_s=0.0)
     with pytest.raises(ConfigError, match=r"stage\.faces_share"):
         replace(CONFIG, faces_share=1.5)
+    for duration_s in (CONFIG.dt_s, 0.1 * CONFIG.dt_s):
+        with pytest.raises(ConfigError, match=r"stage\.duration_s=.* steps of stage\.dt_s=0\.002; expected two or more"):
+            replace(CONFIG, duration_s=duration_s)
+        assert replace(CONFIG, duration_s=duration_s, trajectories=0).steps < 2
 
 
 def test_the_stage_samples_the_body_that_the_simulator_steps() -> None:
