@@ -95,7 +95,7 @@ def follow(
         if isinstance(found, Missed) and here is not rest:
             found = _reach(model, rest, load, scale, largest_step)
         if isinstance(found, Missed):
-            log.warning("no equilibrium at load %s (Pa, N): %s", np.array2string(load, precision=4), found.reason)
+            log.warning("no equilibrium at load %s (Pa, N): %s", told(load), found.reason)
         here = rest if isinstance(found, Missed) else found
         yield found
 
@@ -162,8 +162,7 @@ def _walk(model: FemModel, start: Equilibrium, load: np.ndarray, count: int) -> 
         except SolverError as failure:
             if stride == 1 or halvings == MOST_HALVINGS:
                 way = f"between {done / whole:.1%} and {(done + stride) / whole:.1%} of the way"
-                origin = np.array2string(start.load, precision=4)
-                raise type(failure)(f"{way} from load {origin}, {failure}") from failure
+                raise type(failure)(f"{way} from load {told(start.load)}, {failure}") from failure
             stride, halvings = stride // 2, halvings + 1
             continue
         here, done = there, done + stride
@@ -172,6 +171,11 @@ def _walk(model: FemModel, start: Equilibrium, load: np.ndarray, count: int) -> 
     tangent = model.tangent(here.pose, load)
     cost = Cost(iterations, factorisations, halvings, time.process_time() - began, solve.steps_m)
     return Equilibrium(load, here.pose, tangent, cost)
+
+
+def told(load: np.ndarray) -> str:
+    """Return a load in one line, of however many chambers."""
+    return np.array2string(load, precision=4, max_line_width=1000)
 
 
 def _exact(model: FemModel, pose: Pose, load: np.ndarray, unit: np.ndarray) -> Place:

@@ -27,7 +27,7 @@ from softrl.effects.effect import (
     TIP,
     TIP_VELOCITY,
 )
-from softrl.fem.continuation import Missed, follow
+from softrl.fem.continuation import Missed, follow, told
 from softrl.fem.coupling import Pose
 from softrl.fem.material import material_of
 from softrl.fem.model import FemModel, State
@@ -163,7 +163,7 @@ class FemSimulator:
         found = next(follow(self.model, load[None], load_scale(self.robot), LARGEST_LOAD_STEP))
         if isinstance(found, Missed):
             raise SolverError(
-                f"simulator fem: no equilibrium under {np.array2string(load, precision=4)} Pa, N and the weight: "
+                f"simulator fem: no equilibrium under {told(load)} Pa, N and the weight: "
                 f"{found.reason}; a stiffer material or a smaller load may have one"
             )
         return found.pose

@@ -88,6 +88,18 @@ def test_a_box_that_buckles_under_vacuum_is_missed_with_the_place_and_one_that_s
     assert isinstance(shrunk, Equilibrium)
 
 
+def test_a_missed_load_is_told_in_one_line_however_many_chambers_there_are(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    model, load = model_of(hollow_box(chambers=4)), np.array([1e4, -1e4, 2e4, 1e3, 0.1, 0.2, 0.3]) / 3.0
+    static = model.static  # finds the rest, and nothing from there
+    monkeypatch.setattr(model, "static", lambda to, *start: static(to, *start[:1], most_factors=0 if start else None))
+    (missed,) = follow(model, load[None], np.r_[np.full(4, 1e4), np.ones(3)], 0.8)
+    assert isinstance(missed, Missed)
+    (line,) = caplog.messages
+    assert "no equilibrium at load [" in line and "\n" not in line
+
+
 def test_the_stage_records_jumps_with_their_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     texts: dict[str, str] = {}
