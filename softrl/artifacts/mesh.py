@@ -56,14 +56,34 @@ class Mesh(Artifact):
         return -float(np.einsum("ti,ti->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0)
 
     def validate(self) -> None:
-        """Check index ranges, element orientation and that every chamber has a closed cavity."""
+        """Check lengths, index ranges, element orientation and that every chamber has a closed cavity."""
         super().validate()
+        self._check_numbers()
         inverted = int((tetrahedron_volumes(self.points, self.tetrahedra) <= 0).sum())
         if inverted:
             raise ArtifactError(f"mesh of {self.robot_name} has {inverted} inverted or flat tetrahedra; remesh it")
         for chamber in range(self.chambers):
+            if not _is_closed(self.cavity_triangles[self.cavity_of_triangle == chamber]):
+                raise ArtifactError(
+                    f"cavity {chamber + 1} of {self.robot_name} is open, or its triangles disagree on their normals; expected a "
+                    "closed surface: only such a one encloses a volume"
+                )
             if self.cavity_volume(chamber) <= 0:
                 raise ArtifactError(f"cavity {chamber + 1} of {self.robot_name} encloses no positive volume")
+
+    def _check_numbers(self) -> None:
+        """Raise ``ArtifactError`` unless lengths agree, and elements and triangles name nodes that are there."""
+        pairs = {"points": "node_region", "tetrahedra": "element_layer", "cavity_triangles": "cavity_of_triangle"}
+        for whole, part in pairs.items():
+            length, expected = len(getattr(self, part)), len(getattr(self, whole))
+            if length != expected:
+                raise ArtifactError(f"mesh of {self.robot_name}: {part} holds {length} values; expected {expected}, as {whole}")
+        for name in ("tetrahedra", "cavity_triangles"):
+            nodes, last = getattr(self, name), len(self.points) - 1
+            if nodes.min(initial=0) < 0 or nodes.max(initial=0) > last:
+                raise ArtifactError(
+                    f"mesh of {self.robot_name}: {name} name nodes {nodes.min()} to {nodes.max()}; expected 0 to {last}"
+                )
 
 
 def tetrahedron_volumes(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
@@ -71,3 +91,10 @@ def tetrahedron_volumes(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarra
     corner = points[tetrahedra]
     edges = corner[:, 1:] - corner[:, :1]
     return np.linalg.det(edges) / 6.0
+
+
+def _is_closed(triangles: np.ndarray) -> bool:
+    """Return whether every edge of ``triangles`` (triangles, 3) is passed as often one way as the other."""
+    edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    _, which = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
+    return not np.bincount(which.reshape(-1), weights=np.sign(edges[:, 1] - edges[:, 0])).any()
