@@ -60,8 +60,9 @@ class FemBench:
         for name in ("pressure_pa", "dt_s", "steps"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"bench.fem.{name}={getattr(self, name):g} must be positive")
-        if self.convergence_parts and (len(self.convergence_parts) < 3 or self.convergence_parts[0] != 1):
-            raise ConfigError(f"bench.fem.convergence_parts={self.convergence_parts}; expected 1 and two more, or []")
+        parts = self.convergence_parts
+        if parts and (len(parts) < 3 or parts[0] != 1 or list(parts) != sorted(set(parts))):
+            raise ConfigError(f"bench.fem.convergence_parts={parts}; expected 1 and two or more rising numbers, or []")
 
     def measure(self, watch: Watch, seed: int, tracker: Tracker) -> dict[str, float]:
         """Return the metrics; there is nothing random here."""
@@ -113,6 +114,12 @@ class FemBench:
         material = material_of(simulator.law, simulator.moduli_pa, simulator.poisson)
         if not isinstance(material, StableNeoHookean):
             log.warning("no scikit-fem reference: it is written for law=stable_neo_hookean, not %s", simulator.law)
+            return {}
+        if simulator.element_order != 2 or simulator.youngs_modulus_scale != 1.0:
+            log.warning(
+                "no scikit-fem reference: it is written for quadratic elements of the modulus as told, not element_order=%d, "
+                "youngs_modulus_scale=%g", simulator.element_order, simulator.youngs_modulus_scale,
+            )  # fmt: skip
             return {}
         reference, state = Reference(model, watch.now), self._moving(model)
         ended: list[Pose] = []

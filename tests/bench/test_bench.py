@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -38,6 +39,15 @@ def test_the_reference_makes_the_same_step() -> None:
     assert theirs.iterations <= 6, "a wrong matrix would converge slowly"
 
 
+@pytest.mark.parametrize("changed", [{"element_order": 1}, {"youngs_modulus_scale": 2.0}, {"law": "corotational"}])
+def test_where_the_reference_is_of_another_body_there_is_none(
+    changed: dict[str, Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    other = replace(BENCH, simulator=replace(SIMULATOR, **changed))
+    assert other.against_reference(Watch(1)) == {}
+    assert "no scikit-fem reference" in caplog.text
+
+
 def test_the_stage_reports_what_it_promises(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("skfem")
     tracker = NullTracker()
@@ -65,7 +75,8 @@ def test_timings_are_medians_and_take_turns() -> None:
 def test_bad_settings_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"bench\.fem\.dt_s"):
         replace(BENCH, dt_s=0.0)
-    with pytest.raises(ConfigError, match=r"convergence_parts"):
-        replace(BENCH, convergence_parts=(2, 3, 4))
+    for parts in ((2, 3, 4), (1, 3, 2), (1, 2, 2)):
+        with pytest.raises(ConfigError, match=r"convergence_parts"):
+            replace(BENCH, convergence_parts=parts)
     with pytest.raises(ConfigError, match=r"stage\.clock=sun"):
         build({"repeats": 1, "clock": "sun", "seed": 0}, Config, "stage")
