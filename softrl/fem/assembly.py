@@ -187,7 +187,6 @@ def _assembler(nodes: int, points: int) -> Any:
 
 
 ASSEMBLERS = {4: _assembler(4, 1), 10: _assembler(10, 4)}  # by the number of nodes of an element
-assemble_elastic = ASSEMBLERS[10]
 
 
 @nb.njit(cache=True)
