@@ -39,13 +39,18 @@ def of_folder(folder: Path) -> str:
 
 
 def of_named_files(node: Any) -> dict[str, str]:
-    """Return path -> hash of every existing file that a string in the nested ``node`` names."""
+    """Return path -> hash of every existing file that a string in the nested ``node`` names, and of those beside it.
+
+    Beside it are files of another ending: some formats of meshes are read from two files, of which one is named.
+    """
     if isinstance(node, dict):
         return {path: mark for value in node.values() for path, mark in of_named_files(value).items()}
     if isinstance(node, (list, tuple)):
         return {path: mark for value in node for path, mark in of_named_files(value).items()}
     if isinstance(node, str) and ("/" in node or "." in node) and Path(node).is_file():
-        return {node: hashlib.sha256(Path(node).read_bytes()).hexdigest()[:16]}
+        named = Path(node)
+        beside = [path for path in sorted(named.parent.iterdir()) if path.stem == named.stem and path.is_file()]
+        return {str(path): hashlib.sha256(path.read_bytes()).hexdigest()[:16] for path in beside}
     return {}
 
 

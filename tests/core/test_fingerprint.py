@@ -21,6 +21,18 @@ def test_a_file_that_changes_under_the_same_name_is_seen(tmp_path: Path) -> None
     assert set(before) == {str(path)}
 
 
+def test_a_file_that_is_read_with_the_named_one_counts(tmp_path: Path) -> None:
+    named, beside = tmp_path / "body.ele", tmp_path / "body.node"
+    named.write_text("elements")
+    marks = []
+    for points in ("here", "there"):
+        beside.write_text(points)
+        (tmp_path / "another.node").write_text(points)
+        marks.append(fingerprint.of_named_files({"source": str(named)}))
+    assert set(marks[0]) == {str(named), str(beside)}
+    assert marks[0] != marks[1]
+
+
 def test_code_follows_imports_into_the_package_only() -> None:
     one = fingerprint.of_code("softrl.effects.lag")
     assert one == fingerprint.of_code("softrl.effects.lag")
