@@ -12,6 +12,7 @@ from softrl.mesh.geometry import TripodGeometry
 ENDS = 0.02  # of a body's height: so much of either end is rigid where nobody says otherwise
 # how far outside a region its nodes may lie, where nobody says otherwise: of the tripod, and as a share of such an end
 NEAR_M, NEAR_SHARE = 1e-3, 0.5
+RIB_RADIUS_M = 0.033  # of the tripod: up to where its ribs become bellows
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ class RegionSettings:
     plate_to_m: float | None
     rib_from_m: tuple[float, ...] | None
     rib_to_m: tuple[float, ...] | None
-    rib_radius_m: float
+    rib_radius_m: float | None
     rib_box_m: tuple[float, float, float, float] | None
     tolerance_m: float | None
 
@@ -74,21 +75,25 @@ class RegionSettings:
         """Return the regions, of the tripod where nothing is said: its feet, its plate and its ribs."""
         g, half = geometry, 0.5 * geometry.rib_thickness_m
         below, above = (tuple(float(h) for h in g.bulge_height + side) for side in (-half, half))
-        return self._or(g.foot_height_m, (g.plate_from_m, g.plate_to_m), (below, above), NEAR_M)
+        reach = RIB_RADIUS_M if self.rib_radius_m is None else self.rib_radius_m
+        return self._or(g.foot_height_m, (g.plate_from_m, g.plate_to_m), (below, above), reach, NEAR_M)
 
     def of_ends(self, points: np.ndarray) -> Regions:
         """Return the regions, where nothing is said the ends of a body with ``points`` (nodes, 3) m, and no ribs."""
         low, high = float(points[:, 2].min()), float(points[:, 2].max())
-        end = ENDS * (high - low)
-        return self._or(low + end, (high - end, high), ((), ()), NEAR_SHARE * end)
+        end, reach = ENDS * (high - low), self.rib_radius_m
+        if self.rib_from_m and reach is None and self.rib_box_m is None:
+            raise ConfigError("stage.regions.rib_from_m names ribs; expected rib_radius_m or rib_box_m, too: how far they reach")
+        return self._or(low + end, (high - end, high), ((), ()), np.inf if reach is None else reach, NEAR_SHARE * end)
 
     def _or(
-        self, base: float, plate: tuple[float, float], ribs: tuple[tuple[float, ...], tuple[float, ...]], tolerance: float
+        self, base: float, plate: tuple[float, float], ribs: tuple[tuple[float, ...], tuple[float, ...]], reach: float,
+        tolerance: float,
     ) -> Regions:
         found = (self.base_below_m, self.plate_from_m, self.plate_to_m, self.rib_from_m, self.rib_to_m)
         places = [b if a is None else a for a, b in zip(found, (base, *plate, *ribs), strict=True)]
         near = tolerance if self.tolerance_m is None else self.tolerance_m
-        return Regions(*places, self.rib_radius_m, self.rib_box_m, near)
+        return Regions(*places, reach, self.rib_box_m, near)
 
 
 def tag_nodes(points: np.ndarray, regions: Regions, name: str) -> np.ndarray:

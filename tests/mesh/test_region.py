@@ -111,6 +111,12 @@ def test_of_another_robot_the_ends_are_rigid_unless_something_is_said(configure,
     found = configure(OWN).regions_of(points, other)
     assert np.allclose((found.base_below_m, found.plate_from_m, found.plate_to_m), (-0.0076, 0.1076, 0.11))
     assert found.rib_from_m == ()
-    said = configure(OWN, "regions.plate_from_m=0.1", "regions.rib_from_m=[0.05]", "regions.rib_to_m=[0.06]")
-    found = said.regions_of(points, other)
+    ribs = "regions.rib_from_m=[0.05]", "regions.rib_to_m=[0.06]"
+    found = configure(OWN, "regions.plate_from_m=0.1", *ribs, "regions.rib_radius_m=0.07").regions_of(points, other)
     assert (found.plate_from_m, found.rib_from_m, found.rib_to_m) == (0.1, (0.05,), (0.06,))
+    assert found.rib_radius_m == 0.07
+    with pytest.raises(ConfigError, match="expected rib_radius_m or rib_box_m"):  # the tripod's would cut them off
+        configure(OWN, *ribs).regions_of(points, other)
+    boxed = configure(OWN, *ribs, "regions.rib_box_m=[-0.1,-0.1,0.1,0.1]").regions_of(points, other)
+    wide = np.array([[0.09, y, z] for y in (-0.09, 0.0, 0.09) for z in (-0.01, 0.055, 0.11)])
+    assert (tag_nodes(wide, boxed, "body") == FIRST_RIB).sum() == 3
