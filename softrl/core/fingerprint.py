@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 PACKAGE = "softrl"
+WITH = {".ele": ".node", ".node": ".ele", ".xdmf": ".h5", ".xmf": ".h5"}  # formats of meshes in two files, of which one is named
 
 
 def of_values(values: Any) -> str:
@@ -39,18 +40,15 @@ def of_folder(folder: Path) -> str:
 
 
 def of_named_files(node: Any) -> dict[str, str]:
-    """Return path -> hash of every existing file that a string in the nested ``node`` names, and of those beside it.
-
-    Beside it are files of another ending: some formats of meshes are read from two files, of which one is named.
-    """
+    """Return path -> hash of every existing file that a string in the nested ``node`` names, and of the one read with it."""
     if isinstance(node, dict):
         return {path: mark for value in node.values() for path, mark in of_named_files(value).items()}
     if isinstance(node, (list, tuple)):
         return {path: mark for value in node for path, mark in of_named_files(value).items()}
     if isinstance(node, str) and ("/" in node or "." in node) and Path(node).is_file():
         named = Path(node)
-        beside = [path for path in sorted(named.parent.iterdir()) if path.stem == named.stem and path.is_file()]
-        return {str(path): hashlib.sha256(path.read_bytes()).hexdigest()[:16] for path in beside}
+        read = [named, named.with_suffix(WITH.get(named.suffix, named.suffix))]
+        return {str(path): hashlib.sha256(path.read_bytes()).hexdigest()[:16] for path in read if path.is_file()}
     return {}
 
 

@@ -27,7 +27,7 @@ def test_a_file_that_is_read_with_the_named_one_counts(tmp_path: Path) -> None:
     marks = []
     for points in ("here", "there"):
         beside.write_text(points)
-        (tmp_path / "another.node").write_text(points)
+        (tmp_path / "body.png").write_text(points)
         marks.append(fingerprint.of_named_files({"source": str(named)}))
     assert set(marks[0]) == {str(named), str(beside)}
     assert marks[0] != marks[1]
