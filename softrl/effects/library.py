@@ -8,7 +8,8 @@ from softrl.core.errors import ConfigError
 from softrl.effects.effect import SITES, Effect
 
 NOT_EFFECTS = (
-    "__init__", "effect", "call", "chain", "library", "history", "driving", "free_motion", "gate", "quaternion", "replay",
+    "__init__", "effect", "call", "chain", "library", "history", "driving", "free_motion", "gate", "quaternion", "relaxation",
+    "replay",
 )  # fmt: skip
 
 

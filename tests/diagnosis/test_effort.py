@@ -1,4 +1,4 @@
-"""A search ends after so many replays as it is allowed, and says so."""
+"""A search ends after so many steps as it is allowed, and says so."""
 
 import pytest
 
@@ -12,19 +12,19 @@ from tests.diagnosis.conftest import configured, made
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_replays_are_counted_wherever_they_are_made(workers: int) -> None:
-    before = effort.replays
+def test_steps_are_counted_wherever_they_are_made(workers: int) -> None:
+    before = effort.steps
     assert effort.parallel(effort.note, [(2,), (3,)], workers) == [None, None]
-    assert effort.replays == before + 5
+    assert effort.steps == before + 5
 
 
 def test_a_search_that_was_cut_short_says_so(body: PccSimulator) -> None:
     recordings = made(body, (Lag(fill_s=0.2, vent_s=0.3), StretchArea(slope=-6.0)), sessions=3)
     named, told = [], []
-    for replays in (1, 20000):
-        config = configured(candidates=["lag", "stretch_area", "payload"], search={"replays": replays})
+    for most in (1, 4e8):
+        config = configured(candidates=["lag", "stretch_area", "payload"], search={"steps_lumped": most})
         found = run(config, body.robot, recordings, body, tracker=NullTracker())
         named.append(sorted(effect["name"] for effect in found.effects))
-        told.append([line for line in found.data["warnings"] if "after 1 replays" in line and "stage.search.replays" in line])
+        told.append([line for line in found.data["warnings"] if "after 1 steps" in line and "stage.search.steps" in line])
     assert len(named[0]) == 1 and named[1] == ["lag", "stretch_area"]
     assert len(told[0]) == 1 and not told[1]

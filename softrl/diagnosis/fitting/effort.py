@@ -1,4 +1,4 @@
-"""Work shared out among processes, and how much there was: replays of the fitted runs, by whichever process."""
+"""Work shared out among processes, and how much there was: steps of bodies, by whichever process."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -7,13 +7,13 @@ import joblib
 
 from softrl.core.progress import quiet
 
-replays = 0
+steps = 0
 
 
-def note(count: int = 1) -> None:
-    """Count more replays."""
-    global replays
-    replays += count
+def note(count: int) -> None:
+    """Count more steps."""
+    global steps
+    steps += count
 
 
 def parallel(task: Callable[..., Any], jobs: Sequence[tuple[Any, ...]], workers: int) -> list[Any]:
@@ -27,10 +27,10 @@ def parallel(task: Callable[..., Any], jobs: Sequence[tuple[Any, ...]], workers:
 
 
 def _quietly(task: Callable[..., Any], job: tuple[Any, ...]) -> tuple[Any, int]:
-    """Return ``task(*job)`` and the replays that it took, in a process of its own.
+    """Return ``task(*job)`` and the steps that it took, in a process of its own.
 
     That has no log: its warnings would go to the terminal as they are.
     """
-    before = replays
+    before = steps
     with quiet():
-        return task(*job), replays - before
+        return task(*job), steps - before

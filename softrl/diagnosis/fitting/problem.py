@@ -192,6 +192,11 @@ class Problem:
         return self.bins[number].mean(values)
 
     @cached_property
+    def _steps(self) -> int:
+        """Number of steps of a replay."""
+        return round(sum(run.time[-1] - run.time[0] for run in self.runs) / self.numerics.dt_s)
+
+    @cached_property
     def _known(self) -> dict[tuple[Hypothesis, bytes, tuple[str, ...]], list[Recording]]:
         """The last replays, oldest first."""
         return {}
@@ -219,7 +224,7 @@ class Problem:
         SolverError
             If the body diverges.
         """
-        effort.note()
+        effort.note(self._steps)
         key = hypothesis, point.tobytes(), channels
         if key not in self._known:
             self._known[key] = self._replayed(hypothesis, point, channels)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrl.core.errors import ConfigError, SolverError
+from softrl.core.simulator import Simulator
 from softrl.diagnosis.fitting.effort import parallel
 from softrl.diagnosis.fitting.hypothesis import Axis, Choice, Hypothesis, effect_axes
 from softrl.diagnosis.fitting.minimise import Fit, Several, least_squares, moved_on
@@ -36,7 +37,8 @@ class Search:
     starts : starting points of each fit
     iterations : Jacobians of each full fit at most
     rough_steps : steps of each rough fit at most
-    replays : of the fitted runs, after which a search looks no further
+    steps : of the body, after which a search looks no further
+    steps_lumped : the same for the lumped body
     rivals : alternatives to each named effect that are judged on the held-out runs
     fit_s : seconds of motion that fits see at most; runs are cut at a common length
     fit_lumped_s : the same for the lumped body, which is simulated much faster
@@ -48,18 +50,23 @@ class Search:
     starts: int
     iterations: int
     rough_steps: int
-    replays: int
+    steps: float
+    steps_lumped: float
     rivals: int
     fit_s: float
     fit_lumped_s: float
     workers: int
 
     def __post_init__(self) -> None:
-        for name in ("keep", "starts", "iterations", "rough_steps", "replays", "fit_s", "fit_lumped_s", "workers"):
+        for name in ("keep", "starts", "iterations", "rough_steps", "steps", "steps_lumped", "fit_s", "fit_lumped_s", "workers"):
             if getattr(self, name) <= 0:
                 raise ConfigError(f"stage.search.{name}={getattr(self, name):g} must be positive")
         if not 0 <= self.max_effects <= 3:
             raise ConfigError(f"stage.search.max_effects={self.max_effects}; expected 0 to 3")
+
+    def steps_of(self, simulator: Simulator) -> float:
+        """Return the steps of ``simulator`` after which a search looks no further."""
+        return self.steps_lumped if isinstance(simulator, PccSimulator) else self.steps
 
 
 class Trial(NamedTuple):

@@ -37,7 +37,7 @@ def forward(
 ) -> Path:
     """Return the hypothesis that stepwise selection leaves: add, try all others in each one's place, drop, narrow down.
 
-    At last one effect is asked to do for all, and two for a map without physics. After many replays it looks no further.
+    At last one effect is asked to do for all, and two for a map without physics. After many steps it looks no further.
 
     Parameters
     ----------
@@ -49,26 +49,26 @@ def forward(
     """
     bare = Hypothesis((), tuple(tuned))
     retuned = fit_trials(fitting, None, [(bare, fitting.space(bare).begins)], search)[0]
-    path = Path(retuned, retuned)
+    path = Path(retuned, retuned, most=search.steps_of(fitting.simulator))
     _grow(fitting, judge, choices, search, path, report)
     for _ in range(search.max_effects):
-        better = relieved(fitting, judge, choices, search, path) if path.goes_on(search) else None
+        better = relieved(fitting, judge, choices, search, path) if path.goes_on() else None
         if better is None:
             break
         path.best = better
         _grow(fitting, judge, choices, search, path, report)
-    narrower = path.goes_on(search) and _narrow(fitting, judge, choices, search, path, report)
-    if narrower or (path.goes_on(search) and _behind_a_map(fitting, judge, choices, search, path, report)):
+    narrower = path.goes_on() and _narrow(fitting, judge, choices, search, path, report)
+    if narrower or (path.goes_on() and _behind_a_map(fitting, judge, choices, search, path, report)):
         _grow(fitting, judge, choices, search, path, report)
-    one = alone(fitting, judge, choices, search, path) if path.goes_on(search) else None
+    one = alone(fitting, judge, choices, search, path) if path.goes_on() else None
     if one is not None:
         report(f"{one.hypothesis.label()} does as well alone as {path.best.hypothesis.label()}")
         path.best = one
         _grow(fitting, judge, choices, search, path, report)
-    if path.goes_on(search):
+    if path.goes_on():
         _without_map(fitting, judge, choices, search, path, report)
     if path.cut_short:
-        report(f"{path.best.hypothesis.label()}: the search ends here, after {path.cut_short} replays")
+        report(f"{path.best.hypothesis.label()}: the search ends here, after {path.most:.2g} steps")
     return path
 
 
@@ -90,7 +90,7 @@ def _grow(
         if judge.excess(current.mean_square) < judge.material:
             report(f"{current.hypothesis.label()}: what is left is less than counts")
             break
-        if not path.goes_on(search):
+        if not path.goes_on():
             break
         added = addition(fitting, judge, current, choices, search, path)
         if added is None:

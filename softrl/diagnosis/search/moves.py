@@ -127,7 +127,7 @@ def swap(
     for name in trial.hypothesis.names:
         if trial is began and name == trial.hypothesis.names[-1]:
             break
-        if not path.goes_on(search):
+        if not path.goes_on():
             return trial
         old = trial.hypothesis.named(name)  # what took another's place may have changed its form
         less = path.fit(fitting, [(trial.hypothesis.without(old), drop(trial, old))], search) if old else []

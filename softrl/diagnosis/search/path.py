@@ -23,7 +23,7 @@ class Path:
     screened : the leads of every round
     tried : for each named effect the alternatives fitted in its place, best first, with their points
     close : effects that in some round were fitted about as well as the best
-    begun : replays before it began;  cut_short : replays after which it looked no further, or 0
+    most : steps of the body after which it looks no further;  begun : those before it began;  cut_short : whether it did not
     fitted : fits of hypotheses with less than others, by where they began and what they competed with; None if beaten
     """
 
@@ -32,16 +32,16 @@ class Path:
     screened: list[list[Lead]] = field(default_factory=list)
     tried: dict[Choice, list[tuple[Choice, np.ndarray]]] = field(default_factory=dict)
     close: set[Choice] = field(default_factory=set)
-    begun: int = field(default_factory=lambda: effort.replays)
-    cut_short: int = 0
+    most: float = np.inf
+    begun: int = field(default_factory=lambda: effort.steps)
+    cut_short: bool = False
     fitted: dict[tuple[Hypothesis, bytes, bytes], Trial | None] = field(default_factory=dict)
 
-    def goes_on(self, search: Search) -> bool:
-        """Return whether the search may look further: not after too many replays, which is noted."""
-        if effort.replays - self.begun < search.replays:
-            return True
-        self.cut_short = search.replays
-        return False
+    def goes_on(self) -> bool:
+        """Return whether the search may look further: not after too many steps, which is noted."""
+        more = effort.steps - self.begun < self.most
+        self.cut_short |= not more
+        return more
 
     def fit(
         self,

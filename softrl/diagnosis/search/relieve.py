@@ -37,7 +37,7 @@ def relieved(fitting: Problem, judge: Judge, choices: Sequence[Choice], search: 
         if paying:
             return _taken(fitting, judge, paying, beside, search, path)
     for old in reversed(effects):
-        if not path.goes_on(search):
+        if not path.goes_on():
             break
         instead = raced(fitting, None, [_with(best, other, old) for other in others], search, best, most=MOST).finished
         near = [t for t in instead if not (implausible(judge, t) or (not odd and _is_far(judge, t)))]

@@ -96,10 +96,10 @@ def cannot_tell(refusal: Refusal, robot_name: str, simulator_name: str) -> Diagn
 
 
 def _cut_short(findings: list[Finding]) -> list[str]:
-    """Return which searches ended after so many replays as they were allowed, one line each."""
+    """Return which searches ended after so many steps as they were allowed, one line each."""
     return [
-        f"{finding.part.title}: the search ended after {finding.path.cut_short} replays of the fitted runs and may not "
-        "have asked everything; stage.search.replays allows more"
+        f"{finding.part.title}: the search ended after {finding.path.most:.2g} steps of the simulator and may not have "
+        "asked everything; stage.search.steps, or steps_lumped of simulator=pcc, allows more"
         for finding in findings
         if finding.path.cut_short
     ]
