@@ -7,6 +7,7 @@ import joblib
 
 from softrl.core.progress import quiet
 
+VALVE_STEP = 0.125  # of a lumped body's step: the time that one of a valve takes
 steps = 0
 
 

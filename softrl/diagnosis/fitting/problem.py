@@ -193,8 +193,9 @@ class Problem:
 
     @cached_property
     def _steps(self) -> int:
-        """Number of steps of a replay."""
-        return round(sum(run.time[-1] - run.time[0] for run in self.runs) / self.numerics.dt_s)
+        """Number of a body's steps that take as long as a replay."""
+        share = effort.VALVE_STEP if self.target == "pressure" else 1.0
+        return round(share * sum(np.ptp(run.time) for run in self.runs) / self.numerics.dt_s)
 
     @cached_property
     def _known(self) -> dict[tuple[Hypothesis, bytes, tuple[str, ...]], list[Recording]]:
