@@ -9,6 +9,7 @@ import pytest
 from softrl.diagnosis.fitting.hypothesis import Choice, Gate, Hypothesis, effect_axes, starts
 from softrl.diagnosis.fitting.judge import Gap, Judge
 from softrl.diagnosis.fitting.problem import Problem
+from softrl.diagnosis.judging import examine
 from softrl.diagnosis.judging.examine import in_full
 from softrl.diagnosis.judging.rivalry import as_good, overtakes
 from softrl.diagnosis.judging.rivals import Rival, overtaking, plainer, simpler, stand_in, suddenly
@@ -82,6 +83,18 @@ def test_a_rival_that_may_be_better_held_out_is_as_good(
 ) -> None:
     final = trial(judges, "frame", 5.0, 5.0)
     assert as_good(*judges, trial(judges, "base_tilt", inside, heldout), final) == alike
+
+
+@pytest.mark.parametrize("only", [True, False])
+@pytest.mark.parametrize(("without", "named"), [(5.5, False), (6.15, False), (20.0, True)])  # 6.15 counts, more stays
+def test_what_is_named_stands_out_held_out_too(
+    judges: tuple[Judge, Judge], monkeypatch: pytest.MonkeyPatch, without: float, named: bool, only: bool
+) -> None:
+    monkeypatch.setattr(examine, "implausible", lambda *_: False)
+    judge, less, final = judges[0], trial(judges, "lag", without, without), trial(judges, "lag", 5.0, 5.0)
+    gap = judge.gap(less.squares, final.squares)
+    assert (judge.removed(less.squares, final.squares) > judge.material) == (without > 6.0)
+    assert examine._holds(judge, less, final, gap, only) == named
 
 
 def test_another_chamber_contests_what_is_named_of_one(judges: tuple[Judge, Judge]) -> None:

@@ -239,12 +239,8 @@ def _confirm(
         without = _leave_one_out(part, judge, path, base, final, search)
         gaps = {choice: judge.gap(trial.squares, final.squares) for choice, trial in without.items()}
         weakest = min(gaps, key=lambda choice: gaps[choice].value)
-        odd, less = implausible(judge, final), without[weakest]
-        plain = gaps[weakest].value >= judge.material
-        if len(gaps) == 1 or (not odd and implausible(judge, less)):  # it only has to show, see ``moves.pays``
-            times = SHOWN_BESIDE if odd else 1.0
-            plain = judge.removed(less.squares, final.squares) >= times * judge.material
-        if plain and gaps[weakest].low > 0.0:
+        less = without[weakest]
+        if _holds(judge, less, final, gaps[weakest], len(gaps) == 1):
             free = freed(part.problem, final)
             found = intervals(part.problem, final, judge.thresholds, free)
             mine = by_effect(final.hypothesis, found)
@@ -259,6 +255,18 @@ def _confirm(
         else:
             final = _put_in(part, judge, path, final, instead, search)
     return base, [], {}
+
+
+def _holds(judge: Judge, less: Trial, final: Trial, gap: Gap, only: bool) -> bool:
+    """Return whether the effect that ``final`` has beyond ``less`` pays on held-out runs, as it had to in training.
+
+    An ``only`` one, or one without which a retuned parameter is implausible, just has to show, see ``moves.pays``. Each has to
+    stand out beside what stays: where a body is another than its simulator, some law lowers what that leaves a little.
+    """
+    odd, plain = implausible(judge, final), gap.value >= judge.material
+    if only or (not odd and implausible(judge, less)):
+        plain = judge.removed(less.squares, final.squares) >= (SHOWN_BESIDE if odd else 1.0) * judge.material
+    return plain and gap.low > 0.0 and judge.stands_out(less.squares, final.squares)
 
 
 def _leave_one_out(
