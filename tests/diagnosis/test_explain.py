@@ -118,10 +118,12 @@ def test_where_an_effect_acts_is_told_whole_in_one_session_too(choice: Choice, t
     [(0.02, True, True, "cannot be told from lag: its held-out error is larger by 0.02 mm (-0.1 to 0.2)"),
      (-0.01, True, False, "does no better than lag: its held-out error is smaller by 0.01 mm (-0.2 to 0.1)"),
      (-0.01, False, False, "fits all runs together no better than lag: its held-out error is smaller"),
+     (0.004, False, False, "is hardly worse held out"),
      (0.3, False, False, "is worse than lag")],
 )  # fmt: skip
 def test_only_what_contests_cannot_be_told_apart(gap: float, equivalent: bool, contests: bool, told: str) -> None:
-    row = {"name": "rate_limit", "instead_of": "lag", "score_gap": gap, "low": -0.1, "high": 0.2, "unit": "mm"}
+    row = {"name": "rate_limit", "instead_of": "lag", "score_gap": gap, "low": 0.1 if gap > 0.1 else -0.1,
+           "high": 0.2, "unit": "mm"}  # fmt: skip
     assert told in _rival_sentence(row | {"equivalent": equivalent, "contests": contests})
 
 

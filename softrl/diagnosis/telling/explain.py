@@ -124,6 +124,8 @@ def _rival_sentence(rival: dict[str, Any]) -> str:
         verb = "is a law that contains, or another form of, what is named, and does no better than"
     elif gap < 0.0:
         verb = "needs more parameters and fits all runs together no better than"
+    elif low <= 0.0:
+        verb = "is hardly worse held out, but is on all runs together, or needs more parameters, than"
     else:
         verb = "is worse than"
     size, ends = ("smaller", (-high, -low)) if gap < 0.0 else ("larger", (low, high))
