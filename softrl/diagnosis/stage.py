@@ -40,7 +40,6 @@ from softrl.diagnosis.telling.conclusion import cannot_tell, conclude
 from softrl.diagnosis.telling.figures import draw_all
 from softrl.diagnosis.telling.report import page
 from softrl.effects.library import names
-from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.mistaken import mistaken
 from softrl.recordings.recording import RecordingSet
 from softrl.robots.robot import Robot
@@ -191,7 +190,7 @@ def _diagnosed(
     config: Config, robot: Robot, found: Data, simulator: Simulator, calibration: Calibration | None
 ) -> tuple[Diagnosis, Evidence | None]:
     numerics = _steps(config, robot, simulator, found)
-    seconds = config.search.fit_lumped_s if isinstance(simulator, PccSimulator) else config.search.fit_s
+    seconds, _ = config.search.bounds_of(simulator)
     data = found.shortened(seconds * numerics.dt_s / config.numerics.dt_s)
     whole, data = _whole(config, robot, simulator, data, numerics)
     apart = _contradiction(whole, found)

@@ -225,7 +225,7 @@ class Problem:
         SolverError
             If the body diverges.
         """
-        effort.note(self._steps)
+        effort.note(self._steps)  # kept ones, too: what is kept depends on the process, and where a search ends must not
         key = hypothesis, point.tobytes(), channels
         if key not in self._known:
             self._known[key] = self._replayed(hypothesis, point, channels)

@@ -64,9 +64,9 @@ class Search:
         if not 0 <= self.max_effects <= 3:
             raise ConfigError(f"stage.search.max_effects={self.max_effects}; expected 0 to 3")
 
-    def steps_of(self, simulator: Simulator) -> float:
-        """Return the steps of ``simulator`` after which a search looks no further."""
-        return self.steps_lumped if isinstance(simulator, PccSimulator) else self.steps
+    def bounds_of(self, simulator: Simulator) -> tuple[float, float]:
+        """Return how many seconds of motion fits with ``simulator`` see, and after how many steps a search looks no further."""
+        return (self.fit_lumped_s, self.steps_lumped) if isinstance(simulator, PccSimulator) else (self.fit_s, self.steps)
 
 
 class Trial(NamedTuple):

@@ -49,7 +49,7 @@ def forward(
     """
     bare = Hypothesis((), tuple(tuned))
     retuned = fit_trials(fitting, None, [(bare, fitting.space(bare).begins)], search)[0]
-    path = Path(retuned, retuned, most=search.steps_of(fitting.simulator))
+    path = Path(retuned, retuned, most=search.bounds_of(fitting.simulator)[1])
     _grow(fitting, judge, choices, search, path, report)
     for _ in range(search.max_effects):
         better = relieved(fitting, judge, choices, search, path) if path.goes_on() else None
