@@ -1,5 +1,6 @@
 """Figures of a diagnosis."""
 
+import textwrap
 from collections.abc import Sequence
 
 import numpy as np
@@ -19,6 +20,7 @@ from softrl.robots.robot import Robot
 
 COLOURS = {"measured": "black", "nominal": "tab:gray", "retuned": "tab:blue", "corrected": "tab:red",
            "one_lag": "tab:purple", "static": "tab:olive", "blackbox": "tab:green"}  # fmt: skip
+STATION_WIDTH, LINE = 25, 0.095  # letters below a station of the pipeline, and height of a line of them, data units
 IN_WORDS = {"blackbox": "black box", "heldout": "held out"}
 
 
@@ -118,10 +120,13 @@ def _mean_over(x: np.ndarray, y: np.ndarray, error: np.ndarray) -> tuple[np.ndar
 def draw_pipeline(diagnosis: Diagnosis, findings: Sequence[Finding]) -> Figure:
     """Draw the way from command to sensor, with the effects that are named and the part that stays unexplained."""
     stations = ["command", *SITES]
-    figure = Figure(figsize=(9, 2.4), layout="constrained")
+    named: dict[str, list[str]] = {station: [] for station in stations}
+    for e in diagnosis.effects:
+        named[e["site"]] += [e["name"], *textwrap.wrap(f"({e['where']})", STATION_WIDTH)]
+    below = max(0.55, 0.08 + LINE * max(map(len, named.values())))
+    figure = Figure(figsize=(9, 1.5 * (1.05 + below)), layout="constrained")
     ax = figure.subplots()
-    for k, station in enumerate(stations):
-        mine = [f"{e['name']}\n({e['where']})" for e in diagnosis.effects if e["site"] == station]
+    for k, (station, mine) in enumerate(named.items()):
         colour = "#f6b0a8" if mine else "#e8e8e8"
         ax.add_patch(Rectangle((k, 0.0), 0.8, 0.5, facecolor=colour, edgecolor="black"))
         ax.text(k + 0.4, 0.25, station, ha="center", va="center")
@@ -140,7 +145,7 @@ def draw_pipeline(diagnosis: Diagnosis, findings: Sequence[Finding]) -> Figure:
         ax.text(first if first == 1 else last + 0.8, 0.68 if first > 1 else 0.84, words, color=colour, fontsize=8,
                 ha="left" if first == 1 else "right", va="bottom")  # fmt: skip
     ax.set_xlim(-0.1, len(stations))
-    ax.set_ylim(-0.55, 1.05)
+    ax.set_ylim(-below, 1.05)
     ax.set_axis_off()
     return figure
 
