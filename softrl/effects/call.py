@@ -104,10 +104,15 @@ def run_ports(calls: Any, port: np.ndarray, dt: float, commit: bool) -> None:
 
 
 @borrowing
-def run_signals(calls: Any, values: np.ndarray, dt: float) -> None:
-    """Run every kernel over each row of ``values`` (steps, n), in order, in place."""
+def run_signals(calls: Any, values: np.ndarray, ends: np.ndarray, dt: float) -> None:
+    """Run every kernel over each row of ``values`` (steps, n), in order, in place.
+
+    ``ends`` (steps, n) are what there is at the steps' ends, changed likewise; without rows where nobody asks.
+    """
     kernels, at, parameters, states = calls
     for k in range(len(kernels)):
         mine, state = parameters[at[k, 0] : at[k + 1, 0]], states[at[k, 1] : at[k + 1, 1]]
         for step in range(len(values)):
             call_signal(kernels[k], mine, state, values[step], dt)
+            if len(ends) > 0:
+                call_signal(kernels[k], mine, state, ends[step], 0.0)

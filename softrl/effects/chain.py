@@ -12,7 +12,7 @@ from softrl.core.errors import ConfigError
 from softrl.core.identity import Same
 from softrl.core.simulator import Hanging, Hook, Layered, Motion, Simulator
 from softrl.effects.call import pack, run_signals
-from softrl.effects.effect import SITES, Effect
+from softrl.effects.effect import SITES, Effect, Pressure
 from softrl.effects.gate import hook_of
 from softrl.effects.history import check_reach
 from softrl.robots.robot import Robot
@@ -68,9 +68,9 @@ class EffectChain:
         """The effects on the reported pressures; ``filter(["sensor"], ..)`` runs the others, on the pose."""
         return tuple(e for e in self.at("sensor") if e.channel == "pressure")
 
-    def reported(self, pressure: np.ndarray, dt_s: float) -> np.ndarray:
-        """Return what the pressure sensors report of ``pressure`` (steps, chambers) Pa, from rest."""
-        return SignalFilter(self, "gauge").advance(pressure, dt_s)
+    def reported(self, pressure: Pressure, dt_s: float) -> np.ndarray:
+        """Return what the pressure sensors report (steps, chambers) Pa of ``pressure`` at the steps' ends, from rest."""
+        return SignalFilter(self, "gauge").lead(pressure, dt_s).end
 
     def hooks(self, site: str) -> list[Hook]:
         """Return fresh hooks of the port effects at ``site``, for a body's kernel."""
@@ -102,9 +102,13 @@ class EffectChain:
         """
         return simulator.at_rest(load) if isinstance(simulator, Hanging) else simulator.reset()  # the others take no hooks
 
-    def filter(self, sites: Sequence[str], values: np.ndarray, dt_s: float) -> np.ndarray:
-        """Return ``values`` (steps, n), one row per ``dt_s``, after the signal effects at ``sites``, from rest."""
-        return SignalFilter(self, *sites).advance(values, dt_s)
+    def supplied(self, command: Pressure, dt_s: float) -> Pressure:
+        """Return the pressures behind the valves under ``command``, one row per ``dt_s``, from rest."""
+        return SignalFilter(self, "valve").lead(command, dt_s)
+
+    def acting(self, supplied: Pressure, dt_s: float) -> np.ndarray:
+        """Return what acts of the ``supplied`` pressures over each step (steps, chambers) Pa, from rest."""
+        return SignalFilter(self, "chamber").advance(supplied.mean, dt_s)
 
     def stood_under(self, command: np.ndarray, shown: np.ndarray, rows: int, dt_s: float) -> np.ndarray:
         """Return the pressures (chambers,) Pa before the valve for ``rows``, where its gauges have ``shown`` (chambers,) then.
@@ -112,7 +116,7 @@ class EffectChain:
         They are the ``command`` (chambers,), and what is shown beyond what the valve has made of that: a valve at rest stood
         under its command whatever it makes of it, one on its way under about where it has got to.
         """
-        rest = self.filter(["valve"], np.tile(command, (rows, 1)), dt_s)
+        rest = self.supplied(held(np.tile(command, (rows, 1))), dt_s)
         return np.asarray(command + shown - self.reported(rest, dt_s)[-1])
 
 
@@ -147,18 +151,22 @@ class SignalFilter:
         return np.zeros(0) if self._calls is None else self._calls.states
 
     def advance(self, values: np.ndarray, dt_s: float) -> np.ndarray:
-        """Return the filtered rows (steps, n).
+        """Return the filtered rows (steps, n): poses at the steps' ends, or mean pressures over the steps.
 
         Raises
         ------
         ConfigError
             If the steps are too short for a delay.
         """
+        return self.lead(Pressure(values, np.empty((0, values.shape[1]))), dt_s).mean
+
+    def lead(self, pressure: Pressure, dt_s: float) -> Pressure:
+        """Return the filtered pressures; raise what ``advance`` does."""
         for name, delay_s in self._delays:
             check_reach(name, delay_s, dt_s)
-        filtered = np.array(values, dtype=float, order="C")
+        filtered = Pressure(*(np.array(part, dtype=float, order="C") for part in pressure))
         if self._calls is not None:
-            run_signals(self._calls, filtered, dt_s)
+            run_signals(self._calls, *filtered, dt_s)
         return filtered
 
 
@@ -174,12 +182,10 @@ class Plant:
 
         ``Motion.pressure`` is the supplied pressure after the valve, as a pressure sensor at the chamber reports it.
         """
-        dt_s = float(time[1] - time[0])
-        supplied = self.chain.filter(["valve"], command, dt_s)
-        return self._behind_valve(time, supplied, self.chain.filter(["chamber"], supplied, dt_s), tip_force)
+        return simulate_batch([self], time, command, tip_force)[0]
 
     def _behind_valve(
-        self, time: np.ndarray, supplied: np.ndarray, acting: np.ndarray, tip_force: np.ndarray | None
+        self, time: np.ndarray, supplied: Pressure, acting: np.ndarray, tip_force: np.ndarray | None
     ) -> Motion:
         """Return what the sensors report of a body on which ``acting`` acts."""
         body = self.chain.body(self.simulator)
@@ -188,14 +194,14 @@ class Plant:
         if all(effect.channel == "pressure" for effect in self.chain.at("sensor")):
             return replace(motion, pressure=shown)
         pose = np.hstack([motion.position, motion.quaternion])
-        pose = self.chain.filter(["sensor"], pose, float(time[1] - time[0]))
+        pose = SignalFilter(self.chain, "sensor").advance(pose, float(time[1] - time[0]))
         return replace(motion, position=pose[:, :3], quaternion=pose[:, 3:], pressure=shown)
 
 
 def simulate_batch(
     plants: Sequence[Plant],
     time: np.ndarray,
-    command: np.ndarray,
+    command: np.ndarray | Pressure,
     tip_force: np.ndarray | None = None,
     workers: int = 1,
     before: np.ndarray | None = None,
@@ -208,7 +214,7 @@ def simulate_batch(
     plants : of one robot; parameters of body and effects vary, as the columns of a Jacobian or the points of a
         search do. The effects may differ too.
     time : (steps,) s, uniform
-    command : (steps, chambers) Pa
+    command : (steps, chambers) Pa, held over each step, or known as it changes
     tip_force : (steps, 3) N or None
     workers : threads; they share the work only while the simulator's kernel runs without the interpreter's lock, as
         that of the lumped body does
@@ -220,8 +226,8 @@ def simulate_batch(
     Plants whose effects at valve and chamber are equal share one filtering of the command, so that varying the body
     costs nothing there. The bodies run one after the other in compiled code.
     """
-    dt_s = float(time[1] - time[0])
-    supply: dict[tuple[Effect, ...], np.ndarray] = {}
+    dt_s, command = float(time[1] - time[0]), held(command)
+    supply: dict[tuple[Effect, ...], Pressure] = {}
     acting: dict[tuple[Effect, ...], np.ndarray] = {}
 
     def shared_by(chain: EffectChain) -> tuple[tuple[Effect, ...], tuple[Effect, ...]]:
@@ -232,10 +238,10 @@ def simulate_batch(
     for plant in plants:
         valve, both = shared_by(plant.chain)
         if valve not in supply:
-            supply[valve] = plant.chain.filter(["valve"], _begun(plant.chain, command, dt_s, shown), dt_s)
+            supply[valve] = plant.chain.supplied(_begun(plant.chain, command, dt_s, shown), dt_s)
         if both not in acting:
-            let_in = supply[valve] if before is None else np.vstack([before, supply[valve][len(before) :]])
-            acting[both] = plant.chain.filter(["chamber"], let_in, dt_s)
+            let_in = supply[valve] if before is None else after(before, supply[valve])
+            acting[both] = plant.chain.acting(let_in, dt_s)
 
     def simulated(plant: Plant) -> Motion:
         valve, both = shared_by(plant.chain)
@@ -247,13 +253,23 @@ def simulate_batch(
         return list(pool.map(simulated, plants))
 
 
-def _begun(chain: EffectChain, command: np.ndarray, dt_s: float, shown: tuple[int, np.ndarray] | None) -> np.ndarray:
-    """Return ``command`` (steps, chambers) with what stood before the valve in the rows before the first sample."""
+def held(pressure: np.ndarray | Pressure) -> Pressure:
+    """Return what is held over each step, if it is that, as pressures that are what they are at its end."""
+    return pressure if isinstance(pressure, Pressure) else Pressure(pressure, pressure)
+
+
+def after(first: np.ndarray, pressure: Pressure) -> Pressure:
+    """Return ``pressure`` with ``first`` (rows, chambers) Pa in place of its first rows."""
+    return Pressure(*(np.vstack([first, part[len(first) :]]) for part in pressure))
+
+
+def _begun(chain: EffectChain, command: Pressure, dt_s: float, shown: tuple[int, np.ndarray] | None) -> Pressure:
+    """Return ``command`` with what stood before the valve in the rows before the first sample."""
     if shown is None or not shown[0]:
         return command
     rows, pressure = shown
-    stood = chain.stood_under(command[0], pressure, rows, dt_s)
-    return np.vstack([np.tile(stood, (rows, 1)), command[rows:]])
+    stood = chain.stood_under(command.mean[0], pressure, rows, dt_s)
+    return after(np.tile(stood, (rows, 1)), command)
 
 
 def chain_of(robot: Robot, effects: Iterable[Effect]) -> EffectChain:

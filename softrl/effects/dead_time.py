@@ -17,11 +17,17 @@ def dead_time_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarra
     """Delay the command, then let what arrives lag twice; the state is the history, and the pressures behind each lag.
 
     Before the start it was zero. A lag in steps is late by less than its time constant: what both are late by is taken off.
+    What arrives within a step is its mean at its end, too: a jump there would be the same for all delays in between.
     """
     n = len(value)
     first, second = state[len(state) - 2 * n : len(state) - n], state[len(state) - n :]
-    push(state, value, False)
     delay, lag, chamber = parameters[0], parameters[1], int(parameters[2])
+    if dt <= 0.0:
+        for i in range(n):
+            if chamber < 0 or chamber == i:
+                value[i] = second[i]
+        return
+    push(state, value, False)
     share = 1.0 if lag <= 0.0 else -math.expm1(-dt / lag)
     steps = max(delay / dt - 2.0 * (1.0 - share) / share, 0.0)
     for i in range(n):

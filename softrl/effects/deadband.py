@@ -8,6 +8,7 @@ import numpy as np
 
 from softrl.core.compiled import standing_as
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
+from softrl.effects.way import bound_of, mean_of_ramp
 from softrl.robots.robot import Robot
 
 AT_ONCE_PER_S = 1e4  # faster filling takes no time
@@ -17,17 +18,20 @@ AT_ONCE_PER_S = 1e4  # faster filling takes no time
 def deadband_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
     """Open valves beyond the band, fill towards the command, close them again; the state is supply and open, per chamber."""
     band, closes, chamber, count = parameters[0], parameters[1] * parameters[0], int(parameters[3]), len(value)
+    most = bound_of(parameters[2], dt)
     for i in range(count):
         if chamber < 0 or chamber == i:
             gap = value[i] - state[i]
             if abs(gap) > band:
                 state[count + i] = 1.0
+            value[i] = state[i]
             if state[count + i] > 0.0:
-                left = abs(gap) - parameters[2] * dt
+                left = abs(gap) - most
                 if left <= closes:
                     left, state[count + i] = min(closes, abs(gap)), 0.0
-                state[i] = value[i] - math.copysign(left, gap)
-            value[i] = state[i]
+                moved = gap - math.copysign(left, gap)
+                value[i] = mean_of_ramp(state[i], moved, most)
+                state[i] += moved
 
 
 @dataclass(frozen=True)
@@ -77,4 +81,6 @@ class Deadband(Effect):
 
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (band Pa, share of it at which valves close, rate of filling Pa/s, chamber)."""
-        return super().pack(robot) * [robot.largest_pa, 1.0, robot.largest_pa, 1.0]
+        band, closes_at, fill, chamber = super().pack(robot)
+        fill_pa_per_s = fill * robot.largest_pa if fill < AT_ONCE_PER_S else np.inf
+        return np.array([band * robot.largest_pa, closes_at, fill_pa_per_s, chamber])

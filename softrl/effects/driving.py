@@ -6,11 +6,15 @@ from typing import NamedTuple
 import numpy as np
 
 from softrl.core.errors import RecordingError
-from softrl.effects.chain import EffectChain
+from softrl.effects.chain import EffectChain, after
+from softrl.effects.effect import Pressure
 from softrl.recordings.recording import Recording
 from softrl.recordings.rhythm import SLOWER, periods
 
 MAX_STEPS = 5_000_000
+NEARER = 0.999  # of what a pressure lacked of its command a sample before: if it lacks more, it changes as good as evenly
+SMALLEST = 1e-300  # share of that which is none
+SAME = 1e-6  # of a step: a time on the grid is known no better beside a stamp
 LOST_PERIODS, LOST_S = SLOWER, 2.0  # periods, s: a pause between these is of rows that were lost, not of a log that waits
 
 
@@ -33,8 +37,8 @@ def drive_on_grid(
     late_s: float = 0.0,
     supply: Supply | None = None,
     later: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Return the uniform grid (steps,) s, the pressures (steps, chambers) Pa and forces (steps, 3) N on it.
+) -> tuple[np.ndarray, Pressure, np.ndarray | None]:
+    """Return the uniform grid (steps,) s, the pressures on it and the mean forces (steps, 3) N over its steps.
 
     Commands act ``later`` (samples,) s than all rows do.
     """
@@ -46,13 +50,16 @@ def drive_on_grid(
         _, command, _ = drive_on_grid(recording, dt_s, "command", settle_s, late_s + supply.late_s, later=later)
         valve = replace(supply.chain, effects=supply.chain.at("valve"), before_s=settle_s + dt_s)
         if first and recording.pressure_meas is not None:
-            command[:first] = valve.stood_under(command[0], recording.pressure_meas[0] - supply.apart[0], first, dt_s)
-        pressure = valve.filter(["valve"], command, dt_s) + evenly(time, stamps, supply.apart)
+            stood = valve.stood_under(command.mean[0], recording.pressure_meas[0] - supply.apart[0], first, dt_s)
+            command = after(np.tile(stood, (first, 1)), command)
+        made, apart = valve.supplied(command, dt_s), _changing(stamps, supply.apart, time, dt_s)
+        pressure = Pressure(made.mean + apart.mean, made.end + apart.end)
+    elif drive == "measured":
+        pressure = _changing(stamps, rows, time, dt_s, recording.pressure_cmd)
     else:
-        known, held = _bridged(stamps, rows) if drive == "command" else _filled_in(stamps, rows, time)
-        pressure = _mean_held(known, held, time, dt_s)
+        pressure = _held(*_bridged(stamps, rows), time, dt_s)
     if first and drive == "measured" and recording.pressure_meas is not None:
-        pressure[:first] = recording.pressure_meas[0]
+        pressure = after(np.tile(recording.pressure_meas[0], (first, 1)), pressure)
     return time, pressure, _force(recording, time, dt_s, late_s if drive == "measured" else 0.0)
 
 
@@ -60,7 +67,7 @@ def _force(recording: Recording, time: np.ndarray, dt_s: float, late_s: float) -
     """Return the forces (steps, 3) N on the grid, measured at their rows' times: how late commands act is nothing to them."""
     if recording.tip_force is None:
         return None
-    return _mean_held(*_filled_in(recording.time + late_s, recording.tip_force, time), time, dt_s)
+    return _changing(recording.time + late_s, recording.tip_force, time, dt_s).mean
 
 
 def _bridged(stamps: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -79,32 +86,73 @@ def _bridged(stamps: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return np.insert(stamps, places, added), np.insert(rows, places, evenly(added, stamps, rows), axis=0)
 
 
-def _filled_in(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return samples (samples,), (samples, n) with further ones at the grid's times, where a pressure has changed evenly.
-
-    A command is held, but a measured pressure that was held until the next sample would be early by half the time to it.
-    """
-    filled = np.union1d(stamps, time[(time > stamps[0]) & (time < stamps[-1])])
-    return filled, evenly(filled, stamps, rows)
-
-
 def evenly(at: np.ndarray, time: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Return ``rows`` (samples, n), which change evenly between their times (samples,), at the times ``at`` (steps,)."""
     return np.stack([np.interp(at, time, column) for column in rows.T], axis=1)
 
 
-def _mean_held(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray, dt_s: float) -> np.ndarray:
-    """Return the mean over each step (time - dt, time] of ``rows`` (samples, n), each held until its stamp, the last to the end.
+def _changing(
+    stamps: np.ndarray, rows: np.ndarray, time: np.ndarray, dt_s: float, goal: np.ndarray | None = None
+) -> Pressure:
+    """Return ``rows`` (samples, n), which change between their stamps, over each step (time - dt, time] and at its end.
+
+    They change evenly, but for those that have come nearer to their ``goal`` (samples, n), the command until then, ever since
+    that changed: what makes for it with a lag does so quickly at first. A command is held, but a measured pressure that was held
+    until the next sample would be early by up to half the time to it, and late by as much if it changed evenly though it jumped.
+    """
+    edges = np.r_[time[0] - dt_s, time]
+    knots = np.union1d(edges, stamps)
+    ends = evenly(knots, stamps, rows)
+    means = 0.5 * (ends[1:] + ends[:-1])
+    if goal is not None:
+        _bend(knots, means, ends, stamps, rows, goal)
+    at_edges = np.isin(knots, edges)
+    mean = np.diff(_summed(means, knots)[at_edges], axis=0) / dt_s
+    return Pressure(np.ascontiguousarray(mean), ends[at_edges][1:])
+
+
+def _bend(
+    knots: np.ndarray, means: np.ndarray, ends: np.ndarray, stamps: np.ndarray, rows: np.ndarray, goal: np.ndarray
+) -> None:
+    """Replace ``means`` (knots - 1, n) and ``ends`` (knots, n) where rows have come nearer to their ``goal`` since it changed.
+
+    What is left of the way falls exponentially from row to row there, to all precision where the next row is the goal.
+    """
+    way, to, span = goal[1:] - rows[:-1], goal[1:] - rows[1:], np.diff(stamps)
+    nearer = (way * to >= 0.0) & (np.abs(to) < NEARER * np.abs(way))
+    number = np.arange(1, len(rows))[:, None]
+    changed, failed = (
+        np.maximum.accumulate(np.where(which, number, 0)) for which in (goal[1:] != goal[:-1], ~nearer)
+    )
+    follows = changed > failed
+    decay = np.log(np.maximum(np.divide(to, way, where=follows, out=np.full_like(way, NEARER)), SMALLEST))
+    last = np.searchsorted(stamps, knots[1:])
+    inside = np.flatnonzero((last > 0) & (last < len(stamps)))
+    k = last[inside] - 1
+    begin, end = (np.exp(decay[k] * ((at - stamps[k]) / span[k])[:, None]) for at in (knots[inside], knots[inside + 1]))
+    left = (end - begin) / (decay[k] * ((knots[inside + 1] - knots[inside]) / span[k])[:, None])
+    means[inside] = np.where(follows[k], goal[k + 1] - way[k] * left, means[inside])
+    ends[inside + 1] = np.where(follows[k], goal[k + 1] - way[k] * end, ends[inside + 1])
+
+
+def _held(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray, dt_s: float) -> Pressure:
+    """Return ``rows`` (samples, n), each held until its stamp, the last to the end, likewise.
 
     A change within a step acts on the rest of the step only: taken whole, uneven stamps would make it early by half a
     step on average, which looks like a delay of the robot.
     """
     begin, end = stamps[0] - dt_s - max(stamps[0] - time[0], 0.0), max(stamps[-1], time[-1]) + dt_s
     knots = np.r_[begin, stamps, end]
-    held = np.vstack([rows, rows[-1:]])
-    total = np.vstack([np.zeros((1, rows.shape[1])), np.cumsum(held * np.diff(knots)[:, None], axis=0)])
+    kept = np.vstack([rows, rows[-1:]])
+    total = _summed(kept, knots)
     edges = np.r_[time[0] - dt_s, time]
-    return np.asarray(np.ascontiguousarray(np.diff(evenly(edges, knots, total), axis=0) / dt_s))
+    mean = np.ascontiguousarray(np.diff(evenly(edges, knots, total), axis=0) / dt_s)
+    return Pressure(mean, kept[np.searchsorted(stamps, time - SAME * dt_s)])
+
+
+def _summed(rows: np.ndarray, knots: np.ndarray) -> np.ndarray:
+    """Return the integral (knots, n) up to each of ``knots`` (knots,) of what is ``rows`` (knots - 1, n) between them."""
+    return np.vstack([np.zeros((1, rows.shape[1])), np.cumsum(rows * np.diff(knots)[:, None], axis=0)])
 
 
 def _grid(recording: Recording, dt_s: float, settle_s: float) -> tuple[np.ndarray, int]:

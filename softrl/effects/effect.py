@@ -3,8 +3,10 @@
 Two kinds of kernel, both numba functions without the interpreter in the loop:
 
 * a *signal* kernel (sites valve, chamber, sensor) changes a vector in place once per time step:
-  ``kernel(parameters, state, value, dt)``. At valve and chamber the value is the chambers' pressure in Pa; at the
-  sensor it is the pose, position (3) m and quaternion (4) w x y z, or (``channel = "pressure"``) the reported pressures.
+  ``kernel(parameters, state, value, dt)``. At valve and chamber the value is the chambers' mean pressure over the step in Pa,
+  before and after, so that what fills slowly acts on a body when it does. With a ``dt`` of 0 no time passes, and the value
+  becomes what there is at that moment. At the sensor it is the pose at the step's end, position (3) m and quaternion (4)
+  w x y z, or (``channel = "pressure"``) the reported pressures, mean and then end.
 * a *port* kernel (sites body, load) acts inside the body's implicit step:
   ``kernel(parameters, state, port, dt, commit)``. It reads the trial motion from ``port`` and *adds* its reaction and
   the derivative of that reaction; it may change ``state`` only when ``commit`` is true, once a step has converged.
@@ -14,7 +16,7 @@ import dataclasses
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numba as nb
 import numpy as np
@@ -53,6 +55,16 @@ TIP, TIP_VELOCITY, GRAVITY, FORCE, FORCE_SLOPE = 0, 1, 2, 3, 4
 
 BODY_PORT_ROWS, LOAD_PORT_ROWS = 10, 7
 STAGE = 1.0 - math.sqrt(0.5)  # share of a step after which bodies whose steps have two stages ask, besides its end
+
+
+class Pressure(NamedTuple):
+    """Pressures in the chambers, (steps, chambers) Pa: the ``mean`` over each step, which acts in it, and those at its ``end``.
+
+    They differ where a pressure changes within steps, as behind a slow valve.
+    """
+
+    mean: np.ndarray
+    end: np.ndarray
 
 
 @borrowing
@@ -299,8 +311,8 @@ class Effect:
         """Return the effects at single sites that this one is made of: itself, unless it acts at several."""
         return (self,)
 
-    def undo(self, robot: Robot, reported: np.ndarray, share: np.ndarray, dt_s: float) -> np.ndarray:
-        """Return the pressures (steps, chambers) Pa behind what a gauge ``reported``; of its error ``share`` (steps, 1) acts."""
+    def undo(self, robot: Robot, reported: Pressure, share: np.ndarray, dt_s: float) -> Pressure:
+        """Return the pressures behind what a gauge ``reported``; of its error ``share`` (steps, 1) acts."""
         raise NotImplementedError(f"effect {self.name()} does not act on a pressure sensor")
 
     def layers(self, count: int) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 
 from softrl.core.compiled import standing_as
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
+from softrl.effects.way import bound_of, mean_of_lag, mean_of_ramp, share_of_lag
 from softrl.robots.robot import Robot
 
 UNLIMITED_PER_S = 1e4
@@ -17,13 +18,21 @@ UNLIMITED_PER_S = 1e4
 def flow_limit_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
     """Let the supplied pressure follow with its lag, rise at no more than its rate and fall no faster than to the lowest."""
     rise, vent_s, lag_s, lowest, chamber = parameters[0], parameters[1], parameters[2], parameters[3], int(parameters[4])
-    share = 1.0 if lag_s <= 0.0 else -math.expm1(-dt / lag_s)
+    share, most = share_of_lag(lag_s, dt), bound_of(rise, dt)
     for i in range(len(value)):
         if chamber < 0 or chamber == i:
-            near = state[i] + share * (value[i] - state[i])
-            vented = near if vent_s <= 0.0 else lowest + math.exp(-dt / vent_s) * (state[i] - lowest)
-            state[i] = min(max(near, min(vented, state[i])), state[i] + rise * dt)
-            value[i] = state[i]
+            free = share * (value[i] - state[i])
+            vented = -math.inf if vent_s <= 0.0 else -share_of_lag(vent_s, dt) * max(state[i] - lowest, 0.0)
+            moved = min(max(free, vented), most)
+            if lag_s > 0.0 and moved == free:
+                value[i] = mean_of_lag(value[i], state[i], moved, lag_s, dt)
+            elif moved < free:
+                value[i] = mean_of_ramp(state[i], moved, most)
+            elif moved > free:
+                value[i] = mean_of_lag(min(lowest, state[i]), state[i], moved, vent_s, dt)
+            else:
+                value[i] = mean_of_ramp(state[i], moved, most if moved > 0.0 else -vented)
+            state[i] += moved
 
 
 @dataclass(frozen=True)

@@ -7,22 +7,32 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
+from softrl.effects.effect import SIGNAL_KERNEL, Effect, Pressure, parameter
 from softrl.effects.history import empty_history, look_back, push
+from softrl.effects.way import share_of_lag
 from softrl.robots.robot import Robot
 
 
 @standing_as(SIGNAL_KERNEL)
 def gauge_lag_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
-    """Advance ``dp_reported/dt = (p(t - delay) - p_reported) / time`` exactly over ``dt`` with the pressure held."""
-    n = len(value)
-    push(state, value, False)
-    last, chamber = state[len(state) - n :], int(parameters[2])
-    share = 1.0 if parameters[0] <= 0.0 else -math.expm1(-dt / parameters[0])
+    """Advance ``dp_slow/dt = (p - p_slow) / time`` exactly over ``dt`` with the mean pressure held; report it late, at the end.
+
+    The state is the history of what would be reported without delay, the step that it goes in, and ``p_slow`` as it is now.
+    """
+    n, time, chamber = len(value), parameters[0], int(parameters[2])
+    slow, step = state[len(state) - n :], len(state) - n - 1
+    if dt > 0.0:
+        state[step] = dt
+        for i in range(n):
+            slow[i] += share_of_lag(time, dt) * (value[i] - slow[i])
+        return
+    if time <= 0.0:
+        for i in range(n):
+            slow[i] = value[i]
+    push(state, slow, False)
     for i in range(n):
         if chamber < 0 or chamber == i:
-            last[i] += share * (look_back(state, n, i, parameters[1] / dt) - last[i])
-            value[i] = last[i]
+            value[i] = look_back(state, n, i, parameters[1] / state[step])
 
 
 @dataclass(frozen=True)
@@ -52,17 +62,21 @@ class GaugeLag(Effect):
         return [{"time_s": 0.1, "delay_s": 0.0}, {"time_s": 0.0, "delay_s": 0.1}]
 
     def reset(self, robot: Robot) -> np.ndarray:
-        """Return an empty history, and what gauges report at rest, zero."""
-        return np.concatenate([empty_history(robot.chambers), np.zeros(robot.chambers)])
+        """Return an empty history, no step yet, and what gauges report at rest, zero."""
+        return np.concatenate([empty_history(robot.chambers), np.zeros(1 + robot.chambers)])
 
-    def undo(self, robot: Robot, reported: np.ndarray, share: np.ndarray, dt_s: float) -> np.ndarray:
-        """Return the pressures (steps, chambers) Pa that the gauge followed where it ``reported`` these, ``dt_s`` apart.
+    def undo(self, robot: Robot, reported: Pressure, share: np.ndarray, dt_s: float) -> Pressure:
+        """Return the pressures that the gauge followed where it ``reported`` these, ``dt_s`` apart.
 
         What it had not yet reported at the end is taken to stay as it was.
         """
-        time, seen = dt_s * np.arange(len(reported)), np.array(reported, dtype=float)
-        followed = 1.0 if self.time_s <= 0.0 else -math.expm1(-dt_s / self.time_s)
+        time, seen = dt_s * np.arange(len(reported.end)), Pressure(*(np.array(part, dtype=float) for part in reported))
         for c in range(robot.chambers) if self.chamber < 0 else (self.chamber,):
-            quick = reported[:, c] + (1.0 / followed - 1.0) * np.diff(reported[:, c], prepend=reported[0, c])
-            seen[:, c] += share[:, 0] * (np.interp(time + self.delay_s, time, quick) - reported[:, c])
+            mean, end = (part[:, c] for part in reported)
+            if self.time_s > 0.0:
+                gained = np.diff(end, prepend=end[0])
+                mean = end - gained + gained / -math.expm1(-dt_s / self.time_s)
+                end = 0.5 * (mean + np.append(mean[1:], mean[-1]))
+            for part, quick, shown in zip(seen, (mean, end), reported, strict=True):
+                part[:, c] += share[:, 0] * (np.interp(time + self.delay_s, time, quick) - shown[:, c])
         return seen

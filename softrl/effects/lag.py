@@ -1,6 +1,5 @@
 """A regulator that follows its command with a first-order lag, slower when venting than when filling."""
 
-import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -8,20 +7,21 @@ import numpy as np
 
 from softrl.core.compiled import standing_as
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
+from softrl.effects.way import mean_of_lag, share_of_lag
 from softrl.robots.robot import Robot
 
 
 @standing_as(SIGNAL_KERNEL)
 def lag_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
-    """Advance ``dp/dt = (p_cmd - p) / tau`` exactly over ``dt`` with the command held."""
+    """Advance ``dp/dt = (p_cmd - p) / tau`` exactly over ``dt`` with the command held, whose mean lack is ``tau dp / dt``."""
     chamber = int(parameters[2])
     for i in range(len(value)):
         if chamber >= 0 and chamber != i:
             continue
         tau = parameters[0] if value[i] >= state[i] else parameters[1]
-        share = 1.0 if tau <= 0.0 else -math.expm1(-dt / tau)
-        state[i] += share * (value[i] - state[i])
-        value[i] = state[i]
+        moved = (value[i] - state[i]) * share_of_lag(tau, dt)
+        value[i] = mean_of_lag(value[i], state[i], moved, tau, dt)
+        state[i] += moved
 
 
 @dataclass(frozen=True)

@@ -28,10 +28,10 @@ def leak_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt
             if exponent < 1.0:
                 inside = (value[i] - state[i]) / largest
                 leak *= (inside * inside + SMALL * SMALL) ** (0.5 * (exponent - 1.0))
-            rate = leak + 1.0 / refill
+            rate, begin = leak + 1.0 / refill, state[i]
             state[i] += -math.expm1(-rate * dt) * (leak * value[i] / rate - state[i])
             state[i] = min(state[i], value[i] - min(value[i], lowest))
-            value[i] -= state[i]
+            value[i] -= 0.5 * (min(begin, value[i] - min(value[i], lowest)) + state[i])
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from softrl.effects.effect import SITES, Effect
 
 NOT_EFFECTS = (
     "__init__", "effect", "call", "chain", "library", "history", "driving", "free_motion", "gate", "quaternion", "relaxation",
-    "replay",
+    "replay", "way",
 )  # fmt: skip
 
 

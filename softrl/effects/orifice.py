@@ -44,16 +44,22 @@ def _vented(here: float, sink: float, share: float) -> float:
 
 @standing_as(SIGNAL_KERNEL)
 def orifice_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
-    """Let the pressure behind the narrow place follow the one before it."""
+    """Let the pressure behind the narrow place follow the one before it; its mean by Simpson's rule."""
     fill_s, vent_s, chamber = parameters[0], parameters[1], int(parameters[2])
     for i in range(len(value)):
         if chamber < 0 or chamber == i:
             before, here = max(value[i] + ATMOSPHERE_PA, _LEAST_PA), max(state[i] + ATMOSPHERE_PA, _LEAST_PA)
             if here < before and fill_s > 0.0:
-                value[i] = _filled(here, before, dt / fill_s) - ATMOSPHERE_PA
+                middle = _filled(here, before, 0.5 * dt / fill_s)
+                end = _filled(middle, before, 0.5 * dt / fill_s)
             elif here > before and vent_s > 0.0:
-                value[i] = _vented(here, before, dt / vent_s) - ATMOSPHERE_PA
-            state[i] = value[i]
+                middle = _vented(here, before, 0.5 * dt / vent_s)
+                end = _vented(middle, before, 0.5 * dt / vent_s)
+            else:
+                state[i] = value[i]
+                continue
+            value[i] = (here + 4.0 * middle + end) / 6.0 - ATMOSPHERE_PA
+            state[i] = end - ATMOSPHERE_PA
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 from softrl.core.compiled import standing_as
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
 from softrl.effects.free_motion import free_motion
+from softrl.effects.way import mean_of_lag
 from softrl.robots.robot import Robot
 
 UNLIMITED = 1e4
@@ -19,10 +20,10 @@ LEAST_S = 1e-4  # the lag of a regulator that has none: its integral and the bou
 def pi_regulator_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
     """Let the pressure follow the command; exact over ``dt`` while the flow is free. The state is pressures, then integrals.
 
-    At the lowest pressure an integral that asks for less is cut to what holds it there.
+    The mean lacks what the integral gains. At the lowest pressure an integral that asks for less is cut to what holds it there.
     """
     lag_s, integral_s, most, lowest, chamber = parameters[0], parameters[1], parameters[2] * dt, parameters[3], int(parameters[4])
-    if lag_s <= 0.0 and math.isinf(integral_s) and math.isinf(most):
+    if lag_s <= 0.0 and math.isinf(integral_s) and math.isinf(parameters[2]):
         return
     lag_s = max(lag_s, LEAST_S)
     count, per_s = len(value), 1.0 / integral_s
@@ -30,7 +31,10 @@ def pi_regulator_kernel(parameters: np.ndarray, state: np.ndarray, value: np.nda
     even, odd = free_motion(decay, decay * decay - stiff, dt)
     for i in range(count):
         if chamber < 0 or chamber == i:
-            error = value[i] - state[i]
+            if dt <= 0.0:
+                value[i] = state[i]
+                continue
+            begin, wound, error = state[i], state[count + i], value[i] - state[i]
             rate = (error + per_s * state[count + i]) / lag_s
             left = even * error + odd * (decay * error - rate)
             if abs(error - left) > most:
@@ -44,7 +48,13 @@ def pi_regulator_kernel(parameters: np.ndarray, state: np.ndarray, value: np.nda
                 state[i] = min(value[i], lowest)
                 if per_s > 0.0:
                     state[count + i] = max(state[count + i], -integral_s * (value[i] - state[i]))
-            value[i] = state[i]
+                value[i] = 0.5 * (begin + state[i])
+            elif abs(error - left) >= most:
+                value[i] = 0.5 * (begin + state[i])
+            elif per_s > 0.0:
+                value[i] -= (state[count + i] - wound) / dt
+            else:
+                value[i] = mean_of_lag(value[i], begin, error - left, lag_s, dt)
 
 
 @dataclass(frozen=True)

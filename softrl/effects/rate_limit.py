@@ -1,6 +1,5 @@
 """A supply that fills and vents no faster than its flow allows."""
 
-import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -8,6 +7,7 @@ import numpy as np
 
 from softrl.core.compiled import standing_as
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
+from softrl.effects.way import bound_of, mean_of_lag, mean_of_ramp, share_of_lag
 from softrl.robots.robot import Robot
 
 UNLIMITED_PER_S = 1e4
@@ -17,11 +17,16 @@ UNLIMITED_PER_S = 1e4
 def rate_limit_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
     """Let the supplied pressure follow the command with its lag, at no more than the two rates."""
     lag_s, chamber = parameters[2], int(parameters[3])
-    share = 1.0 if lag_s <= 0.0 else -math.expm1(-dt / lag_s)
+    rise, fall, share = bound_of(parameters[0], dt), bound_of(parameters[1], dt), share_of_lag(lag_s, dt)
     for i in range(len(value)):
         if chamber < 0 or chamber == i:
-            state[i] += min(max(share * (value[i] - state[i]), -parameters[1] * dt), parameters[0] * dt)
-            value[i] = state[i]
+            free = share * (value[i] - state[i])
+            moved = min(max(free, -fall), rise)
+            if lag_s > 0.0 and moved == free:
+                value[i] = mean_of_lag(value[i], state[i], moved, lag_s, dt)
+            else:
+                value[i] = mean_of_ramp(state[i], moved, rise if moved > 0.0 else fall)
+            state[i] += moved
 
 
 @dataclass(frozen=True)

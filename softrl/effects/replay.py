@@ -12,9 +12,9 @@ import numpy as np
 from softrl.core.errors import ConfigError
 from softrl.core.identity import Same
 from softrl.core.simulator import Motion
-from softrl.effects.chain import EffectChain, Plant, simulate_batch
+from softrl.effects.chain import EffectChain, Plant, after, simulate_batch
 from softrl.effects.driving import Supply, drive_on_grid
-from softrl.effects.effect import EVERYWHERE, Effect
+from softrl.effects.effect import EVERYWHERE, Effect, Pressure
 from softrl.effects.gate import share_at
 from softrl.effects.hold import Hold, reading_phase
 from softrl.recordings.recording import Recording
@@ -88,7 +88,7 @@ def replay_batch(
     time, pressure, force = _kept_on_grid(Same(recording), dt_s, drive, settle_s, late_s, Same(supply), Same(later))
     past = None if before is None else np.tile(np.asarray(before, dtype=float), (round(settle_s / dt_s), 1))
     if past is not None and drive == "command" and recording.pressure_meas is None:
-        pressure, past = np.vstack([past, pressure[len(past) :]]), None
+        pressure, past = after(past, pressure), None
     taken = [_taken_at(plant.chain, recording) for plant in plants]
     before_s = settle_s + dt_s  # a run begins a step before its first row, which is where that step has led
     plants = [_under(plant, before_s, _each_second(Same(recording))) for plant in plants]
@@ -99,7 +99,7 @@ def replay_batch(
         behind = [_behind_valve(plant) for plant in plants]
         motions = []
         for gauges, group in groupby(range(len(plants)), lambda k: plants[k].chain.gauges):
-            since_s = dt_s * np.arange(len(pressure)) - settle_s
+            since_s = dt_s * np.arange(len(time)) - settle_s
             seen = _seen_by(gauges, plants[0].chain.robot, pressure, since_s)
             motions += simulate_batch([behind[k] for k in group], time, seen, force, workers, past)
     robot = plants[0].chain.robot
@@ -183,7 +183,7 @@ def _kept_on_grid(
     late_s: float,
     supply: Same[Supply | None],
     later: Same[np.ndarray | None],
-) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+) -> tuple[np.ndarray, Pressure, np.ndarray | None]:
     """Return what drives a recording on the grid, kept: fits replay the same few recordings thousands of times."""
     return drive_on_grid(same.thing, dt_s, drive, settle_s, late_s, supply.thing, later.thing)
 
@@ -237,8 +237,8 @@ def _behind_valve(plant: Plant) -> Plant:
     return replace(plant, chain=replace(plant.chain, effects=plant.chain.at("chamber", "body", "load", "sensor")))
 
 
-def _seen_by(gauges: Sequence[Effect], robot: Robot, reported: np.ndarray, since_s: np.ndarray) -> np.ndarray:
-    """Return the pressures (steps, chambers) Pa that gauges ``reported`` as these, ``since_s`` (steps,) the first sample.
+def _seen_by(gauges: Sequence[Effect], robot: Robot, reported: Pressure, since_s: np.ndarray) -> Pressure:
+    """Return the pressures that gauges ``reported`` as these, ``since_s`` (steps,) the first sample.
 
     Raises
     ------

@@ -7,6 +7,7 @@ import numpy as np
 
 from softrl.core.compiled import standing_as
 from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
+from softrl.effects.way import bound_of, mean_of_ramp
 from softrl.robots.robot import Robot
 
 UNLIMITED_PER_S = 1e4
@@ -15,14 +16,17 @@ UNLIMITED_PER_S = 1e4
 @standing_as(SIGNAL_KERNEL)
 def shared_flow_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
     """Let all pressures rise by no more than the pump's rate together, each by its share; they fall at once."""
-    wanted = 0.0
+    wanted, most = 0.0, bound_of(parameters[0], dt)
     for i in range(len(value)):
         wanted += max(value[i] - state[i], 0.0)
-    share = min(parameters[0] * dt / wanted, 1.0) if wanted > 0.0 else 1.0
+    share = min(most / wanted, 1.0) if wanted > 0.0 else 1.0
     for i in range(len(value)):
-        rise = value[i] - state[i]
-        state[i] += share * rise if rise > 0.0 else rise
-        value[i] = state[i]
+        lacks = value[i] - state[i]
+        if lacks > 0.0:
+            value[i] = mean_of_ramp(state[i], share * lacks, most * lacks / wanted)
+            state[i] += share * lacks
+        else:
+            state[i] = value[i]
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from softrl.robots.robot import Robot
 
 @standing_as(SIGNAL_KERNEL)
 def tube_line_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
-    """Advance ``T^2 p'' + 2 zeta T p' + p = p_in`` exactly over ``dt`` with the input held."""
+    """Advance ``T^2 p'' + 2 zeta T p' + p = p_in`` exactly over ``dt`` with the input held; its mean is that of the equation."""
     unit_s, zeta, chamber = parameters[0], parameters[1], int(parameters[2])
     n = len(value)
     if unit_s <= 0.0:
@@ -23,10 +23,13 @@ def tube_line_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarra
     even, odd = free_motion(decay, square, dt)
     for i in range(n):
         if chamber < 0 or chamber == i:
-            apart, rate = state[i] - value[i], state[n + i]
+            if dt <= 0.0:
+                value[i] = state[i]
+                continue
+            begin, apart, rate = state[i], state[i] - value[i], state[n + i]
             state[i] = value[i] + (even + decay * odd) * apart + odd * rate
             state[n + i] = (even - decay * odd) * rate - odd * apart / (unit_s * unit_s)
-            value[i] = state[i]
+            value[i] -= unit_s * (unit_s * (state[n + i] - rate) + 2.0 * zeta * (state[i] - begin)) / dt
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,7 @@ class PlannedController:
         if self._simulated is not None:
             pressure = self._simulated(pressure)
         age = arrived[-1].time_s - np.array([sample.time_s for sample in arrived])
-        at = route.step_s * np.arange(route.hold - 1, -1, -1)  # before the end of the period
+        at = route.step_s * (np.arange(route.hold - 1, -1, -1) + 0.5)  # middles of the steps, before the end of the period
         held = np.stack([np.interp(-at, -age, column) for column in pressure.T], axis=1)
         return np.where(off, held, np.nan)
 

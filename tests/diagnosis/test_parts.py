@@ -9,7 +9,7 @@ import pytest
 
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.judging import parts
-from softrl.effects.chain import EffectChain, SignalFilter
+from softrl.effects.chain import EffectChain, held
 from softrl.effects.driving import drive_on_grid, evenly
 from softrl.effects.lag import Lag
 from softrl.recordings.recording import Recording
@@ -36,7 +36,7 @@ def steps(robot: Robot, period_s: float) -> tuple[Recording, np.ndarray, np.ndar
     time, stamps = FINE_S * np.arange(round(20.0 / FINE_S) + 1), period_s * np.arange(len(rows))
     fine = rows[np.minimum(np.searchsorted(stamps, time - 1e-9), len(rows) - 1)]
     chain = EffectChain(robot, (LAG,))
-    true = SignalFilter(chain, "valve").advance(fine, FINE_S)
+    true = chain.supplied(held(fine), FINE_S).end
     run = Recording("run", "day", stamps, rows, pressure_meas=evenly(stamps, time, true))
     return run, time, true
 
@@ -60,7 +60,7 @@ def test_a_body_sees_what_the_valve_does_between_samples(monkeypatch: pytest.Mon
     grid, plain, _ = drive_on_grid(run, 0.01, "measured", 0.0)
     _, seen, _ = drive_on_grid(mended, 0.01, "measured", 0.0, 0.0, known)
     wanted = evenly(grid, time, true)
-    missed = [float(np.sqrt(np.mean((drive - wanted)[2:] ** 2))) for drive in (plain, seen)]
+    missed = [float(np.sqrt(np.mean((drive.end - wanted)[2:] ** 2))) for drive in (plain, seen)]
     assert missed[0] > 500.0 and missed[1] < 0.1 * missed[0], missed
 
 
@@ -71,8 +71,9 @@ def test_the_body_is_driven_the_same_by_an_understood_valve_and_by_its_pressures
     ((mended, known),) = parts._understood([run], understood(monkeypatch, tripod, time, true), 1.0)
     grid, seen, _ = drive_on_grid(mended, 0.01, "measured", 0.0, 0.03, known)
     _, command, _ = drive_on_grid(run, 0.01, "command", 0.0, 0.03)
-    made = EffectChain(tripod, (LAG,)).filter(["valve"], command, 0.01)
-    np.testing.assert_allclose(seen, made, atol=1e-3 * np.ptp(true))
+    made = EffectChain(tripod, (LAG,)).supplied(command, 0.01)
+    for ours, wanted in zip(seen, made, strict=True):
+        np.testing.assert_allclose(ours, wanted, atol=1e-3 * np.ptp(true))
 
 
 def test_an_understood_valve_is_as_late_as_each_log_is_slow(monkeypatch: pytest.MonkeyPatch, tripod: Robot) -> None:

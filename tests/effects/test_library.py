@@ -11,7 +11,7 @@ import yaml
 from softrl.core.errors import ConfigError
 from softrl.core.simulator import Motion
 from softrl.effects import library
-from softrl.effects.chain import EffectChain, Plant, SignalFilter, chain_of
+from softrl.effects.chain import EffectChain, Plant, SignalFilter, chain_of, held
 from softrl.effects.effect import BODY_PORT_ROWS, LOAD_PORT_ROWS, SITES, Effect
 from softrl.pcc.simulator import PccSimulator
 from softrl.robots.robot import Robot
@@ -229,10 +229,14 @@ def test_a_run_in_pieces_is_the_run(name: str) -> None:
     rows = np.hstack([bare.position, bare.quaternion]) if effect.channel == "pose" else bare.pressure
     rows = rows if effect.site == "sensor" else bare.pressure
     site = effect.site if effect.channel == "pose" else "gauge"
-    whole = SignalFilter(chain_of(robot, [effect]), site).advance(rows, 0.01)
-    pieces = SignalFilter(chain_of(robot, [effect]), site)
-    again = np.vstack([pieces.advance(part, 0.01) for part in np.array_split(rows, [1, 5, 400])])
-    np.testing.assert_array_equal(again, whole)
+    whole, pieces = (SignalFilter(chain_of(robot, [effect]), site) for _ in range(2))
+    parts = np.array_split(rows, [1, 5, 400])
+    if site == "sensor":
+        np.testing.assert_array_equal(np.vstack([pieces.advance(part, 0.01) for part in parts]), whole.advance(rows, 0.01))
+        return
+    again = [pieces.lead(held(part), 0.01) for part in parts]
+    for together, split in zip(whole.lead(held(rows), 0.01), zip(*again, strict=True), strict=True):
+        np.testing.assert_array_equal(np.vstack(split), together)
 
 
 @pytest.mark.parametrize("name", ACTING)
@@ -266,7 +270,7 @@ def test_nor_does_it_among_effects_of_one_name() -> None:
     """What a chamber feels of another is felt by a third in turn."""
     both = [library.effect_class("crosstalk")(share=0.3, chamber=chamber) for chamber in (0, 1)]
     pressures = np.array([[1e4, 2e4, 0.0]])
-    acting = [chain_of(simulator().robot, order).filter(["chamber"], pressures, 0.01) for order in (both, both[::-1])]
+    acting = [chain_of(simulator().robot, order).acting(held(pressures), 0.01) for order in (both, both[::-1])]
     np.testing.assert_array_equal(*acting)
 
 

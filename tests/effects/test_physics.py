@@ -18,7 +18,7 @@ from softrl.effects.area_growth import AreaGrowth
 from softrl.effects.asymmetry import Asymmetry
 from softrl.effects.base_tilt import BaseTilt
 from softrl.effects.bimodular import Bimodular
-from softrl.effects.chain import EffectChain, Plant, SignalFilter, chain_of
+from softrl.effects.chain import EffectChain, Plant, SignalFilter, chain_of, held
 from softrl.effects.command_map import CommandMap
 from softrl.effects.contact import Contact
 from softrl.effects.crosstalk import Crosstalk
@@ -96,8 +96,15 @@ ROBOT = simulator().robot
 FULL = ROBOT.pressure_max_pa
 
 
+def ends(effects: list[Effect], values: np.ndarray, dt_s: float = DT, robot: Robot = ROBOT) -> np.ndarray:
+    """Return the pressures (steps, n) at the steps' ends, or poses, after effects at one site."""
+    run = SignalFilter(chain_of(robot, effects), effects[0].acts_at)
+    values = np.atleast_2d(values)
+    return run.advance(values, dt_s) if effects[0].acts_at == "sensor" else run.lead(held(values), dt_s).end
+
+
 def signal(effect: Effect, values: np.ndarray, dt_s: float = DT) -> np.ndarray:
-    return chain_of(ROBOT, [effect]).filter([effect.site], np.atleast_2d(values), dt_s)
+    return ends([effect], values, dt_s)
 
 
 def step_to(pressure: float, steps: int) -> np.ndarray:
@@ -222,7 +229,7 @@ def test_pi_regulator_follows_its_law(lag_s: float, integral_s: float, rate: flo
     commands = np.vstack([step_to(FULL, 150), step_to(0.3 * FULL, 150)])
     deep = replace(ROBOT, pressure_min_pa=-FULL)  # nothing here swings below its lowest pressure, which is a law of its own
     regulator = PiRegulator(lag_s=lag_s, integral_s=integral_s, rate_per_s=rate)
-    supplied = chain_of(deep, [regulator]).filter(["valve"], commands, DT)[:, 0]
+    supplied = ends([regulator], commands, robot=deep)[:, 0]
 
     def law(_: float, x: np.ndarray, command: float) -> list[float]:
         error = command - x[0]
@@ -234,6 +241,38 @@ def test_pi_regulator_follows_its_law(lag_s: float, integral_s: float, rate: flo
         expected.append(state[0])
     np.testing.assert_allclose(supplied, expected, atol=1e-6 * FULL if rate > 1e3 else 5e-3 * FULL)
     assert supplied.max() > 1.05 * FULL
+
+
+SLOW = [
+    [Lag(0.02, 0.05)], [RateLimit(2.0, 3.0)], [RateLimit(2.0, 3.0, 0.03)], [FlowLimit(2.0, 0.3)], [FlowLimit(2.0, 0.3, 0.03)],
+    [Orifice(0.1, 0.2)], [TubeLine(0.2, 0.5)], [PiRegulator(0.03, 0.2)], [PiRegulator(0.03, 0.2, 2.0)], [SharedFlow(2.0)],
+    [Deadband(0.02, 0.3, 3.0)], [Leak(1.0, 0.5)],
+    [Lag(0.1, 0.1), FlowLimit(2.0, 0.3, 0.05)], [TubeLine(0.3, 0.4), Lag(0.05, 0.1)],
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("effects", SLOW, ids=lambda effects: "+".join(effect.name() for effect in effects))
+def test_pressures_on_their_way_act_with_their_mean_over_each_step(effects: list[Effect]) -> None:
+    """As the same in steps of a hundredth tell it; with what there is at a step's end they would act half a step early."""
+    levels = FULL * np.random.default_rng(5).uniform(0.0, 0.9, (12, 3))
+    coarse, fine = np.repeat(levels, 25, axis=0), np.repeat(levels, 2500, axis=0)
+    seen, known = (
+        SignalFilter(chain_of(ROBOT, effects), effects[0].acts_at).lead(held(rows), dt)
+        for rows, dt in ((coarse, DT), (fine, 0.01 * DT))
+    )
+    mean = known.mean.reshape(300, 100, 3).mean(axis=1)
+    early = np.sqrt(np.mean((known.end[99::100] - mean) ** 2))
+    assert np.sqrt(np.mean((seen.mean - mean) ** 2)) < 0.05 * early
+    assert np.sqrt(np.mean((seen.end - known.end[99::100]) ** 2)) < 0.1 * early
+
+
+@pytest.mark.parametrize("effects", SLOW[:-2], ids=lambda effects: effects[0].name())
+def test_a_look_lets_no_time_pass(effects: list[Effect]) -> None:
+    (effect,), pressure = effects, FULL * np.array([0.7, 0.2, 0.4])
+    state, _ = effect.apply(ROBOT, effect.reset(ROBOT), pressure, DT)
+    after, seen = effect.apply(ROBOT, state, pressure, 0.0)
+    np.testing.assert_array_equal(after, state)
+    np.testing.assert_allclose(seen, effect.apply(ROBOT, state, pressure, 1e-9)[1], atol=1e-5 * FULL)
 
 
 def test_a_regulator_without_lag_is_the_limit_of_a_quick_one() -> None:
@@ -266,10 +305,10 @@ def test_supply_limit_clips_both_ends() -> None:
 def test_a_valve_fills_from_what_its_source_has(valve: Effect) -> None:
     """A chamber at the ceiling vents as soon as it is told to: there was nothing beyond it to vent first."""
     command = np.vstack([step_to(FULL, 400), step_to(0.0, 200)])
-    limited = chain_of(ROBOT, [valve, SupplyLimit(ceiling=0.6, floor=1.0)]).filter(["valve"], command, DT)
+    limited = ends([valve, SupplyLimit(ceiling=0.6, floor=1.0)], command)
     np.testing.assert_array_equal(limited, signal(valve, np.minimum(command, 0.6 * FULL)))
     span = [Gain(gain=1.3, before_gauge=True), SupplyLimit(ceiling=0.6, floor=1.0)]
-    assert chain_of(ROBOT, span).filter(["valve"], command, DT).max() <= 0.6 * FULL
+    assert ends(span, command).max() <= 0.6 * FULL
 
 
 def test_tube_line_overshoots_as_a_second_order_system() -> None:
@@ -296,12 +335,12 @@ def test_nothing_sucks_a_vented_chamber_below_what_its_source_gives(effect: Effe
     """Empty it stays, and fills anew as one that was never full."""
     dry = replace(ROBOT, pressure_min_pa=0.0)
     once = np.vstack([step_to(0.8 * FULL, 600), step_to(0.0, 300)])
-    twice = chain_of(dry, [effect]).filter([effect.site], np.vstack([once, once]), DT)
+    twice = ends([effect], np.vstack([once, once]), robot=dry)
     assert twice.min() >= 0.0
     assert not twice[880:900].any()
     np.testing.assert_allclose(twice[900:], twice[:900], atol=1e-9 * FULL)
     sucked = np.vstack([once, step_to(-0.1 * FULL, 300)])  # of what is told to go lower, that is the source
-    assert chain_of(dry, [effect]).filter([effect.site], sucked, DT).min() >= -0.1 * FULL - 1e-9
+    assert ends([effect], sucked, robot=dry).min() >= -0.1 * FULL - 1e-9
 
 
 def test_leak_through_an_orifice_settles_where_the_flows_balance() -> None:
@@ -435,7 +474,7 @@ def test_crosstalk_may_come_from_one_neighbour(lean: float, weights: tuple[float
     four = replace(ROBOT, chamber_angle_deg=(0.0, 90.0, 180.0, 270.0))
     effect, values = Crosstalk(share=0.1, lean=lean, chamber=0), np.array([[1e4, 1e4, 2e4, 3e4]])
     opposite = 1.0 - abs(lean)
-    acting = chain_of(four, [effect]).filter([effect.site], values, DT)[0]
+    acting = ends([effect], values, robot=four)[0]
     np.testing.assert_allclose(acting, [1e4 + 0.1 * ((1 + lean) * 1e4 + opposite * 2e4 + (1 - lean) * 3e4), 1e4, 2e4, 3e4])
 
 
@@ -618,7 +657,7 @@ def test_gauge_changes_what_is_reported_and_can_be_undone() -> None:
         motion, bare = move([effect, Lag(0.1, 0.1)], pressure), move([Lag(0.1, 0.1)], pressure)
         np.testing.assert_array_equal(motion.position, bare.position)
         always = np.ones((len(motion.pressure), 1))
-        np.testing.assert_allclose(effect.undo(ROBOT, motion.pressure, always, DT), bare.pressure, atol=1e-9)
+        np.testing.assert_allclose(effect.undo(ROBOT, held(motion.pressure), always, DT).end, bare.pressure, atol=1e-9)
         shown = effect.gain * bare.pressure[:, 2] + effect.offset * FULL
         np.testing.assert_allclose(motion.pressure[:, 2], shown, atol=1e-9)
 
@@ -632,11 +671,11 @@ def test_a_slow_gauge_follows_the_pressure_and_can_be_undone() -> None:
         followed = 1.0 - np.exp(-DT * np.arange(1, 201) / 0.1)
         np.testing.assert_allclose(motion.pressure[:, 1], followed * 2e4, rtol=1e-9)
         assert np.array_equal(motion.pressure[:, 0], bare.pressure[:, 0]) == (chamber == 1)
-        seen = effect.undo(ROBOT, motion.pressure, np.ones((200, 1)), DT)
+        seen = effect.undo(ROBOT, held(motion.pressure), np.ones((200, 1)), DT).mean
         np.testing.assert_allclose(seen[1:], bare.pressure[1:], atol=1e-6)
         late = move([replace(effect, delay_s=0.05)], step).pressure
         np.testing.assert_array_equal(late[5:, 1], motion.pressure[:-5, 1])
-        seen = replace(effect, delay_s=0.05).undo(ROBOT, late, np.ones((200, 1)), DT)
+        seen = replace(effect, delay_s=0.05).undo(ROBOT, held(late), np.ones((200, 1)), DT).mean
         np.testing.assert_allclose(seen[1:-5], bare.pressure[1:-5], atol=1e-6)
 
 

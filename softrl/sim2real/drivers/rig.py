@@ -16,7 +16,8 @@ import numpy as np
 from softrl.core.driver import Sample
 from softrl.core.errors import ConfigError, SoftrlError
 from softrl.core.simulator import Simulator
-from softrl.effects.chain import EffectChain, SignalFilter
+from softrl.effects.chain import EffectChain, SignalFilter, held
+from softrl.effects.effect import Pressure
 from softrl.sim2real.surface import Surface, force_on_tip
 
 log = logging.getLogger(__name__)
@@ -176,17 +177,17 @@ class Rig:
             self._line_goal[chamber] = 0.0
         return np.empty((0, 0)), None
 
-    def _lines(self, supplied: np.ndarray, dt_s: float) -> np.ndarray:
-        """Return the pressures (steps, n) behind the air lines."""
+    def _lines(self, supplied: Pressure, dt_s: float) -> Pressure:
+        """Return the pressures behind the air lines."""
         if (self._line == 1.0).all() and (self._line_goal == 1.0).all():
             return supplied
-        behind = np.empty_like(supplied)
-        for row, pressure in zip(behind, supplied, strict=True):
+        let_through = np.empty_like(supplied.mean)
+        for row in let_through:
             self._line += (self._line_goal - self._line) * min(dt_s / LINE_S, 1.0)
-            row[:] = self._line * pressure
+            row[:] = self._line
         near = np.abs(self._line - self._line_goal) < 1e-6
         self._line[near] = self._line_goal[near]
-        return behind
+        return Pressure(*(let_through * part for part in supplied))
 
     def _felt(self) -> np.ndarray:
         """Return the force (3,) N of the surface on the tip; not a number without one."""
@@ -198,14 +199,15 @@ class Rig:
     def _tick(self) -> np.ndarray | None:
         """Return the sample at the end of one period, the setpoint held throughout; None if it is lost."""
         dt_s = self._period_s / self._substeps
-        supplied = self._lines(self._valve.advance(np.tile(self._setpoint, (self._substeps, 1)), dt_s), dt_s)
+        command = held(np.tile(self._setpoint, (self._substeps, 1)))
+        supplied = self._lines(self._valve.lead(command, dt_s), dt_s)
         poses = np.empty((self._substeps, 7))
-        for pose, acting in zip(poses, self._chamber.advance(supplied, dt_s), strict=True):
+        for pose, acting in zip(poses, self._chamber.advance(supplied.mean, dt_s), strict=True):
             self._step(acting, dt_s)
             pose[:3], pose[3:] = self._body.observe(self._state)
         pose = self._sensor.advance(poses, dt_s)[-1]
         self._ticks += 1
-        reported = self._gauge.advance(supplied[-1:], self._period_s)[0]
+        reported = self._gauge.lead(supplied, dt_s).end[-1]
         sensed = self._sensors.read(reported, pose[:3], pose[3:], self._felt())
         if sensed is None:
             return None
