@@ -6,6 +6,8 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
+from softrl.core.span import Span
+
 
 @dataclass(frozen=True)
 class Motion:
@@ -84,6 +86,18 @@ class Simulator(Protocol):
         ``time`` is uniform, s. ``body`` and ``load`` effects act inside the equations of motion.
         """
         ...
+
+
+@runtime_checkable
+class Backward(Protocol):
+    """A body whose steps are implicit Euler's, late by half a step: what changes acts on it as it is at a step's end."""
+
+    backward: bool
+
+
+def of_steps(body: Simulator, span: Span) -> np.ndarray:
+    """Return what ``body`` is to be given of a ``span`` as held over each step."""
+    return span.end if isinstance(body, Backward) else span.mean
 
 
 @runtime_checkable

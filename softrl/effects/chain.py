@@ -10,9 +10,10 @@ import numpy as np
 
 from softrl.core.errors import ConfigError
 from softrl.core.identity import Same
-from softrl.core.simulator import Hanging, Hook, Layered, Motion, Simulator
+from softrl.core.simulator import Hanging, Hook, Layered, Motion, Simulator, of_steps
+from softrl.core.span import Span, after, held
 from softrl.effects.call import pack, run_signals
-from softrl.effects.effect import SITES, Effect, Pressure
+from softrl.effects.effect import SITES, Effect
 from softrl.effects.gate import hook_of
 from softrl.effects.history import check_reach
 from softrl.robots.robot import Robot
@@ -68,7 +69,7 @@ class EffectChain:
         """The effects on the reported pressures; ``filter(["sensor"], ..)`` runs the others, on the pose."""
         return tuple(e for e in self.at("sensor") if e.channel == "pressure")
 
-    def reported(self, pressure: Pressure, dt_s: float) -> np.ndarray:
+    def reported(self, pressure: Span, dt_s: float) -> np.ndarray:
         """Return what the pressure sensors report (steps, chambers) Pa of ``pressure`` at the steps' ends, from rest."""
         return SignalFilter(self, "gauge").lead(pressure, dt_s).end
 
@@ -102,13 +103,13 @@ class EffectChain:
         """
         return simulator.at_rest(load) if isinstance(simulator, Hanging) else simulator.reset()  # the others take no hooks
 
-    def supplied(self, command: Pressure, dt_s: float) -> Pressure:
+    def supplied(self, command: Span, dt_s: float) -> Span:
         """Return the pressures behind the valves under ``command``, one row per ``dt_s``, from rest."""
         return SignalFilter(self, "valve").lead(command, dt_s)
 
-    def acting(self, supplied: Pressure, dt_s: float) -> np.ndarray:
-        """Return what acts of the ``supplied`` pressures over each step (steps, chambers) Pa, from rest."""
-        return SignalFilter(self, "chamber").advance(supplied.mean, dt_s)
+    def acting(self, supplied: Span, dt_s: float) -> Span:
+        """Return what acts of the ``supplied`` pressures, from rest."""
+        return SignalFilter(self, "chamber").lead(supplied, dt_s)
 
     def stood_under(self, command: np.ndarray, shown: np.ndarray, rows: int, dt_s: float) -> np.ndarray:
         """Return the pressures (chambers,) Pa before the valve for ``rows``, where its gauges have ``shown`` (chambers,) then.
@@ -151,20 +152,20 @@ class SignalFilter:
         return np.zeros(0) if self._calls is None else self._calls.states
 
     def advance(self, values: np.ndarray, dt_s: float) -> np.ndarray:
-        """Return the filtered rows (steps, n): poses at the steps' ends, or mean pressures over the steps.
+        """Return the filtered poses (steps, n) at the steps' ends; raise what ``lead`` does."""
+        return self.lead(Span(values, np.empty((0, values.shape[1]))), dt_s).mean
+
+    def lead(self, pressure: Span, dt_s: float) -> Span:
+        """Return the filtered pressures.
 
         Raises
         ------
         ConfigError
             If the steps are too short for a delay.
         """
-        return self.lead(Pressure(values, np.empty((0, values.shape[1]))), dt_s).mean
-
-    def lead(self, pressure: Pressure, dt_s: float) -> Pressure:
-        """Return the filtered pressures; raise what ``advance`` does."""
         for name, delay_s in self._delays:
             check_reach(name, delay_s, dt_s)
-        filtered = Pressure(*(np.array(part, dtype=float, order="C") for part in pressure))
+        filtered = Span(*(np.array(part, dtype=float, order="C") for part in pressure))
         if self._calls is not None:
             run_signals(self._calls, *filtered, dt_s)
         return filtered
@@ -184,12 +185,11 @@ class Plant:
         """
         return simulate_batch([self], time, command, tip_force)[0]
 
-    def _behind_valve(
-        self, time: np.ndarray, supplied: Pressure, acting: np.ndarray, tip_force: np.ndarray | None
-    ) -> Motion:
+    def _behind_valve(self, time: np.ndarray, supplied: Span, acting: Span, tip_force: Span | None) -> Motion:
         """Return what the sensors report of a body on which ``acting`` acts."""
         body = self.chain.body(self.simulator)
-        motion = body.simulate(time, acting, tip_force, self.chain.hooks("body"), self.chain.hooks("load"))
+        force = None if tip_force is None else of_steps(body, tip_force)
+        motion = body.simulate(time, of_steps(body, acting), force, self.chain.hooks("body"), self.chain.hooks("load"))
         shown = self.chain.reported(supplied, float(time[1] - time[0]))
         if all(effect.channel == "pressure" for effect in self.chain.at("sensor")):
             return replace(motion, pressure=shown)
@@ -201,8 +201,8 @@ class Plant:
 def simulate_batch(
     plants: Sequence[Plant],
     time: np.ndarray,
-    command: np.ndarray | Pressure,
-    tip_force: np.ndarray | None = None,
+    command: np.ndarray | Span,
+    tip_force: np.ndarray | Span | None = None,
     workers: int = 1,
     before: np.ndarray | None = None,
     shown: tuple[int, np.ndarray] | None = None,
@@ -215,7 +215,7 @@ def simulate_batch(
         search do. The effects may differ too.
     time : (steps,) s, uniform
     command : (steps, chambers) Pa, held over each step, or known as it changes
-    tip_force : (steps, 3) N or None
+    tip_force : (steps, 3) N likewise, or None
     workers : threads; they share the work only while the simulator's kernel runs without the interpreter's lock, as
         that of the lumped body does
     before : (rows, chambers) Pa that act in the chambers during the first rows, whatever the valve supplies then
@@ -226,9 +226,9 @@ def simulate_batch(
     Plants whose effects at valve and chamber are equal share one filtering of the command, so that varying the body
     costs nothing there. The bodies run one after the other in compiled code.
     """
-    dt_s, command = float(time[1] - time[0]), held(command)
-    supply: dict[tuple[Effect, ...], Pressure] = {}
-    acting: dict[tuple[Effect, ...], np.ndarray] = {}
+    dt_s, command, force = float(time[1] - time[0]), held(command), None if tip_force is None else held(tip_force)
+    supply: dict[tuple[Effect, ...], Span] = {}
+    acting: dict[tuple[Effect, ...], Span] = {}
 
     def shared_by(chain: EffectChain) -> tuple[tuple[Effect, ...], tuple[Effect, ...]]:
         """Return the effects on which the supply depends, and those on which what acts does."""
@@ -245,7 +245,7 @@ def simulate_batch(
 
     def simulated(plant: Plant) -> Motion:
         valve, both = shared_by(plant.chain)
-        return plant._behind_valve(time, supply[valve], acting[both], tip_force)
+        return plant._behind_valve(time, supply[valve], acting[both], force)
 
     if workers < 2 or len(plants) < 2:
         return [simulated(plant) for plant in plants]
@@ -253,17 +253,7 @@ def simulate_batch(
         return list(pool.map(simulated, plants))
 
 
-def held(pressure: np.ndarray | Pressure) -> Pressure:
-    """Return what is held over each step, if it is that, as pressures that are what they are at its end."""
-    return pressure if isinstance(pressure, Pressure) else Pressure(pressure, pressure)
-
-
-def after(first: np.ndarray, pressure: Pressure) -> Pressure:
-    """Return ``pressure`` with ``first`` (rows, chambers) Pa in place of its first rows."""
-    return Pressure(*(np.vstack([first, part[len(first) :]]) for part in pressure))
-
-
-def _begun(chain: EffectChain, command: Pressure, dt_s: float, shown: tuple[int, np.ndarray] | None) -> Pressure:
+def _begun(chain: EffectChain, command: Span, dt_s: float, shown: tuple[int, np.ndarray] | None) -> Span:
     """Return ``command`` with what stood before the valve in the rows before the first sample."""
     if shown is None or not shown[0]:
         return command

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from softrl.core.errors import RecordingError
-from softrl.effects.chain import EffectChain, after
-from softrl.effects.effect import Pressure
+from softrl.core.span import Span, after
+from softrl.effects.chain import EffectChain
 from softrl.recordings.recording import Recording
 from softrl.recordings.rhythm import SLOWER, periods
 
@@ -37,8 +37,8 @@ def drive_on_grid(
     late_s: float = 0.0,
     supply: Supply | None = None,
     later: np.ndarray | None = None,
-) -> tuple[np.ndarray, Pressure, np.ndarray | None]:
-    """Return the uniform grid (steps,) s, the pressures on it and the mean forces (steps, 3) N over its steps.
+) -> tuple[np.ndarray, Span, Span | None]:
+    """Return the uniform grid (steps,) s, the pressures (steps, chambers) Pa and forces (steps, 3) N on it.
 
     Commands act ``later`` (samples,) s than all rows do.
     """
@@ -53,7 +53,7 @@ def drive_on_grid(
             stood = valve.stood_under(command.mean[0], recording.pressure_meas[0] - supply.apart[0], first, dt_s)
             command = after(np.tile(stood, (first, 1)), command)
         made, apart = valve.supplied(command, dt_s), _changing(stamps, supply.apart, time, dt_s)
-        pressure = Pressure(made.mean + apart.mean, made.end + apart.end)
+        pressure = Span(made.mean + apart.mean, made.end + apart.end)
     elif drive == "measured":
         pressure = _changing(stamps, rows, time, dt_s, recording.pressure_cmd)
     else:
@@ -63,11 +63,11 @@ def drive_on_grid(
     return time, pressure, _force(recording, time, dt_s, late_s if drive == "measured" else 0.0)
 
 
-def _force(recording: Recording, time: np.ndarray, dt_s: float, late_s: float) -> np.ndarray | None:
+def _force(recording: Recording, time: np.ndarray, dt_s: float, late_s: float) -> Span | None:
     """Return the forces (steps, 3) N on the grid, measured at their rows' times: how late commands act is nothing to them."""
     if recording.tip_force is None:
         return None
-    return _changing(recording.time + late_s, recording.tip_force, time, dt_s).mean
+    return _changing(recording.time + late_s, recording.tip_force, time, dt_s)
 
 
 def _bridged(stamps: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -93,7 +93,7 @@ def evenly(at: np.ndarray, time: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 def _changing(
     stamps: np.ndarray, rows: np.ndarray, time: np.ndarray, dt_s: float, goal: np.ndarray | None = None
-) -> Pressure:
+) -> Span:
     """Return ``rows`` (samples, n), which change between their stamps, over each step (time - dt, time] and at its end.
 
     They change evenly, but for those that have come nearer to their ``goal`` (samples, n), the command until then, ever since
@@ -108,7 +108,7 @@ def _changing(
         _bend(knots, means, ends, stamps, rows, goal)
     at_edges = np.isin(knots, edges)
     mean = np.diff(_summed(means, knots)[at_edges], axis=0) / dt_s
-    return Pressure(np.ascontiguousarray(mean), ends[at_edges][1:])
+    return Span(np.ascontiguousarray(mean), ends[at_edges][1:])
 
 
 def _bend(
@@ -135,7 +135,7 @@ def _bend(
     ends[inside + 1] = np.where(follows[k], goal[k + 1] - way[k] * end, ends[inside + 1])
 
 
-def _held(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray, dt_s: float) -> Pressure:
+def _held(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray, dt_s: float) -> Span:
     """Return ``rows`` (samples, n), each held until its stamp, the last to the end, likewise.
 
     A change within a step acts on the rest of the step only: taken whole, uneven stamps would make it early by half a
@@ -147,7 +147,7 @@ def _held(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray, dt_s: float) -
     total = _summed(kept, knots)
     edges = np.r_[time[0] - dt_s, time]
     mean = np.ascontiguousarray(np.diff(evenly(edges, knots, total), axis=0) / dt_s)
-    return Pressure(mean, kept[np.searchsorted(stamps, time - SAME * dt_s)])
+    return Span(mean, kept[np.searchsorted(stamps, time - SAME * dt_s)])
 
 
 def _summed(rows: np.ndarray, knots: np.ndarray) -> np.ndarray:

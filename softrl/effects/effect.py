@@ -16,13 +16,14 @@ import dataclasses
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numba as nb
 import numpy as np
 
 from softrl.core.compiled import borrowing
 from softrl.core.errors import ConfigError
+from softrl.core.span import Span
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
@@ -55,16 +56,6 @@ TIP, TIP_VELOCITY, GRAVITY, FORCE, FORCE_SLOPE = 0, 1, 2, 3, 4
 
 BODY_PORT_ROWS, LOAD_PORT_ROWS = 10, 7
 STAGE = 1.0 - math.sqrt(0.5)  # share of a step after which bodies whose steps have two stages ask, besides its end
-
-
-class Pressure(NamedTuple):
-    """Pressures in the chambers, (steps, chambers) Pa: the ``mean`` over each step, which acts in it, and those at its ``end``.
-
-    They differ where a pressure changes within steps, as behind a slow valve.
-    """
-
-    mean: np.ndarray
-    end: np.ndarray
 
 
 @borrowing
@@ -311,7 +302,7 @@ class Effect:
         """Return the effects at single sites that this one is made of: itself, unless it acts at several."""
         return (self,)
 
-    def undo(self, robot: Robot, reported: Pressure, share: np.ndarray, dt_s: float) -> Pressure:
+    def undo(self, robot: Robot, reported: Span, share: np.ndarray, dt_s: float) -> Span:
         """Return the pressures behind what a gauge ``reported``; of its error ``share`` (steps, 1) acts."""
         raise NotImplementedError(f"effect {self.name()} does not act on a pressure sensor")
 

@@ -7,7 +7,8 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import SIGNAL_KERNEL, Effect, Pressure, parameter
+from softrl.core.span import Span
+from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
 from softrl.effects.history import empty_history, look_back, push
 from softrl.effects.way import share_of_lag
 from softrl.robots.robot import Robot
@@ -65,12 +66,12 @@ class GaugeLag(Effect):
         """Return an empty history, no step yet, and what gauges report at rest, zero."""
         return np.concatenate([empty_history(robot.chambers), np.zeros(1 + robot.chambers)])
 
-    def undo(self, robot: Robot, reported: Pressure, share: np.ndarray, dt_s: float) -> Pressure:
+    def undo(self, robot: Robot, reported: Span, share: np.ndarray, dt_s: float) -> Span:
         """Return the pressures that the gauge followed where it ``reported`` these, ``dt_s`` apart.
 
         What it had not yet reported at the end is taken to stay as it was.
         """
-        time, seen = dt_s * np.arange(len(reported.end)), Pressure(*(np.array(part, dtype=float) for part in reported))
+        time, seen = dt_s * np.arange(len(reported.end)), Span(*(np.array(part, dtype=float) for part in reported))
         for c in range(robot.chambers) if self.chamber < 0 else (self.chamber,):
             mean, end = (part[:, c] for part in reported)
             if self.time_s > 0.0:

@@ -6,7 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import SIGNAL_KERNEL, Effect, Pressure, parameter
+from softrl.core.span import Span
+from softrl.effects.effect import SIGNAL_KERNEL, Effect, parameter
 from softrl.robots.robot import Robot
 
 
@@ -42,9 +43,9 @@ class PressureSensor(Effect):
         """Return (gain, offset Pa, chamber)."""
         return super().pack(robot) * [1.0, robot.largest_pa, 1.0]
 
-    def undo(self, robot: Robot, reported: Pressure, share: np.ndarray, dt_s: float) -> Pressure:
+    def undo(self, robot: Robot, reported: Span, share: np.ndarray, dt_s: float) -> Span:
         """Return the pressures that the gauge saw where it ``reported`` these."""
-        seen = Pressure(*(np.array(part, dtype=float) for part in reported))
+        seen = Span(*(np.array(part, dtype=float) for part in reported))
         mine = slice(None) if self.chamber < 0 else slice(self.chamber, self.chamber + 1)
         for part in seen:
             part[:, mine] = (part[:, mine] - share * self.offset * robot.largest_pa) / (1.0 + share * (self.gain - 1.0))

@@ -12,9 +12,10 @@ import numpy as np
 from softrl.core.errors import ConfigError
 from softrl.core.identity import Same
 from softrl.core.simulator import Motion
-from softrl.effects.chain import EffectChain, Plant, after, simulate_batch
+from softrl.core.span import Span, after
+from softrl.effects.chain import EffectChain, Plant, simulate_batch
 from softrl.effects.driving import Supply, drive_on_grid
-from softrl.effects.effect import EVERYWHERE, Effect, Pressure
+from softrl.effects.effect import EVERYWHERE, Effect
 from softrl.effects.gate import share_at
 from softrl.effects.hold import Hold, reading_phase
 from softrl.recordings.recording import Recording
@@ -183,7 +184,7 @@ def _kept_on_grid(
     late_s: float,
     supply: Same[Supply | None],
     later: Same[np.ndarray | None],
-) -> tuple[np.ndarray, Pressure, np.ndarray | None]:
+) -> tuple[np.ndarray, Span, Span | None]:
     """Return what drives a recording on the grid, kept: fits replay the same few recordings thousands of times."""
     return drive_on_grid(same.thing, dt_s, drive, settle_s, late_s, supply.thing, later.thing)
 
@@ -237,7 +238,7 @@ def _behind_valve(plant: Plant) -> Plant:
     return replace(plant, chain=replace(plant.chain, effects=plant.chain.at("chamber", "body", "load", "sensor")))
 
 
-def _seen_by(gauges: Sequence[Effect], robot: Robot, reported: Pressure, since_s: np.ndarray) -> Pressure:
+def _seen_by(gauges: Sequence[Effect], robot: Robot, reported: Span, since_s: np.ndarray) -> Span:
     """Return the pressures that gauges ``reported`` as these, ``since_s`` (steps,) the first sample.
 
     Raises

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -79,6 +79,8 @@ class FemSimulator:
     chamber's strain is ``(V - V_rest) / V_stressfree``; its elastic pressure is linearised at rest with the tip free, and zero at
     rest.
     """
+
+    backward: ClassVar = True
 
     robot: Robot
     mesh: Mesh

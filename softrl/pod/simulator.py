@@ -4,7 +4,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -60,6 +60,8 @@ class RomSimulator:
     ``dW/dV`` less the weight's share, zero at rest. An added pressure resists the volume itself, so it enters the step
     exactly. ``ELASTIC_SLOPE`` holds the other volumes and leaves the tip free.
     """
+
+    backward: ClassVar = True
 
     robot: Robot
     reduced_model: ReducedModel

@@ -5,6 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from softrl.core.simulator import of_steps
+from softrl.core.span import Span, held
 from softrl.effects.chain import SignalFilter
 from softrl.pcc.simulator import PccSimulator
 from softrl.pod.simulator import RomSimulator
@@ -45,7 +47,7 @@ class Run:
         self.tip = self._held(np.tile(self._sent, (route.hold, 1)))
         self._before: tuple[_Moment, np.ndarray] | None = None
 
-    def advance(self, request: np.ndarray, measured: np.ndarray | None = None) -> np.ndarray:
+    def advance(self, request: np.ndarray, measured: Span | None = None) -> np.ndarray:
         """Return the tip (3,) m at the end of the period of ``request`` (n,) Pa.
 
         ``measured`` (hold, n) Pa stands behind the valves of those chambers where it is a number, whatever they are told.
@@ -56,7 +58,7 @@ class Run:
         self.tip = self._held(command, measured)
         return self.tip
 
-    def amend(self, measured: np.ndarray) -> np.ndarray:
+    def amend(self, measured: Span) -> np.ndarray:
         """Return the tip (3,) m after the last period, had ``measured`` (hold, n) Pa stood behind the valves in it."""
         if self._before is None:
             return self.tip
@@ -88,13 +90,13 @@ class Run:
         for memory, before in zip(self._memories(), moment.memories, strict=True):
             memory[:] = before
 
-    def _held(self, command: np.ndarray, measured: np.ndarray | None = None) -> np.ndarray:
+    def _held(self, command: np.ndarray, measured: Span | None = None) -> np.ndarray:
         """Return the tip (3,) m after the setpoints (hold, n) Pa, or what is ``measured`` behind the valves."""
         step_s = self._route.step_s
-        supplied = self._valve.advance(command, step_s)
+        supplied = self._valve.lead(held(command), step_s)
         if measured is not None:
-            supplied = np.where(np.isfinite(measured), measured, supplied)
-        acting = self._chamber.advance(supplied, step_s)
+            supplied = Span(*(np.where(np.isfinite(known), known, part) for known, part in zip(measured, supplied, strict=True)))
+        acting = of_steps(self._body, self._chamber.lead(supplied, step_s))
         if not self._sensed:
             self._state = self._go(acting)
             return np.asarray(self._body.observe(self._state)[0])

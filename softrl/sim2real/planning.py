@@ -9,6 +9,8 @@ import numpy as np
 
 from softrl.core.driver import Sample
 from softrl.core.errors import ConfigError
+from softrl.core.span import Span
+from softrl.effects.driving import evenly
 from softrl.rl.inversion import SHARES, Inversion, Plan, Route
 from softrl.rl.running import Run
 from softrl.sim2real.course import Course
@@ -100,15 +102,14 @@ class PlannedController:
         self._shadow.advance(planned + self._change)
         return np.asarray(planned + self._change)
 
-    def _measured(self, arrived: Sequence[Sample], off: np.ndarray) -> np.ndarray:
+    def _measured(self, arrived: Sequence[Sample], off: np.ndarray) -> Span:
         """Return what stood behind the lines that were ``off`` (hold, n) Pa in the last period, not a number elsewhere."""
         route, pressure = self._route, np.stack([sample.pressure for sample in arrived])
         if self._simulated is not None:
             pressure = self._simulated(pressure)
         age = arrived[-1].time_s - np.array([sample.time_s for sample in arrived])
-        at = route.step_s * (np.arange(route.hold - 1, -1, -1) + 0.5)  # middles of the steps, before the end of the period
-        held = np.stack([np.interp(-at, -age, column) for column in pressure.T], axis=1)
-        return np.where(off, held, np.nan)
+        end = -route.step_s * np.arange(route.hold - 1, -1, -1)  # of each step, from the end of the period
+        return Span(*(np.where(off, evenly(at, -age, pressure), np.nan) for at in (end - 0.5 * route.step_s, end)))
 
     def _observe(self, reading: np.ndarray, shadow: Run) -> None:
         share = 1.0 if self._afresh > 0 else self._settings.feedback

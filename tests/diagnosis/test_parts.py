@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from softrl.core.span import held
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.judging import parts
-from softrl.effects.chain import EffectChain, held
+from softrl.effects.chain import EffectChain
 from softrl.effects.driving import drive_on_grid, evenly
 from softrl.effects.lag import Lag
 from softrl.recordings.recording import Recording

@@ -10,8 +10,9 @@ import yaml
 
 from softrl.core.errors import ConfigError
 from softrl.core.simulator import Motion
+from softrl.core.span import held
 from softrl.effects import library
-from softrl.effects.chain import EffectChain, Plant, SignalFilter, chain_of, held
+from softrl.effects.chain import EffectChain, Plant, SignalFilter, chain_of
 from softrl.effects.effect import BODY_PORT_ROWS, LOAD_PORT_ROWS, SITES, Effect
 from softrl.pcc.simulator import PccSimulator
 from softrl.robots.robot import Robot

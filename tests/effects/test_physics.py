@@ -13,12 +13,13 @@ from scipy.spatial.transform import Rotation
 
 from softrl.core.errors import ConfigError
 from softrl.core.simulator import Motion
+from softrl.core.span import held
 from softrl.effects import friction
 from softrl.effects.area_growth import AreaGrowth
 from softrl.effects.asymmetry import Asymmetry
 from softrl.effects.base_tilt import BaseTilt
 from softrl.effects.bimodular import Bimodular
-from softrl.effects.chain import EffectChain, Plant, SignalFilter, chain_of, held
+from softrl.effects.chain import EffectChain, Plant, SignalFilter, chain_of
 from softrl.effects.command_map import CommandMap
 from softrl.effects.contact import Contact
 from softrl.effects.crosstalk import Crosstalk

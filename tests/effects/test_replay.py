@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrl.effects.chain import Plant, chain_of, held
+from softrl.core.span import held
+from softrl.effects.chain import Plant, chain_of
 from softrl.effects.command_map import CommandMap
 from softrl.effects.deadband import Deadband
 from softrl.effects.driving import Supply, drive_on_grid
@@ -143,7 +144,7 @@ def test_forces_act_when_they_were_measured_however_late_commands_are(late_s: fl
     grid, _, force = drive_on_grid(seldom, 0.005, "command", 0.0, late_s)
     within = (grid > time[0]) & (grid < time[-1])
     assert force is not None
-    np.testing.assert_allclose(force[within], swings(grid[within] - 0.0025), atol=0.004)  # held, they are up to 0.11 N early
+    np.testing.assert_allclose(force.mean[within], swings(grid[within] - 0.0025), atol=0.004)  # held, they are up to 0.11 N early
 
 
 @pytest.mark.parametrize("period_s", [0.013, 0.07, 0.4])

@@ -8,6 +8,7 @@ import pytest
 
 from softrl.core.errors import ConfigError
 from softrl.core.simulator import Simulator
+from softrl.core.span import held
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.effect import Effect
 from softrl.effects.hysteresis import Hysteresis
@@ -212,7 +213,7 @@ def test_a_simulation_that_is_told_of_a_fault_knows_what_it_leaves_behind(
             if 3 <= step < 10:  # the line fills in the last of these
                 behind = np.full((known.hold, tripod.chambers), np.nan)
                 behind[:, 0] = [sample.pressure[0] for sample in arrived]
-                told.amend(behind)
+                told.amend(held(behind))
             reached = arrived[-1].position
             apart = max(apart, miss_mm(told, reached))
             if step == 9:

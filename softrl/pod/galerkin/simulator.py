@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
@@ -58,6 +58,8 @@ class GalerkinSimulator:
     The body is built when it is first needed, which takes a minute or two of the full model, and is kept under the
     working directory. Effects inside the body are refused; the energy ROM takes them.
     """
+
+    backward: ClassVar = True
 
     robot: Robot
     mesh: Mesh

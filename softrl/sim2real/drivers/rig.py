@@ -15,9 +15,9 @@ import numpy as np
 
 from softrl.core.driver import Sample
 from softrl.core.errors import ConfigError, SoftrlError
-from softrl.core.simulator import Simulator
-from softrl.effects.chain import EffectChain, SignalFilter, held
-from softrl.effects.effect import Pressure
+from softrl.core.simulator import Simulator, of_steps
+from softrl.core.span import Span, held
+from softrl.effects.chain import EffectChain, SignalFilter
 from softrl.sim2real.surface import Surface, force_on_tip
 
 log = logging.getLogger(__name__)
@@ -177,7 +177,7 @@ class Rig:
             self._line_goal[chamber] = 0.0
         return np.empty((0, 0)), None
 
-    def _lines(self, supplied: Pressure, dt_s: float) -> Pressure:
+    def _lines(self, supplied: Span, dt_s: float) -> Span:
         """Return the pressures behind the air lines."""
         if (self._line == 1.0).all() and (self._line_goal == 1.0).all():
             return supplied
@@ -187,7 +187,7 @@ class Rig:
             row[:] = self._line
         near = np.abs(self._line - self._line_goal) < 1e-6
         self._line[near] = self._line_goal[near]
-        return Pressure(*(let_through * part for part in supplied))
+        return Span(*(let_through * part for part in supplied))
 
     def _felt(self) -> np.ndarray:
         """Return the force (3,) N of the surface on the tip; not a number without one."""
@@ -202,7 +202,7 @@ class Rig:
         command = held(np.tile(self._setpoint, (self._substeps, 1)))
         supplied = self._lines(self._valve.lead(command, dt_s), dt_s)
         poses = np.empty((self._substeps, 7))
-        for pose, acting in zip(poses, self._chamber.advance(supplied.mean, dt_s), strict=True):
+        for pose, acting in zip(poses, of_steps(self._body, self._chamber.lead(supplied, dt_s)), strict=True):
             self._step(acting, dt_s)
             pose[:3], pose[3:] = self._body.observe(self._state)
         pose = self._sensor.advance(poses, dt_s)[-1]
