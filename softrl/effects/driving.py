@@ -6,15 +6,14 @@ from typing import NamedTuple
 import numpy as np
 
 from softrl.core.errors import RecordingError
-from softrl.core.span import Span, after
+from softrl.core.span import Span, after, held
 from softrl.effects.chain import EffectChain
 from softrl.recordings.recording import Recording
 from softrl.recordings.rhythm import SLOWER, periods
 
 MAX_STEPS = 5_000_000
 NEARER = 0.999  # of what a pressure lacked of its command a sample before: if it lacks more, it changes as good as evenly
-SMALLEST = 1e-300  # share of that which is none
-SAME = 1e-6  # of a step: a time on the grid is known no better beside a stamp
+ROUNDING, SMALLEST = 1e-6, 1e-300  # share of that which may be rounding, and one that is none
 LOST_PERIODS, LOST_S = SLOWER, 2.0  # periods, s: a pause between these is of rows that were lost, not of a log that waits
 
 
@@ -57,7 +56,7 @@ def drive_on_grid(
     elif drive == "measured":
         pressure = _changing(stamps, rows, time, dt_s, recording.pressure_cmd)
     else:
-        pressure = _held(*_bridged(stamps, rows), time, dt_s)
+        pressure = held(_mean_held(*_bridged(stamps, rows), time, dt_s))
     if first and drive == "measured" and recording.pressure_meas is not None:
         pressure = after(np.tile(recording.pressure_meas[0], (first, 1)), pressure)
     return time, pressure, _force(recording, time, dt_s, late_s if drive == "measured" else 0.0)
@@ -119,24 +118,25 @@ def _bend(
     What is left of the way falls exponentially from row to row there, to all precision where the next row is the goal.
     """
     way, to, span = goal[1:] - rows[:-1], goal[1:] - rows[1:], np.diff(stamps)
-    nearer = (way * to >= 0.0) & (np.abs(to) < NEARER * np.abs(way))
+    left = np.divide(to, way, where=way != 0.0, out=np.ones_like(way))
+    nearer = (left > -ROUNDING) & (left < NEARER)
     number = np.arange(1, len(rows))[:, None]
     changed, failed = (
         np.maximum.accumulate(np.where(which, number, 0)) for which in (goal[1:] != goal[:-1], ~nearer)
     )
     follows = changed > failed
-    decay = np.log(np.maximum(np.divide(to, way, where=follows, out=np.full_like(way, NEARER)), SMALLEST))
+    decay = np.log(np.where(left < ROUNDING, SMALLEST, np.minimum(left, NEARER)))
     last = np.searchsorted(stamps, knots[1:])
     inside = np.flatnonzero((last > 0) & (last < len(stamps)))
     k = last[inside] - 1
     begin, end = (np.exp(decay[k] * ((at - stamps[k]) / span[k])[:, None]) for at in (knots[inside], knots[inside + 1]))
-    left = (end - begin) / (decay[k] * ((knots[inside + 1] - knots[inside]) / span[k])[:, None])
-    means[inside] = np.where(follows[k], goal[k + 1] - way[k] * left, means[inside])
+    mean = (end - begin) / (decay[k] * ((knots[inside + 1] - knots[inside]) / span[k])[:, None])
+    means[inside] = np.where(follows[k], goal[k + 1] - way[k] * mean, means[inside])
     ends[inside + 1] = np.where(follows[k], goal[k + 1] - way[k] * end, ends[inside + 1])
 
 
-def _held(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray, dt_s: float) -> Span:
-    """Return ``rows`` (samples, n), each held until its stamp, the last to the end, likewise.
+def _mean_held(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray, dt_s: float) -> np.ndarray:
+    """Return the mean over each step (time - dt, time] of ``rows`` (samples, n), each held until its stamp, the last to the end.
 
     A change within a step acts on the rest of the step only: taken whole, uneven stamps would make it early by half a
     step on average, which looks like a delay of the robot.
@@ -146,8 +146,7 @@ def _held(stamps: np.ndarray, rows: np.ndarray, time: np.ndarray, dt_s: float) -
     kept = np.vstack([rows, rows[-1:]])
     total = _summed(kept, knots)
     edges = np.r_[time[0] - dt_s, time]
-    mean = np.ascontiguousarray(np.diff(evenly(edges, knots, total), axis=0) / dt_s)
-    return Span(mean, kept[np.searchsorted(stamps, time - SAME * dt_s)])
+    return np.ascontiguousarray(np.diff(evenly(edges, knots, total), axis=0) / dt_s)
 
 
 def _summed(rows: np.ndarray, knots: np.ndarray) -> np.ndarray:

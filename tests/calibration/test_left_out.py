@@ -105,10 +105,12 @@ def test_a_recorded_force_acts_in_the_replay(robot: Robot, body: PccSimulator) -
     time = 0.02 * np.arange(1, 101)
     pressure, force = np.full((100, 3), 5e3), np.outer(np.sin(time), [0.3, 0.0, 0.0])
     plant = Plant(body, chain_of(robot, ()))
-    pushed, free = (plant.simulate(time, pressure, f).position for f in (force, None))
+    even = np.vstack([force[:1], 0.5 * (force[1:] + force[:-1])])  # a force that is measured changes evenly between its rows
+    pushed, free = (plant.simulate(time, pressure, f).position for f in (even, None))
     early = Recording("a", "s", time[:50], pressure[:50])
     late = Recording("b", "s", time[50:], pressure[50:], tip_force=force[50:])
-    only_late = plant.simulate(time, pressure, np.where(time[:, None] > time[49], force, 0.0)).position
+    even = np.where(np.arange(100)[:, None] > 50, even, np.where(np.arange(100)[:, None] == 50, 0.5 * force, 0.0))
+    only_late = plant.simulate(time, pressure, even).position
     np.testing.assert_allclose(replay(plant, [early, late], lambda p: p, STEPPING)[1].position, only_late[50:], atol=1e-12)
     whole = Recording("a", "s", time, pressure, tip_force=force)
     np.testing.assert_allclose(replay(plant, [whole], lambda p: p, STEPPING)[0].position, pushed, atol=1e-12)

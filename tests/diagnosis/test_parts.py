@@ -12,13 +12,13 @@ from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.judging import parts
 from softrl.effects.chain import EffectChain
 from softrl.effects.driving import drive_on_grid, evenly
-from softrl.effects.lag import Lag
+from softrl.effects.tube_line import TubeLine
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 from tests.diagnosis.series import coloured
 
 FINE_S = 0.002
-LAG = Lag(fill_s=0.06, vent_s=0.06)
+LINE = TubeLine(period_s=0.3, damping_ratio=0.8)  # begins slowly, so that two samples do not tell how it went between
 
 
 def test_a_bias_is_taken_out_where_it_is_one_for_sure_only() -> None:
@@ -31,25 +31,25 @@ def test_a_bias_is_taken_out_where_it_is_one_for_sure_only() -> None:
 
 
 def steps(robot: Robot, period_s: float) -> tuple[Recording, np.ndarray, np.ndarray]:
-    """Return a run of a valve that lags by 60 ms, sampled every ``period_s``, with what it supplied, on a fine grid (steps,)."""
+    """Return a run of a slow valve, sampled every ``period_s``, with what it supplied, on a fine grid (steps,)."""
     rng = np.random.default_rng(2)
     rows = 2e4 * rng.uniform(size=(round(20.0 / period_s) + 1, robot.chambers)).round(1)
     time, stamps = FINE_S * np.arange(round(20.0 / FINE_S) + 1), period_s * np.arange(len(rows))
     fine = rows[np.minimum(np.searchsorted(stamps, time - 1e-9), len(rows) - 1)]
-    chain = EffectChain(robot, (LAG,))
+    chain = EffectChain(robot, (LINE,))
     true = chain.supplied(held(fine), FINE_S).end
     run = Recording("run", "day", stamps, rows, pressure_meas=evenly(stamps, time, true))
     return run, time, true
 
 
 def understood(monkeypatch: pytest.MonkeyPatch, robot: Robot, time: np.ndarray, true: np.ndarray) -> Any:
-    """Return a valve that is known to lag by 60 ms, which gives ``true`` (steps, chambers) at ``time`` (steps,)."""
+    """Return a valve that is known, which gives ``true`` (steps, chambers) at ``time`` (steps,)."""
 
     def supplied(runs: list[Recording], _: Any, shown: bool = True) -> list[Recording]:
         return [Recording(r.name, r.session, r.time, r.pressure_cmd, pressure_meas=evenly(r.time, time, true)) for r in runs]
 
     monkeypatch.setattr(parts, "supplied", supplied)
-    space = SimpleNamespace(effects=lambda *_: (LAG,), late=lambda _: 0.0)
+    space = SimpleNamespace(effects=lambda *_: (LINE,), late=lambda _: 0.0)
     problem = SimpleNamespace(robot=robot, space=lambda _: space, on=lambda _: problem, late_in=lambda _, late_s: late_s)
     final = SimpleNamespace(hypothesis=None, fit=SimpleNamespace(point=None))
     return SimpleNamespace(final=final, part=SimpleNamespace(problem=problem))
@@ -72,7 +72,7 @@ def test_the_body_is_driven_the_same_by_an_understood_valve_and_by_its_pressures
     ((mended, known),) = parts._understood([run], understood(monkeypatch, tripod, time, true), 1.0)
     grid, seen, _ = drive_on_grid(mended, 0.01, "measured", 0.0, 0.03, known)
     _, command, _ = drive_on_grid(run, 0.01, "command", 0.0, 0.03)
-    made = EffectChain(tripod, (LAG,)).supplied(command, 0.01)
+    made = EffectChain(tripod, (LINE,)).supplied(command, 0.01)
     for ours, wanted in zip(seen, made, strict=True):
         np.testing.assert_allclose(ours, wanted, atol=1e-3 * np.ptp(true))
 
@@ -81,7 +81,7 @@ def test_an_understood_valve_is_as_late_as_each_log_is_slow(monkeypatch: pytest.
     """A log is late by a share of its rows: of one of twice the interval the valve's commands act twice as late, too."""
     (often, time, true), (seldom, *_) = steps(tripod, 0.1), steps(tripod, 0.2)
     valve = understood(monkeypatch, tripod, time, true)
-    monkeypatch.setattr(Problem, "space", lambda *_: SimpleNamespace(effects=lambda *_: (LAG,), late=lambda _: 0.04))
+    monkeypatch.setattr(Problem, "space", lambda *_: SimpleNamespace(effects=lambda *_: (LINE,), late=lambda _: 0.04))
     runs = (often, replace(seldom, name="seldom"))
     valve.part.problem = Problem(
         tripod, SimpleNamespace(), runs, SimpleNamespace(), "pressure", "command", False, False, interval_s=0.1

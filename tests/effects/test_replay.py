@@ -25,7 +25,9 @@ from tests.effects.test_library import simulator
 
 
 class Wire:
-    """A body whose tip is the pressure."""
+    """A body whose tip is the pressure, at the end of each step."""
+
+    backward = True
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
