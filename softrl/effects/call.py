@@ -104,15 +104,22 @@ def run_ports(calls: Any, port: np.ndarray, dt: float, commit: bool) -> None:
 
 
 @borrowing
-def run_signals(calls: Any, values: np.ndarray, ends: np.ndarray, dt: float) -> None:
-    """Run every kernel over each row of ``values`` (steps, n), in order, in place.
+def run_signals(calls: Any, flows: np.ndarray, values: np.ndarray, ends: np.ndarray, apart: bool, dt: float) -> bool:
+    """Run every kernel over each row of ``values`` (steps, n), in order, in place; return whether ``ends`` are apart from these.
 
-    ``ends`` (steps, n) are what there is at the steps' ends, changed likewise; without rows where nobody asks.
+    ``ends`` (steps, n) are what there is at the steps' ends, or nothing yet where they are not ``apart``: from the first kernel
+    on that ``flows`` they are.
     """
     kernels, at, parameters, states = calls
     for k in range(len(kernels)):
         mine, state = parameters[at[k, 0] : at[k + 1, 0]], states[at[k, 1] : at[k + 1, 1]]
+        if flows[k] and not apart:
+            for step in range(len(values)):
+                for i in range(values.shape[1]):
+                    ends[step, i] = values[step, i]
+            apart = True
         for step in range(len(values)):
             call_signal(kernels[k], mine, state, values[step], dt)
-            if len(ends) > 0:
+            if apart:
                 call_signal(kernels[k], mine, state, ends[step], 0.0)
+    return apart

@@ -145,6 +145,7 @@ class SignalFilter:
         effects += chain.gauges if "gauge" in sites else ()
         self._delays = [(e.name(), e.delay_s) for e in effects if hasattr(e, "delay_s")]
         self._calls = pack([hook_of(e, chain.robot, chain.before_s, chain.temperature) for e in effects]) if effects else None
+        self._flows = np.array([e.flows for e in effects], dtype=np.bool_)
 
     @property
     def memory(self) -> np.ndarray:
@@ -153,7 +154,7 @@ class SignalFilter:
 
     def advance(self, values: np.ndarray, dt_s: float) -> np.ndarray:
         """Return the filtered poses (steps, n) at the steps' ends; raise what ``lead`` does."""
-        return self.lead(Span(values, np.empty((0, values.shape[1]))), dt_s).mean
+        return self.lead(held(values), dt_s).end
 
     def lead(self, pressure: Span, dt_s: float) -> Span:
         """Return the filtered pressures.
@@ -165,10 +166,11 @@ class SignalFilter:
         """
         for name, delay_s in self._delays:
             check_reach(name, delay_s, dt_s)
-        filtered = Span(*(np.array(part, dtype=float, order="C") for part in pressure))
+        mean, apart = np.array(pressure.mean, dtype=float, order="C"), pressure.end is not pressure.mean
+        end = np.array(pressure.end, dtype=float, order="C") if apart else np.empty_like(mean)
         if self._calls is not None:
-            run_signals(self._calls, *filtered, dt_s)
-        return filtered
+            apart = run_signals(self._calls, self._flows, mean, end, apart, dt_s)
+        return Span(mean, end if apart else mean)
 
 
 @dataclass(frozen=True)

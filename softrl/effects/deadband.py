@@ -49,6 +49,7 @@ class Deadband(Effect):
     site: ClassVar[str] = "valve"
     title: ClassVar[str] = "deadband of the pressure regulator"
     kernel: ClassVar = deadband_kernel
+    flows: ClassVar[bool] = True
     sticks: ClassVar[bool] = True
     extends: ClassVar[str] = "rate_limit"  # without a band the flow is limited, and nothing else
     essence: ClassVar[tuple[str, ...]] = ("band",)

@@ -158,6 +158,7 @@ class Effect:
     shifts_time : whether all that it does is to let everything happen later
     retunes : whether all that it does, everywhere and always, is what another value of a simulator's parameters does
     sticks : whether a small change and its taking back leave something behind, as dry friction does
+    flows : whether what it gives changes within a step in which what it is given is held
     gauged : whether a chamber's effect may lie before the gauge of its pressure as well as behind it, see ``before_gauge``
     piped : whether a valve's effect may be that of the line from the gauge to the chamber as well, see ``behind_gauge``
     of_area : whether a chamber's effect is that of the area on which its pressure acts, after all that changes the pressure
@@ -194,6 +195,7 @@ class Effect:
     retunes: ClassVar[bool] = False
     sticks: ClassVar[bool] = False
     stores: ClassVar[bool] = False
+    flows: ClassVar[bool] = False
     gauged: ClassVar[bool] = False
     piped: ClassVar[bool] = False
     of_area: ClassVar[bool] = False

@@ -18,11 +18,11 @@ UNLIMITED_PER_S = 1e4
 def flow_limit_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt: float) -> None:
     """Let the supplied pressure follow with its lag, rise at no more than its rate and fall no faster than to the lowest."""
     rise, vent_s, lag_s, lowest, chamber = parameters[0], parameters[1], parameters[2], parameters[3], int(parameters[4])
-    share, most = share_of_lag(lag_s, dt), bound_of(rise, dt)
+    share, vents, most = share_of_lag(lag_s, dt), share_of_lag(vent_s, dt), bound_of(rise, dt)
     for i in range(len(value)):
         if chamber < 0 or chamber == i:
             free = share * (value[i] - state[i])
-            vented = -math.inf if vent_s <= 0.0 else -share_of_lag(vent_s, dt) * max(state[i] - lowest, 0.0)
+            vented = -math.inf if vent_s <= 0.0 else -vents * max(state[i] - lowest, 0.0)
             moved = min(max(free, vented), most)
             if lag_s > 0.0 and moved == free:
                 value[i] = mean_of_lag(value[i], state[i], moved, lag_s, dt)
@@ -52,6 +52,7 @@ class FlowLimit(Effect):
     site: ClassVar[str] = "valve"
     title: ClassVar[str] = "limited flow of the valve: constant rate of filling, venting in proportion to the pressure"
     kernel: ClassVar = flow_limit_kernel
+    flows: ClassVar[bool] = True
     piped: ClassVar[bool] = True
     variant_of: ClassVar[str] = "rate_limit"
     contains: ClassVar[str] = "lag"

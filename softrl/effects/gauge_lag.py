@@ -51,6 +51,7 @@ class GaugeLag(Effect):
     channel: ClassVar[str] = "pressure"
     title: ClassVar[str] = "slow pressure gauge"
     kernel: ClassVar = gauge_lag_kernel
+    flows: ClassVar[bool] = True
     essence: ClassVar[tuple[str, ...]] = ("time_s", "delay_s")
 
     time_s: float = parameter("s", 0.0, 2.0, 0.0, typical=0.1)

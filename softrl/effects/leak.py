@@ -50,6 +50,7 @@ class Leak(Effect):
     site: ClassVar[str] = "chamber"
     title: ClassVar[str] = "leak of a chamber"
     kernel: ClassVar = leak_kernel
+    flows: ClassVar[bool] = True
     gauged: ClassVar[bool] = True
     stores: ClassVar[bool] = True
 

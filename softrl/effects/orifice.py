@@ -49,15 +49,20 @@ def orifice_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray,
     for i in range(len(value)):
         if chamber < 0 or chamber == i:
             before, here = max(value[i] + ATMOSPHERE_PA, _LEAST_PA), max(state[i] + ATMOSPHERE_PA, _LEAST_PA)
-            if here < before and fill_s > 0.0:
-                middle = _filled(here, before, 0.5 * dt / fill_s)
-                end = _filled(middle, before, 0.5 * dt / fill_s)
-            elif here > before and vent_s > 0.0:
-                middle = _vented(here, before, 0.5 * dt / vent_s)
-                end = _vented(middle, before, 0.5 * dt / vent_s)
-            else:
+            slow_s = fill_s if here < before else vent_s
+            if here == before or slow_s <= 0.0:
                 state[i] = value[i]
                 continue
+            if dt <= 0.0:
+                value[i] = state[i]
+                continue
+            share = 0.5 * dt / slow_s
+            if here < before:
+                middle = _filled(here, before, share)
+                end = _filled(middle, before, share)
+            else:
+                middle = _vented(here, before, share)
+                end = _vented(middle, before, share)
             value[i] = (here + 4.0 * middle + end) / 6.0 - ATMOSPHERE_PA
             state[i] = end - ATMOSPHERE_PA
 
@@ -81,6 +86,7 @@ class Orifice(Effect):
     site: ClassVar[str] = "valve"
     title: ClassVar[str] = "flow through a narrow place, by the root of the pressure difference"
     kernel: ClassVar = orifice_kernel
+    flows: ClassVar[bool] = True
     piped: ClassVar[bool] = True
     variant_of: ClassVar[str] = "rate_limit"
 

@@ -74,6 +74,7 @@ class PiRegulator(Effect):
     site: ClassVar[str] = "valve"
     title: ClassVar[str] = "regulator with an integral part, which overshoots"
     kernel: ClassVar = pi_regulator_kernel
+    flows: ClassVar[bool] = True
     piped: ClassVar[bool] = True
     extends: ClassVar[str] = "rate_limit"
     contains: ClassVar[str] = "lag"

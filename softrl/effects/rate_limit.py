@@ -43,6 +43,7 @@ class RateLimit(Effect):
     site: ClassVar[str] = "valve"
     title: ClassVar[str] = "limited rate of pressure change"
     kernel: ClassVar = rate_limit_kernel
+    flows: ClassVar[bool] = True
     piped: ClassVar[bool] = True
     contains: ClassVar[str] = "lag"
     essence: ClassVar[tuple[str, ...]] = ("rise_per_s", "fall_per_s")

@@ -43,6 +43,7 @@ class SharedFlow(Effect):
     site: ClassVar[str] = "valve"
     title: ClassVar[str] = "limited flow of the source that all chambers share"
     kernel: ClassVar = shared_flow_kernel
+    flows: ClassVar[bool] = True
 
     rise_per_s: float = parameter("1/s", 0.02, UNLIMITED_PER_S, UNLIMITED_PER_S, typical=0.6, log=True, of="pressure")
 

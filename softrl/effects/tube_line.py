@@ -47,6 +47,7 @@ class TubeLine(Effect):
     site: ClassVar[str] = "valve"
     title: ClassVar[str] = "second-order dynamics of the tube"
     kernel: ClassVar = tube_line_kernel
+    flows: ClassVar[bool] = True
     piped: ClassVar[bool] = True
     extends: ClassVar[str] = "lag"
 
