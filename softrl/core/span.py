@@ -8,7 +8,7 @@ import numpy as np
 class Span(NamedTuple):
     """Values (steps, n): the ``mean`` over each step, and those at its ``end``.
 
-    They differ where values change within steps, as pressures do behind a slow valve.
+    They differ where values change within steps, as pressures do behind a slow valve; elsewhere both are one array.
     """
 
     mean: np.ndarray
@@ -22,4 +22,5 @@ def held(values: np.ndarray | Span) -> Span:
 
 def after(first: np.ndarray, span: Span) -> Span:
     """Return ``span`` with ``first`` (rows, n) in place of its first rows."""
-    return Span(*(np.vstack([first, part[len(first) :]]) for part in span))
+    mean = np.vstack([first, span.mean[len(first) :]])
+    return held(mean) if span.end is span.mean else Span(mean, np.vstack([first, span.end[len(first) :]]))

@@ -135,7 +135,7 @@ def _with_layers(body: Same[Layered], *scales: float) -> Simulator:
 
 
 class SignalFilter:
-    """The running state of the signal effects at some sites, for stepwise use; ``advance`` continues where it was.
+    """The running state of the signal effects at some sites, for stepwise use; ``advance`` and ``lead`` go on where they were.
 
     The site "sensor" means effects on the pose; "gauge" those on the reported pressures.
     """
