@@ -46,7 +46,8 @@ def replay(
         ``Simulator.simulate``
     dt_s : step of the uniform grid on which the plant is simulated, s
     drive : "command" sends the commands through the valve; "measured" puts the measured pressure behind the
-        valve, changing evenly between its samples, which tests the body apart from the valve
+        valve, which tests the body apart from the valve; between its samples it changes evenly, or as one that makes for its
+        command does
     settle_s : time before the first sample during which the plant is held under the first row, for a recording that does
         not begin at rest; a valve so that it gives what was measured there, if that is, see ``EffectChain.stood_under``
     before : (chambers,) Pa that act on the body during that time instead, where its past was another; without a measured
