@@ -66,7 +66,7 @@ class EffectChain:
 
     @property
     def gauges(self) -> tuple[Effect, ...]:
-        """The effects on the reported pressures; ``filter(["sensor"], ..)`` runs the others, on the pose."""
+        """The effects on the reported pressures; the site "sensor" of a ``SignalFilter`` means the others, on the pose."""
         return tuple(e for e in self.at("sensor") if e.channel == "pressure")
 
     def reported(self, pressure: Span, dt_s: float) -> np.ndarray:

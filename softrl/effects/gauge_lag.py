@@ -23,9 +23,9 @@ def gauge_lag_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarra
     n, time, chamber = len(value), parameters[0], int(parameters[2])
     slow, step = state[len(state) - n :], len(state) - n - 1
     if dt > 0.0:
-        state[step] = dt
+        state[step], share = dt, share_of_lag(time, dt)
         for i in range(n):
-            slow[i] += share_of_lag(time, dt) * (value[i] - slow[i])
+            slow[i] += share * (value[i] - slow[i])
         return
     if time <= 0.0:
         for i in range(n):

@@ -19,9 +19,6 @@ def lag_kernel(parameters: np.ndarray, state: np.ndarray, value: np.ndarray, dt:
         if chamber >= 0 and chamber != i:
             continue
         tau = parameters[0] if value[i] >= state[i] else parameters[1]
-        if dt <= 0.0 and tau > 0.0:
-            value[i] = state[i]
-            continue
         moved = (value[i] - state[i]) * share_of_lag(tau, dt)
         value[i] = mean_of_lag(value[i], state[i], moved, tau, dt)
         state[i] += moved

@@ -12,7 +12,7 @@ import numpy as np
 from softrl.core.errors import ConfigError
 from softrl.core.identity import Same
 from softrl.core.simulator import Motion
-from softrl.core.span import Span, after
+from softrl.core.span import Span, after, held
 from softrl.effects.chain import EffectChain, Plant, simulate_batch
 from softrl.effects.driving import Supply, drive_on_grid
 from softrl.effects.effect import EVERYWHERE, Effect
@@ -98,11 +98,16 @@ def replay_batch(
         first = None if recording.pressure_meas is None else (round(settle_s / dt_s), recording.pressure_meas[0])
         motions = simulate_batch(plants, time, pressure, force, workers, past, first)
     else:
-        behind = [_behind_valve(plant) for plant in plants]
+        behind, robot = [_behind_valve(plant) for plant in plants], plants[0].chain.robot
         motions = []
         for gauges, group in groupby(range(len(plants)), lambda k: plants[k].chain.gauges):
-            since_s = dt_s * np.arange(len(time)) - settle_s
-            seen = _seen_by(gauges, plants[0].chain.robot, pressure, since_s)
+            at_rows = [] if supply is not None else [gauge for gauge in gauges if not gauge.flows]
+            reported = pressure
+            if at_rows and recording.pressure_meas is not None:  # how pressures go between rows is told by them and commands
+                rows = _seen_by(at_rows, robot, held(recording.pressure_meas), recording.time - recording.time[0], dt_s).mean
+                _, reported, _ = drive_on_grid(replace(recording, pressure_meas=rows), dt_s, drive, settle_s, late_s)
+            slow = [gauge for gauge in gauges if gauge not in at_rows]
+            seen = _seen_by(slow, robot, reported, dt_s * np.arange(len(time)) - settle_s, dt_s)
             motions += simulate_batch([behind[k] for k in group], time, seen, force, workers, past)
     robot = plants[0].chain.robot
     pairs = zip(motions, taken, strict=True)
@@ -239,7 +244,7 @@ def _behind_valve(plant: Plant) -> Plant:
     return replace(plant, chain=replace(plant.chain, effects=plant.chain.at("chamber", "body", "load", "sensor")))
 
 
-def _seen_by(gauges: Sequence[Effect], robot: Robot, reported: Span, since_s: np.ndarray) -> Span:
+def _seen_by(gauges: Sequence[Effect], robot: Robot, reported: Span, since_s: np.ndarray, dt_s: float) -> Span:
     """Return the pressures that gauges ``reported`` as these, ``since_s`` (steps,) the first sample.
 
     Raises
@@ -253,7 +258,7 @@ def _seen_by(gauges: Sequence[Effect], robot: Robot, reported: Span, since_s: np
                 f"effect {gauge.name()}.above_share={gauge.above_share:g}: measured pressures cannot drive a body behind a gauge "
                 "that errs above a pressure only; expected drive=command"
             )
-        reported = gauge.undo(robot, reported, share_at(gauge, since_s)[:, None], float(since_s[1] - since_s[0]))
+        reported = gauge.undo(robot, reported, share_at(gauge, since_s)[:, None], dt_s)
     return reported
 
 

@@ -80,7 +80,7 @@ class FemSimulator:
     rest.
     """
 
-    backward: ClassVar = True
+    backward: ClassVar[bool] = True
 
     robot: Robot
     mesh: Mesh

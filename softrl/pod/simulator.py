@@ -61,7 +61,7 @@ class RomSimulator:
     exactly. ``ELASTIC_SLOPE`` holds the other volumes and leaves the tip free.
     """
 
-    backward: ClassVar = True
+    backward: ClassVar[bool] = True
 
     robot: Robot
     reduced_model: ReducedModel

@@ -86,8 +86,7 @@ def test_a_gauges_error_is_undone_where_its_readings_drive_the_body(gate: dict[s
     wrong = Plant(body, chain_of(body.robot, [Lag(0.2, 0.3), PressureSensor(gain=1.2, offset=0.05, **gate)]))
     recorded = replay(wrong, commands(body.robot).recordings[0], 0.01)
     again = replay(wrong, recorded, 0.01, drive="measured")
-    # between two rows a gauge that errs does not tell quite how its pressure went
-    np.testing.assert_allclose(again.position, recorded.position, atol=3e-5)
+    np.testing.assert_allclose(again.position, recorded.position, atol=1e-9)
     np.testing.assert_allclose(again.pressure_meas, recorded.pressure_meas, atol=1e-3)
     trusting = replay(Plant(body, chain_of(body.robot, [])), recorded, 0.01, drive="measured")
     assert np.abs(trusting.position - recorded.position).max() > 1e-3

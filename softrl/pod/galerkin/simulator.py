@@ -59,7 +59,7 @@ class GalerkinSimulator:
     working directory. Effects inside the body are refused; the energy ROM takes them.
     """
 
-    backward: ClassVar = True
+    backward: ClassVar[bool] = True
 
     robot: Robot
     mesh: Mesh
