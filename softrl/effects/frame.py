@@ -29,6 +29,8 @@ class Frame(Effect):
     Notes
     -----
     ``p = R p_base + shift`` with ``R`` from the rotation vector (textbook form, no equation number checked).
+    Where a bend angle in a plane is measured, its zero alone can be wrong: only the turn in that plane counts. Any other would
+    stretch angles one by one, as no sensor of them does and as a wall that gives way might.
     """
 
     site: ClassVar[str] = "sensor"
@@ -45,6 +47,11 @@ class Frame(Effect):
 
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (matrix (9,), quaternion (4,) w x y z, shift (3,) m)."""
-        turn = Rotation.from_rotvec([self.turn_x_rad, self.turn_y_rad, self.turn_z_rad])
+        by = np.array([self.turn_x_rad, self.turn_y_rad, self.turn_z_rad])
+        if robot.output == "bend_angle" and robot.bends_in_a_plane:
+            x, y = robot.chamber_direction[0]
+            normal = np.array([-y, x, 0.0])
+            by = normal * (normal @ by)
+        turn = Rotation.from_rotvec(by)
         shift = robot.length_m * np.array([self.shift_x, self.shift_y, self.shift_z])
         return np.concatenate([turn.as_matrix().ravel(), turn.as_quat(scalar_first=True), shift])

@@ -68,6 +68,7 @@ from softrl.effects.power_creep import PowerCreep
 from softrl.effects.pressure_play import PressurePlay
 from softrl.effects.pressure_sensor import PressureSensor
 from softrl.effects.rate_limit import RateLimit
+from softrl.effects.replay import bend_angle
 from softrl.effects.shared_flow import SharedFlow
 from softrl.effects.stiffness_scale import StiffnessScale
 from softrl.effects.strain_softening import StrainSoftening
@@ -969,6 +970,23 @@ def test_frame_is_an_isometry() -> None:
     np.testing.assert_allclose(np.linalg.norm(turned[:, 3:], axis=1), 1.0)
     relative = np.sum(pose[0, 3:] * pose[:, 3:], axis=1)
     np.testing.assert_allclose(np.sum(turned[0, 3:] * turned[:, 3:], axis=1), relative, atol=1e-12)
+
+
+@pytest.mark.parametrize("chamber_deg", [180.0, 90.0, 30.0])
+def test_of_a_bend_angle_a_frame_tells_a_wrong_zero_and_nothing_else(chamber_deg: float) -> None:
+    finger = replace(ROBOT, chamber_angle_deg=(chamber_deg,), output="bend_angle")
+    x, y = finger.chamber_direction[0]
+    bends = np.linspace(-2.0, 2.0, 9)
+    pose = np.zeros((9, 7))
+    pose[:, 3:] = Rotation.from_rotvec(bends[:, None] * [y, -x, 0.0]).as_quat(scalar_first=True)
+
+    def reported(frame: Frame) -> np.ndarray:
+        return bend_angle(finger, SignalFilter(chain_of(finger, [frame]), "sensor").advance(pose, DT)[:, 3:])
+
+    np.testing.assert_allclose(bend_angle(finger, pose[:, 3:]), bends, atol=1e-12)
+    across = Frame(0.5 * x, 0.5 * y, 1.2, 0.1, 0.2, 0.3)  # a free map of angles, were it to count
+    np.testing.assert_allclose(reported(across), bends, atol=1e-12)
+    np.testing.assert_allclose(reported(Frame(0.2 * y, -0.2 * x, 1.2, 0.0, 0.0, 0.0)), bends + 0.2, atol=1e-12)
 
 
 def test_delay_shifts_the_pose_and_hold_repeats_it() -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import numba as nb
 import numpy as np
 
-from softrl.core.compiled import borrowing, summing
+from softrl.core.compiled import borrowing, standing, summing
 from softrl.effects.effect import GRAVITY
 from softrl.pod.step.inertia import (
     add_inertia,
@@ -132,7 +132,7 @@ def end_step(
     return now, bent
 
 
-@borrowing
+@standing
 def _fill_resistance(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, held: Any, whole: bool) -> None:
     """Fill inertia and viscosity of a step ``by`` (r,) from ``start``; not of the ``whole`` body: what shows where it leads."""
     fill_inertia(start, by, tables, work, held, whole)

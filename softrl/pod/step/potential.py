@@ -14,7 +14,7 @@ import numba as nb
 import numpy as np
 
 from softrl.artifacts.reduced_model import SHAPES
-from softrl.core.compiled import borrowing, summing
+from softrl.core.compiled import borrowing, standing, summing
 
 
 class Tables(NamedTuple):
@@ -153,7 +153,7 @@ def _fill_both(
         shared[first], shared[m], shared[n] = d, e, f
 
 
-@borrowing
+@standing
 def fill_potential(y: np.ndarray, tables: Any, work: Any, gradient: np.ndarray, hessian: np.ndarray) -> float:
     """Fill gradient (r,) and Hessian (r, r) of the potential at ``y`` in J; return ``|y|``.
 
