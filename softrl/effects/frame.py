@@ -29,8 +29,8 @@ class Frame(Effect):
     Notes
     -----
     ``p = R p_base + shift`` with ``R`` from the rotation vector (textbook form, no equation number checked).
-    Where a bend angle in a plane is measured, its zero alone can be wrong: only the turn in that plane counts. Any other would
-    stretch angles one by one, as no sensor of them does and as a wall that gives way might.
+    Of a bend angle in a plane only the turn in that plane counts, which is a wrong zero. Any other would stretch angles one by
+    one: a camera that looks aslant does, but so does a wall that gives way, which was taken for one.
     """
 
     site: ClassVar[str] = "sensor"
