@@ -163,9 +163,9 @@ class Effect:
     piped : whether a valve's effect may be that of the line from the gauge to the chamber as well, see ``behind_gauge``
     of_area : whether a chamber's effect is that of the area on which its pressure acts, after all that changes the pressure
     needs : channel of a recording whose course it follows, "temperature", without which it does nothing; or empty
-    contains : name of the effect that this one is where all of its ``essence`` is neutral, or empty: where it does no better
-        it is that one
+    contains : names of the effects that this one is where its ``essence`` is neutral: where it does no better it is that one
     essence : names of the parameters without all of which it is another effect: never are all held at their neutral values
+    undivided : whether it is another effect without any one of its ``essence``: none is held at its neutral value
     onset_of : name of the effect that this one is where that begins in a moment, or empty: a failed chamber has a smaller gain
     sudden : whether it may begin from one moment to the next: a camera is knocked rather than a robot's mount
     above_own : whether it acts above a pressure of its own only, and so in no need of a gate that says one
@@ -200,8 +200,9 @@ class Effect:
     piped: ClassVar[bool] = False
     of_area: ClassVar[bool] = False
     needs: ClassVar[str] = ""
-    contains: ClassVar[str] = ""
+    contains: ClassVar[tuple[str, ...]] = ()
     essence: ClassVar[tuple[str, ...]] = ()
+    undivided: ClassVar[bool] = False
     onset_of: ClassVar[str] = ""
     sudden: ClassVar[bool] = True
     above_own: ClassVar[bool] = False

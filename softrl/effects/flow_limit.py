@@ -55,7 +55,7 @@ class FlowLimit(Effect):
     flows: ClassVar[bool] = True
     piped: ClassVar[bool] = True
     variant_of: ClassVar[str] = "rate_limit"
-    contains: ClassVar[str] = "lag"
+    contains: ClassVar[tuple[str, ...]] = ("lag",)
     essence: ClassVar[tuple[str, ...]] = ("rise_per_s", "vent_s")
 
     rise_per_s: float = parameter("1/s", 0.02, UNLIMITED_PER_S, UNLIMITED_PER_S, typical=0.4, log=True, of="pressure")

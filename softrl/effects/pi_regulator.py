@@ -77,7 +77,7 @@ class PiRegulator(Effect):
     flows: ClassVar[bool] = True
     piped: ClassVar[bool] = True
     extends: ClassVar[str] = "rate_limit"
-    contains: ClassVar[str] = "lag"
+    contains: ClassVar[tuple[str, ...]] = ("lag",)
     essence: ClassVar[tuple[str, ...]] = ("integral_s",)
 
     lag_s: float = parameter("s", 0.0, 5.0, 0.0, typical=0.1)

@@ -45,7 +45,7 @@ class RateLimit(Effect):
     kernel: ClassVar = rate_limit_kernel
     flows: ClassVar[bool] = True
     piped: ClassVar[bool] = True
-    contains: ClassVar[str] = "lag"
+    contains: ClassVar[tuple[str, ...]] = ("lag",)
     essence: ClassVar[tuple[str, ...]] = ("rise_per_s", "fall_per_s")
 
     rise_per_s: float = parameter("1/s", 0.02, UNLIMITED_PER_S, UNLIMITED_PER_S, typical=0.4, log=True, of="pressure")

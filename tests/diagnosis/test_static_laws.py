@@ -8,13 +8,15 @@ from softrl.effects.area_growth import AreaGrowth
 from softrl.effects.bimodular import Bimodular
 from softrl.effects.effect import Effect
 from softrl.effects.lag import Lag
+from softrl.effects.locking import Locking
+from softrl.effects.strain_softening import StrainSoftening
 from softrl.effects.strain_stiffening import StrainStiffening
 from softrl.effects.stretch_area import StretchArea
 from softrl.pcc.simulator import PccSimulator
 from tests.diagnosis.conftest import configured, made
 
-MORE = (StretchArea(1.5), StrainStiffening(0.5), Bimodular(0.4, 0.05))
-STATIC = ["stretch_area", "bimodular", "area_growth", "knee", "strain_stiffening", "strain_softening", "lag"]
+MORE = (StretchArea(1.5), StrainStiffening(0.5), StrainSoftening(2.0), Bimodular(0.4, 0.05))
+STATIC = ["stretch_area", "bimodular", "area_growth", "knee", "strain_stiffening", "strain_softening", "locking", "lag"]
 
 
 @pytest.mark.parametrize(
@@ -22,6 +24,7 @@ STATIC = ["stretch_area", "bimodular", "area_growth", "knee", "strain_stiffening
     [
         (StretchArea(-3.0), Lag(0.2, 0.3)),
         (AreaGrowth(-0.3),),
+        (Locking(4.0, 0.05, 0.05), Lag(0.1, 0.2)),
         *(pytest.param((effect,), marks=pytest.mark.slow) for effect in MORE),
     ],
 )

@@ -56,6 +56,7 @@ from softrl.effects.hysteresis import Hysteresis
 from softrl.effects.knee import Knee
 from softrl.effects.lag import Lag
 from softrl.effects.leak import Leak
+from softrl.effects.locking import Locking
 from softrl.effects.marker_offset import MarkerOffset
 from softrl.effects.mount_tilt import MountTilt
 from softrl.effects.mullins import Mullins
@@ -524,6 +525,21 @@ def test_strain_softening_keeps_its_residual_slope() -> None:
     slope = np.diff(total) / np.diff(strain)
     assert (np.diff(slope) < 1e-6 * STIFFNESS).all()
     np.testing.assert_allclose(slope[[0, -1]], [STIFFNESS, 0.1 * STIFFNESS], rtol=0.03)
+
+
+def test_a_wall_that_locks_is_stiff_then_soft_then_stiff() -> None:
+    """Its slope falls to its least and rises again; without either half it is the other's law, in all chambers or in one."""
+    effect, strain = Locking(softness=50.0 * FULL / STIFFNESS, growth=0.01, power=3.0), np.linspace(0.0, 0.6, 601)
+    slope = np.gradient(STIFFNESS * strain + pull(effect, strain), strain) / STIFFNESS
+    least = int(slope.argmin())
+    assert 0.0 < slope[least] < 0.05 and slope[0] > 0.95 and slope[-1] > 1.0
+    assert (np.diff(slope[1:least]) < 0.0).all() and (np.diff(slope[least + 1 : -1]) > 0.0).all()
+    np.testing.assert_allclose(pull(effect, -strain), -pull(effect, strain))
+    for chamber in (-1, 0):
+        soft, stiff = StrainSoftening(3.0, 0.1, chamber), StrainStiffening(0.4, 1.5, chamber)
+        np.testing.assert_allclose(pull(Locking(3.0, 0.1, 0.0, chamber=chamber), strain), pull(soft, strain))
+        np.testing.assert_allclose(pull(Locking(0.0, 0.0, 0.4, 1.5, chamber), strain), pull(stiff, strain))
+    assert not pull(Locking(3.0, 0.1, 0.4, 1.5, chamber=1), strain).any()
 
 
 def test_viscoelastic_stress_relaxes_to_the_known_modulus() -> None:

@@ -295,8 +295,8 @@ def may_be_pinned(choice: Choice) -> list[str]:
 
 def is_essential(choice: Choice, name: str) -> bool:
     """Return whether the effect would be another one if its parameter ``name`` were held at its neutral value too."""
-    essence = effect_class(choice.name).essence
-    return name in essence and all(other in choice.pinned for other in essence if other != name)
+    law = effect_class(choice.name)
+    return name in law.essence and (law.undivided or all(other in choice.pinned for other in law.essence if other != name))
 
 
 def has_chamber(name: str) -> bool:

@@ -34,7 +34,7 @@ class Rival(NamedTuple):
             return self.equivalent
         later = effect_class(named.name).onset_of == mine.name and mine.chamber == named.chamber
         same = later and takes_s(self.trial, mine) < ABRUPT_S
-        return named.name not in (mine.name, effect_class(mine.name).contains) and not same
+        return named.name not in (mine.name, *effect_class(mine.name).contains) and not same
 
 
 def of_another_chamber(one: Choice, other: Choice) -> bool:
@@ -88,4 +88,4 @@ def simpler(rivals: Sequence[Rival], final: Trial, redated: Sequence[Choice]) ->
 def _within(rival: Rival) -> bool:
     """Return whether the effect whose place ``rival`` would take extends or contains its law, where it acts."""
     named, other = rival.instead_of, rival.choice
-    return other.name in (effect_class(named.name).extends, effect_class(named.name).contains) and named.chamber == other.chamber
+    return other.name in (effect_class(named.name).extends, *effect_class(named.name).contains) and named.chamber == other.chamber

@@ -259,8 +259,8 @@ def _contenders(leads: Sequence[Lead], keep: int, close: Collection[Choice] = ()
 
 
 def _contained_in(name: str) -> str:
-    """Return the law that an effect's contains, or its own."""
-    return effect_class(name).contains or name
+    """Return the first law that an effect's contains, or its own."""
+    return (*effect_class(name).contains, name)[0]
 
 
 def starting_points(current: Trial, forms: Sequence[Lead], count: int) -> list[np.ndarray]:

@@ -68,18 +68,19 @@ def _gone(trial: Trial, choice: Choice, name: str) -> np.ndarray:
 
 
 def _contained(trial: Trial, choice: Choice) -> list[tuple[Hypothesis, np.ndarray, int]]:
-    """Return the same as ``pinned`` with the law that ``choice`` contains in its place: what is never bounded is a lag."""
+    """Return the same as ``pinned`` with a law that ``choice`` contains in its place: what is never bounded is a lag."""
     law, axes, columns = effect_class(choice.name), effect_axes(choice), columns_of(trial, choice)
     values = {axis.name: axis.physical(u) for axis, u in zip(axes, trial.fit.point[columns], strict=True)}
     shared = [value for name, value in values.items() if name not in (*law.essence, *GATES, *WIDTHS.values())]
-    if not law.contains or not shared or law.contains in trial.hypothesis.names:
-        return []
-    less = choice._replace(name=law.contains, pinned=choice.pinned_widths)
-    place = trial.hypothesis.effects.index(choice)
-    begin = [axis.scaled(values.get(axis.name, shared[0])) for axis in effect_axes(less)]
-    point = np.insert(np.delete(trial.fit.point, columns), columns[0], begin)
-    effects = tuple(less if effect == choice else effect for effect in trial.hypothesis.effects)
-    return [(Hypothesis(effects, trial.hypothesis.tuned), point, place)]
+    found, place = [], trial.hypothesis.effects.index(choice)
+    for name in law.contains if shared else ():
+        less = choice._replace(name=name, pinned=choice.pinned_widths)
+        begin = [axis.scaled(values.get(axis.name, shared[0])) for axis in effect_axes(less)]
+        point = np.insert(np.delete(trial.fit.point, columns), columns[0], begin)
+        effects = tuple(less if effect == choice else effect for effect in trial.hypothesis.effects)
+        if name not in trial.hypothesis.names:
+            found.append((Hypothesis(effects, trial.hypothesis.tuned), point, place))
+    return found
 
 
 def without_gate(choice: Choice) -> Choice:

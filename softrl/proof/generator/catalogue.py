@@ -68,6 +68,7 @@ RIGHT: dict[str, tuple[int, tuple[str, ...], float]] = {
     "damage": (laws.DAMAGE, ("mullins",), 0.6),
     "fung": (laws.FUNG, ("strain_stiffening",), 150.0),
     "soften": (laws.SOFTEN, ("strain_softening", "area_growth", "knee"), 8.0),
+    "rubber": (laws.RUBBER, ("locking", "strain_softening"), 1.0),
     "wall": (laws.WALL, ("stiffness_scale",), 1.5),
     "relax": (laws.RELAX, ("drift",), 0.4),
     "braid": (laws.BRAID, ("stretch_area",), 6.0),
@@ -139,6 +140,7 @@ INSEPARABLE = (
     ("area_growth", "knee", "a smooth and a broken form of the same static curve"),
     ("friction", "hysteresis", "a bristle that slips is Bouc-Wen hysteresis of exponent one with a short yield"),
     ("area_growth", "strain_softening", "a static softening response to pressure alone, no load, no force"),
+    ("locking", "strain_softening", "a small share of a wall that gives way and locks, where it gives way"),
     ("lag", "tube_line", "a well-damped second order beside a first"),
     ("rate_limit", "lag", "sub-sonic flow through an orifice falls with the pressure difference"),
 )
@@ -192,6 +194,8 @@ def draw(name: str, place: str, session_s: float, chambers: int, rng: np.random.
         drawn = {1: u(0.001, 0.003), 2: u(0.1, 0.5), 3: u(0.0, 1.0)}
     elif name == "damage":
         drawn = {1: u(0.02, 0.06), 2: u(100.0, 400.0), 3: 0.08 if place == "maximum" else 0.0}
+    elif name == "rubber":
+        drawn = {1: u(0.02, 0.05), 2: u(0.12, 0.2)}
     elif name == "fold":
         drawn = {1: u(0.03, 0.15)}
     elif name == "relax":

@@ -13,14 +13,14 @@ import numpy as np
 LAWS = (
     "spool", "choke", "line", "relay", "ceiling", "stick",
     "orifice", "gain", "offset", "coupling", "balloon", "warmth", "product",
-    "powerlaw", "slip", "bristle", "damage", "fung", "soften", "wall", "relax", "braid", "fold",
+    "powerlaw", "slip", "bristle", "damage", "fung", "soften", "wall", "relax", "braid", "fold", "rubber",
     "mass", "tilt", "rebound", "string", "buckle",
     "frame", "marker", "latency", "sampling", "twist", "jolt",
 )  # fmt: skip
 (
     SPOOL, CHOKE, LINE, RELAY, CEILING, STICK,
     ORIFICE, GAIN, OFFSET, COUPLING, BALLOON, WARMTH, PRODUCT,
-    POWERLAW, SLIP, BRISTLE, DAMAGE, FUNG, SOFTEN, WALL, RELAX, BRAID, FOLD,
+    POWERLAW, SLIP, BRISTLE, DAMAGE, FUNG, SOFTEN, WALL, RELAX, BRAID, FOLD, RUBBER,
     MASS, TILT, REBOUND, STRING, BUCKLE,
     FRAME, MARKER, LATENCY, SAMPLING, TWIST, JOLT,
 ) = range(len(LAWS))  # fmt: skip
@@ -190,6 +190,10 @@ def resist(
     if P[SOFTEN, 0] > 0.0:
         bent = P[SOFTEN, 0] * abs(e)
         added -= gate(P, SOFTEN, c, t, p) * spring * e * bent / (1.0 + bent)
+    if P[RUBBER, 0] > 0.0:  # its part of the wall levels off from one strain on, to a tenth, and rises steeply about another
+        grown = 0.3 * e * (math.exp(min((e / P[RUBBER, 2]) ** 2, 5.0)) - 1.0)
+        level = 0.1 * e + 0.9 * P[RUBBER, 1] * math.tanh(e / P[RUBBER, 1])
+        added += gate(P, RUBBER, c, t, p) * P[RUBBER, 0] * spring * (level + grown - e)
     if P[BRAID, 0] != 0.0:  # threads of one length: the section's area has a term in the square of the length
         added -= gate(P, BRAID, c, t, p) * P[BRAID, 0] * p * 0.5 * ((1.0 + e) * (1.0 + e) - 1.0)
     if P[FOLD, 0] != 0.0:
