@@ -26,7 +26,7 @@ class Diagnosis(Artifact):
         run), parameters ({value, low, high, unit, at_bound}), pinned (parameters held at the value at which they do
         nothing), pinned_intervals ({low, high, unit} of these), evidence (one sentence with numbers)
     simulator_parameters : tunable parameter -> identified value, in the unit of its name
-    retuned : tunable parameter -> {nominal, value, factor_allowed, plausible (the data do not drive it to an end
+    retuned : tunable parameter -> {nominal, value, lowest, highest, plausible (the data do not drive it to an end
         of that range)}: the competitor that changes parameters only
     rivals : {name, instead_of, score_gap, low, high, unit, equivalent (it does as well), contests (and says something else),
         effect (as in effects, its parameters plain numbers), replaces}, those that contest first, then the nearest beside what

@@ -44,3 +44,12 @@ def test_a_mass_that_the_runs_do_drive_to_its_end_is_told(body: PccSimulator, tu
     problem, model = ends(body, FACTOR, tuned)
     assert model.ends == (MASS,)
     assert not retuned_entries(problem, model)[MASS]["plausible"]
+
+
+def test_damping_has_a_longer_range_below(body: PccSimulator) -> None:
+    """A wall that is stiff at first and gives way is damped by a time that its stiffness at rest makes short."""
+    space = ends(body, 1.0, ("damping_s", MASS))[0].space(Hypothesis((), ("damping_s", MASS)))
+    (least, lightest), (most, heaviest) = space.bounds
+    np.testing.assert_allclose([least, lightest, most, heaviest], np.log(FACTOR) * np.array([-2.0, -1.0, 1.0, 1.0]))
+    assert space.at_the_end(np.array([-np.log(FACTOR), -np.log(FACTOR)])) == [MASS]
+    assert space.at_the_end(np.array([2.0 * -np.log(FACTOR), 0.0])) == ["damping_s"]

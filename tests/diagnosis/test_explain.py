@@ -49,7 +49,7 @@ def test_an_end_of_the_plausible_range_says_nothing_where_nominal_parameters_do_
     nominal: float, plausible: bool, told: str
 ) -> None:
     held = {"nominal": nominal, "retuned": 0.35, "corrected": 0.35, "noise_floor": 0.34}
-    entry = {"nominal": 2.0, "value": 8.0, "factor_allowed": 4.0, "plausible": plausible}
+    entry = {"nominal": 2.0, "value": 8.0, "lowest": 0.5, "highest": 8.0, "plausible": plausible}
     made: Any = SimpleNamespace(verdict="nothing missing", errors_mm={"heldout": held}, effects=[], retuned={"mass_scale": entry})
     assert told in _verdict_sentence(made)
 

@@ -18,6 +18,7 @@ LASTING = {"session": "lasting through a session", "ever": "lasting"}
 MOMENTS = ("since_s", "onset_s")  # parameters that say from when on something acts
 LATE = "late_s"  # how late a log has it that rows act, tuned with the simulator's parameters
 LATE_SCALE = 12.0  # sampling intervals that are one scaled unit: what a log may be late counts as no far retuning
+GUESSED = ("damping_s", "damping_scale")  # what no file knows well, and of which less looks like nothing that was left out
 AT_END = 0.97  # a retuned parameter this close to the end of its range (in logarithms) is not plausible
 FULL_TURN_RAD = 6.0  # a parameter in rad with a wider range than this is a direction
 
@@ -153,7 +154,8 @@ class Hypothesis:
 class Space:
     """The free parameters of a hypothesis: effects first, in order, then the simulator's and how late the log is.
 
-    The log may be late by ``late_max_s`` at most, and by ``late_apart_s`` where an effect shifts all motion in time itself.
+    The simulator's parameters may change by ``tuned_factor`` either way, its damping down to the square of that. The log may be
+    late by ``late_max_s`` at most, and by ``late_apart_s`` where an effect shifts all motion in time itself.
     """
 
     hypothesis: Hypothesis
@@ -170,7 +172,8 @@ class Space:
 
     def _retuned(self, name: str) -> Axis:
         nominal, factor = self.simulator.parameters[name], self.tuned_factor
-        return Axis("simulator", name, "", nominal / factor, nominal * factor, nominal, 1.0, True)
+        least = nominal / factor ** (2 if name in GUESSED else 1)
+        return Axis("simulator", name, "", least, nominal * factor, nominal, 1.0, True)
 
     @property
     def _late(self) -> Axis:
@@ -229,7 +232,8 @@ class Space:
     def at_the_end(self, point: np.ndarray) -> list[str]:
         """Return the simulator's parameters that are at an end of their plausible range at a scaled point."""
         tuned = list(zip(self.axes, point, strict=True))[len(self.axes) - len(self.hypothesis.tuned) :]
-        return [axis.name for axis, u in tuned if axis.name != LATE and abs(u) >= AT_END * axis.scaled(axis.high)]
+        ends = ((axis.name, u, AT_END * axis.scaled(axis.low), AT_END * axis.scaled(axis.high)) for axis, u in tuned)
+        return [name for name, u, low, high in ends if name != LATE and not low < u < high]
 
     def late(self, point: np.ndarray) -> float:
         """Return how late the log is at a scaled point, s."""

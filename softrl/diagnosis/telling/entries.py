@@ -129,9 +129,11 @@ def _fitted(problem: Problem, rival: Rival) -> dict[str, float]:
 
 def retuned_entries(whole: Problem, model: Model) -> dict[str, Any]:
     """Return the parameters of the retuned-only competitor, and whether each is plausible: no data drive it to an end."""
-    space, factor = whole.space(model.hypothesis), whole.numerics.tuned_factor
+    space, ends = whole.space(model.hypothesis), model.ends
     return {
-        axis.name: {"nominal": axis.zero, "value": value, "factor_allowed": factor, "plausible": axis.name not in model.ends}
+        axis.name: {
+            "nominal": axis.zero, "value": value, "lowest": axis.low, "highest": axis.high, "plausible": axis.name not in ends
+        }  # fmt: skip
         for axis, value in zip(space.axes, space.values(model.point), strict=True)
         if axis.name != LATE
     }
