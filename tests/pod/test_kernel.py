@@ -161,7 +161,7 @@ def test_a_step_has_the_force_of_its_square(tripod: Body, radius: float) -> None
 
     def chord(start: np.ndarray, by: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         matrix, slope = np.empty((r, r)), np.empty(r)
-        fill_chord(metric, start + 0.5 * by, by, 1, tables, work, matrix, slope, True)
+        fill_chord(metric, start + 0.5 * by, by, 1, tables, work, matrix, slope)
         return matrix, slope
 
     start = rng.standard_normal(r)
@@ -188,9 +188,9 @@ def test_a_step_of_viscosity_never_drives(tripod: Body) -> None:
     for _ in range(200):
         middle, by = 0.3 * rng.standard_normal(r), 2.0 * rng.standard_normal(r)
         start = middle - 0.5 * by
-        fill_chord((tables.stiffness_root, tables.stiffness_factor), middle, by, 1, tables, work, held[1], held[2], True)
+        fill_chord((tables.stiffness_root, tables.stiffness_factor), middle, by, 1, tables, work, held[1], held[2])
         drives += by @ (held[1] @ by + held[2]) < 0.0
-        fill_viscosity(start, by, tables, work, held, True)
+        fill_viscosity(start, by, tables, work, held)
         assert by @ (held[1] @ by + held[2]) >= -1e-9 * (by @ held[1] @ by)
     assert drives > 0  # it would, without the limit
 
@@ -215,7 +215,7 @@ def test_inertia_is_that_of_the_masses_on_their_curves(tripod: Body) -> None:
         return float(0.5 * ((place(y) - 2.0 * course.now + course.before) ** 2).sum()) / dt**2
 
     exact = np.array([half_square(aim + e) - half_square(aim - e) for e in 1e-6 * np.eye(r)]) / 2e-6
-    fill_inertia(start, aim - start, tables, work, held, True)
+    fill_inertia(start, aim - start, tables, work, held)
     inertia, right = np.zeros((r, r)), np.zeros(r)
     add_inertia(1.0 / dt**2, 0.0, held, inertia, right)
     np.testing.assert_allclose(inertia @ aim - right, exact, atol=1e-6 * np.abs(exact).max())

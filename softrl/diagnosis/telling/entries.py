@@ -133,7 +133,7 @@ def retuned_entries(whole: Problem, model: Model) -> dict[str, Any]:
     return {
         axis.name: {
             "nominal": axis.zero, "value": value, "lowest": axis.low, "highest": axis.high, "plausible": axis.name not in ends
-        }  # fmt: skip
+        }
         for axis, value in zip(space.axes, space.values(model.point), strict=True)
         if axis.name != LATE
     }

@@ -26,15 +26,18 @@ from softrl.pod.lanes.algebra import (
     scale_down,
     to_balls,
 )
-from softrl.pod.lanes.chords import fill_viscosities, go_half_way
+from softrl.pod.lanes.alone import aim_alone, make_alone
+from softrl.pod.lanes.chords import fill_metrics, fill_viscosities, go_half_way
 from softrl.pod.lanes.columns import Columns, columns_of
 from softrl.pod.lanes.inertias import add_inertias, fill_amplitudes, fill_inertias, fill_kinetic, fill_work, kinetic_of
 from softrl.pod.lanes.insides import begin_insides, end_insides, fill_gives
-from softrl.pod.lanes.newtons import converge
+from softrl.pod.lanes.newtons import aim, converge, fill_potentials, release
+from softrl.pod.lanes.pasts import keep, keep_curves, make_pasts
 from softrl.pod.lanes.products import TILE
 from softrl.pod.step.inertia import Course, make_course
 from softrl.pod.step.inside import Inside, make_inside
 from softrl.pod.step.kernel import MAX_ITERATIONS, SCALINGS
+from softrl.pod.step.past import Past
 from softrl.pod.step.potential import Tables
 
 LANES = 64  # trajectories in step, at most: enough for vectors, few enough for the cache; a multiple of a tile's
@@ -72,7 +75,8 @@ def _whole_tiles(lanes: int) -> int:
 
 @standing
 def _begin(
-    start: np.ndarray, ahead: np.ndarray, load: np.ndarray, dt: float, tables: Any, course: Course, held: Lanes
+    start: np.ndarray, ahead: np.ndarray, inner: np.ndarray, load: np.ndarray, dt: float, tables: Any, course: Course,
+    insides: Inside, held: Lanes,
 ) -> None:
     """Fill what is constant in a step, as ``pod.step.kernel.begin_step``; ``load`` (r, lanes)."""
     r = len(start)
@@ -85,6 +89,35 @@ def _begin(
             put_times(held.inertia[i, j], late, held.stiff[i, j])
             add(held.right[i], held.inertia[i, j], start[j])
     add_inertias(free, drag, course, held)
+    begin_insides(inner, ahead, start, dt, tables, insides, held.trial, held.inertia, held.right)
+
+
+@standing
+def _fill_half_way(by: np.ndarray, tables: Any, columns: Columns, insides: Inside, held: Lanes) -> None:
+    """Fill the viscosities of steps ``by`` (r, lanes) that are half way at ``middle``, where the body has any."""
+    if tables.scales[2] > 0.0:
+        go_half_way(held.middle, tables, columns, held)
+        fill_viscosities(by, tables, columns, insides, held)
+
+
+@standing
+def _look_back(
+    y: np.ndarray, by: np.ndarray, past: Past, tables: Any, columns: Columns, insides: Inside, held: Lanes
+) -> None:
+    """Fill ``past`` and viscosities as steps ``by`` (r, lanes) that led to ``y`` would have left them, as ``pod.step.kernel``."""
+    lanes, steps = y.shape[1], held.trial
+    for i in range(len(y)):
+        put_sum(held.middle[i], y[i], -0.5, by[i])
+    _fill_half_way(by, tables, columns, insides, held)
+    for lane in range(lanes):
+        held.order[lane] = lane
+    for back in (1, 0):
+        for i in range(len(y)):
+            put_sum(steps[i], y[i], -back, by[i])
+        fill_potentials(steps, lanes, False, tables, columns, held)
+        keep(steps, lanes, past, held)
+        if back == 1:
+            keep_curves(past)
 
 
 @standing
@@ -106,7 +139,7 @@ def _end(
         most[lane] = max(kinetic[lane] + most[lane], 0.0)
     for a in range(len(course.now)):
         put(course.before[a], course.now[a])
-    fill_amplitudes(y, y.shape[1], tables, columns, held, course.now, course.lead)
+    fill_amplitudes(y, y.shape[1], tables, columns, held, course.now, course.spare)
     farthest = largest(held.radius)
     fill_kinetic(velocity, inner, dt, insides, course, held, kinetic)
     _hold_back(y, velocity, inner, dt, tables, columns, insides, course, held, energies[0])
@@ -134,11 +167,11 @@ def _hold_back(
                 over += 1
         if over == 0:
             break
-        fill_amplitudes(held.middle, over, tables, columns, held, course.ahead, course.lead)
+        fill_amplitudes(held.middle, over, tables, columns, held, course.other, course.spare)
         for place in range(over):
             lane = held.order[place]
             for a in range(len(course.now)):
-                course.before[a, lane] = course.ahead[a, place]
+                course.before[a, lane] = course.other[a, place]
             kinetic[lane] = kinetic_of(lane, velocity, inner, dt, insides, course)
 
 
@@ -147,14 +180,13 @@ def _set_out(
     y: np.ndarray, velocity: np.ndarray, inner: np.ndarray, bent: np.ndarray, dt: float, tables: Any, columns: Columns,
     insides: Inside, held: Lanes,
 ) -> None:
-    """Fill the insides' stiffnesses and scale them back to the energies ``bent`` (lanes,), as ``pod.step.kernel``.
-
-    The monomials half way of free flight, where viscosity is wanted next, stay.
-    """
+    """Fill viscosities and the insides' stiffnesses, scaled back to the energies ``bent`` (lanes,), as ``pod.step.kernel``."""
     for i in range(len(y)):
         put_sum(held.middle[i], y[i], 0.5 * dt, velocity[i])
     go_half_way(held.middle, tables, columns, held)
     fill_gives(columns, held.values, insides)
+    if tables.scales[2] > 0.0:
+        fill_metrics(tables, columns, held, held.stiff)
     scale_down(inner[0], bent, insides.give, held.some)
 
 
@@ -168,35 +200,35 @@ def run_block(
     """
     r, lanes = y.shape
     held, start, ahead, by = make_lanes(r, lanes, tables), np.empty((r, lanes)), np.empty((r, lanes)), np.zeros((r, lanes))
-    kinetic, bent = np.empty(lanes), np.full(lanes, np.inf)
+    kinetic, bent, past = np.empty(lanes), np.full(lanes, np.inf), make_pasts(r, lanes)
     insides, inner = make_inside(r, (lanes,)), np.zeros((2, SHAPES, lanes))
     to_balls(y, held.points, held.radius)
     failed, farthest = 0, held.radius.max()
-    course = make_course(r, len(tables.amplitudes), (lanes,))
-    fill_amplitudes(y - dt * velocity, lanes, tables, columns, held, course.before, course.lead)
-    fill_inertias(y, tables, columns, insides, course, held, True)
+    course, alone = make_course(r, len(tables.amplitudes), (lanes,)), make_alone(r, len(tables.amplitudes))
+    fill_amplitudes(y - dt * velocity, lanes, tables, columns, held, course.before, course.spare)
+    _look_back(y, dt * velocity, past, tables, columns, insides, held)
+    fill_inertias(y, tables, columns, insides, course, held)
     course.now[:] = course.ahead
     fill_kinetic(velocity, inner, dt, insides, course, held, kinetic)
     _set_out(y, velocity, inner, bent, dt, tables, columns, insides, held)
     for step in range(len(load)):
         for i in range(r):
             put(start[i], y[i])
-            put_times(by[i], dt, velocity[i])
-            put_sum(ahead[i], start[i], 1.0, by[i])
+            put_sum(ahead[i], y[i], dt, velocity[i])
             put(y[i], ahead[i])
-        for again in range(2):  # inertia is that where the first iteration leads, viscosity that half way there
-            if again:
-                for i in range(r):
-                    put_rate(by[i], y[i], start[i], 1.0)
-                    put_sum(held.middle[i], start[i], 0.5, by[i])
-                go_half_way(held.middle, tables, columns, held)
-            if tables.scales[2] > 0.0:
-                fill_viscosities(by, tables, columns, insides, held, again > 0)
-            fill_inertias(y, tables, columns, insides, course, held, again > 0)
-            _begin(start, ahead, load[step], dt, tables, course, held)
-            if again:
-                begin_insides(inner, ahead, start, dt, tables, insides, held.trial, held.inertia, held.right)
-            missed = converge(y, tables, columns, held, MAX_ITERATIONS if again else 1)
+        _begin(start, ahead, inner, load[step], dt, tables, course, insides, held)
+        aim(y, past, tables, held)
+        for i in range(r):  # inertia is that where the first iteration leads, viscosity that half way there
+            put_rate(by[i], y[i], start[i], 1.0)
+            put_sum(held.middle[i], start[i], 0.5, by[i])
+        _fill_half_way(by, tables, columns, insides, held)
+        fill_inertias(y, tables, columns, insides, course, held)
+        _begin(start, ahead, inner, load[step], dt, tables, course, insides, held)
+        release(y, held)
+        left = converge(y, lanes, True, past, tables, columns, held, 1)
+        for place in range(left):
+            aim_alone(place, start, velocity, inner, load[step], dt, tables, insides, course, held, alone)
+        missed = converge(y, left, False, past, tables, columns, held, MAX_ITERATIONS - 1)
         for lane in range(len(path)):
             path[lane, step] = y[:, lane]
         failed += (held.order[:missed] < len(path)).sum()

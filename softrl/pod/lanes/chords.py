@@ -21,17 +21,13 @@ def go_half_way(middle: np.ndarray, tables: Any, columns: Columns, held: Lanes) 
 
 
 @standing
-def fill_viscosities(
-    by: np.ndarray, tables: Any, columns: Columns, insides: Inside, held: Lanes, whole: bool
-) -> None:
+def fill_viscosities(by: np.ndarray, tables: Any, columns: Columns, insides: Inside, held: Lanes) -> None:
     """Fill viscosities and the forces of their slopes for steps ``by`` (r, lanes), as ``pod.step.viscosity.fill_viscosity``.
 
     ``go_half_way`` came before.
     """
     driven = held.some[3]
-    _fill_chords(by, tables, columns, held, held.stiff, held.steep, whole)
-    if not whole:
-        return
+    _fill_chords(by, tables, columns, held, held.stiff, held.steep)
     fill_drags(held.root, columns, held.values, insides)
     driven[:] = 0.0
     for i in range(len(by)):
@@ -44,17 +40,18 @@ def fill_viscosities(
 
 
 @standing
-def _fill_chords(
-    by: np.ndarray, tables: Any, columns: Columns, held: Lanes, matrix: np.ndarray, slope: np.ndarray, sloping: bool
-) -> None:
+def fill_metrics(tables: Any, columns: Columns, held: Lanes, matrix: np.ndarray) -> None:
+    """Fill ``matrix`` (r, r, lanes) and ``root``, as ``pod.step.chord.fill_metric``; ``pairs`` are used up."""
+    fill_rows(columns.stiffness_root, held.values, held.pairs)
+    _fill_roots(tables.stiffness_factor, held)
+    fill_squares(held.root, matrix)
+
+
+@standing
+def _fill_chords(by: np.ndarray, tables: Any, columns: Columns, held: Lanes, matrix: np.ndarray, slope: np.ndarray) -> None:
     """Fill ``matrix`` (r, r, lanes) and ``slope`` (r, lanes), as ``pod.step.chord.fill_chord``; ``pairs`` are used up."""
     entries, factor = tables.stiffness_root, tables.stiffness_factor
-    fill_rows(columns.stiffness_root, held.values, held.pairs)
-    _fill_roots(factor, held)
-    fill_squares(held.root, matrix)
-    if not sloping:
-        slope[:] = 0.0
-        return
+    fill_metrics(tables, columns, held, matrix)
     _fill_weights(factor, by, held)
     fill_rows(entries, held.pairs, held.mixed[: entries.shape[1]])
     _fill_slopes(entries.shape[1], tables, held, slope)

@@ -57,7 +57,7 @@ def _go_on(y: np.ndarray, lanes: int, lead: np.ndarray, amplitudes: np.ndarray, 
 
 @standing
 def fill_inertias(
-    aim: np.ndarray, tables: Any, columns: Columns, insides: Inside, course: Course, held: Lanes, whole: bool
+    aim: np.ndarray, tables: Any, columns: Columns, insides: Inside, course: Course, held: Lanes
 ) -> None:
     """Fill amplitudes and masses where steps lead, ``aim`` (r, lanes), as ``pod.step.inertia.fill_inertia``.
 
@@ -72,9 +72,8 @@ def fill_inertias(
     if largest(held.radius) > 1.0:
         _go_on(aim, aim.shape[1], course.lead, course.ahead, held)
     fill_squares(course.lead, held.mass)
-    if whole:
-        _fill_roots(held.mass, held.root)
-        fill_masses(held.root, columns, held.values, insides)
+    _fill_roots(held.mass, held.root)
+    fill_masses(held.root, columns, held.values, insides)
 
 
 @standing

@@ -10,15 +10,16 @@ import numpy as np
 from softrl.core.compiled import borrowing, standing
 from softrl.pod.lanes.algebra import Lanes, add, put, take, to_balls
 from softrl.pod.lanes.columns import Columns, fill_curves, fill_monomials
+from softrl.pod.lanes.pasts import foretell_potentials, keep
 from softrl.pod.step.kernel import LONGEST_STEP, NEAR
 from softrl.pod.step.linear import newton_direction
+from softrl.pod.step.past import Past
 from softrl.pod.step.potential import fill_potential
 
 
 @standing
-def _fill_wanted(y: np.ndarray, lanes: int, known: bool, tables: Any, columns: Columns, held: Lanes) -> None:
-    """Fill gradient and Newton's direction at the first ``lanes`` of ``y`` (r, >= lanes); monomials there may be ``known``."""
-    r = len(y)
+def fill_potentials(y: np.ndarray, lanes: int, known: bool, tables: Any, columns: Columns, held: Lanes) -> None:
+    """Fill ``gradient`` and ``pairs``, the Hessian, at the first ``lanes`` of ``y`` (r, >= lanes); monomials may be ``known``."""
     if not known:
         to_balls(y, held.points, held.radius[:lanes])
         fill_monomials(held.points, tables, lanes, held.values[: len(columns.hessian)])
@@ -26,10 +27,15 @@ def _fill_wanted(y: np.ndarray, lanes: int, known: bool, tables: Any, columns: C
     for lane in range(lanes):
         if held.radius[lane] > 1.0:
             _fill_outside(y, lane, tables, held)
-    for i in range(r):
+
+
+@standing
+def _fill_wanted(y: np.ndarray, lanes: int, tables: Any, held: Lanes) -> None:
+    """Fill Newton's direction at the first ``lanes`` of ``y`` (r, >= lanes), and add inertia to the ``gradient``."""
+    for i in range(len(y)):
         for lane in range(lanes):
             held.gradient[i, lane] -= held.right[i, lane]
-        for j in range(r):
+        for j in range(len(y)):
             add(held.gradient[i, :lanes], held.inertia[i, j], y[j])
     _solve(lanes, tables, held)
 
@@ -137,18 +143,37 @@ def _bring(source: int, target: int, held: Lanes) -> None:
 
 
 @standing
-def converge(y: np.ndarray, tables: Any, columns: Columns, held: Lanes, most: int) -> int:
-    """Move ``y`` to where the forces balance, in ``most`` iterations; return the number of lanes that do not get there.
+def aim(y: np.ndarray, past: Past, tables: Any, held: Lanes) -> None:
+    """Move ``y`` (r, lanes) by one iteration, for which the potential is foretold."""
+    foretell_potentials(y, past, held)
+    _fill_wanted(y, y.shape[1], tables, held)
+    for lane in range(y.shape[1]):
+        held.progress[lane, 0] = -1.0
+        _move(y, lane, held.progress[lane], held)
 
-    ``order`` begins with theirs. Lanes that are there go from among the others, whose ``inertia`` and ``right`` close up.
-    """
-    lanes = y.shape[1]
+
+@standing
+def release(y: np.ndarray, held: Lanes) -> None:
+    """Let Newton's iteration move all lanes of ``y`` (r, lanes)."""
     for i in range(len(y)):
         put(held.moving[i], y[i])
-    for lane in range(lanes):
+    for lane in range(y.shape[1]):
         held.order[lane], held.progress[lane, 0], held.progress[lane, 1] = lane, -1.0, -1.0
-    for iteration in range(most):
-        _fill_wanted(held.moving, lanes, iteration == 0, tables, columns, held)
+
+
+@standing
+def converge(
+    y: np.ndarray, lanes: int, known: bool, past: Past, tables: Any, columns: Columns, held: Lanes, most: int
+) -> int:
+    """Move ``lanes`` of ``y``, with which ``order`` begins, to where the forces balance, in ``most`` iterations.
+
+    Return the number of them that do not get there, with which ``order`` begins then. Lanes that are there go from among the
+    others, whose ``inertia`` and ``right`` close up. Monomials at ``moving`` may be ``known``.
+    """
+    for iteration in range(most if lanes > 0 else 0):
+        fill_potentials(held.moving, lanes, known and iteration == 0, tables, columns, held)
+        keep(held.moving, lanes, past, held)
+        _fill_wanted(held.moving, lanes, tables, held)
         left = 0
         for lane in range(lanes):
             waits = _move(held.moving, lane, held.progress[lane], held) >= NEAR

@@ -12,32 +12,33 @@ from softrl.pod.step.potential import fill_monomials, fill_rows, fill_square, to
 
 
 @borrowing
+def fill_metric(metric: Any, values: np.ndarray, work: Any, matrix: np.ndarray) -> None:
+    """Fill A (r, r) at monomials ``values``, of ``metric`` as in ``fill_chord``; ``work`` then holds S L', its ``root``."""
+    entries, factor = metric
+    fill_rows(entries, values[: entries.shape[1]], work.half)
+    _fill_root(work.half, factor, work.root)
+    fill_square(work.root, matrix)
+
+
+@borrowing
 def fill_chord(
     metric: Any, middle: np.ndarray, by: np.ndarray, least: int, tables: Any, work: Any, matrix: np.ndarray,
-    slope: np.ndarray, sloping: bool,
+    slope: np.ndarray,
 ) -> None:
     """Fill A (r, r) at ``middle`` and a quarter of the gradient there of ``by' A by``, ``slope`` (r,).
 
-    By the arrival at its end half the square of a step has the derivative ``A by + slope``; ``slope`` is zero if it is not
-    ``sloping``.
+    By the arrival at its end half the square of a step has the derivative ``A by + slope``.
 
     Parameters
     ----------
     metric : entries of S (pairs, k) and L (r, r)
     least : number of monomials that ``work`` is to hold afterwards, besides S L', its ``root`` (r r,)
     """
-    (entries, factor), values, point, root, half, weights, mixed = (
-        metric, work.values, work.point, work.root, work.half, work.weights, work.mixed
-    )  # fmt: skip
+    (entries, factor), values, point, weights, mixed = metric, work.values, work.point, work.weights, work.mixed
     radius, some = to_ball(middle, point), values[: entries.shape[1]]
     fill_monomials(point, tables.parent, tables.variable, values[: max(least, entries.shape[1])])
-    fill_rows(entries, some, half)
-    _fill_root(half, factor, root)
-    fill_square(root, matrix)
-    if not sloping:
-        slope[:] = 0.0
-        return
-    _fill_weights(root, factor, by, work.scratch, weights)
+    fill_metric(metric, values, work, matrix)
+    _fill_weights(work.root, factor, by, work.scratch, weights)
     mixed[: len(some)] = 0.0
     _add_mixture(entries, weights, mixed)
     _fill_slope(mixed, some, point, radius, tables, slope)

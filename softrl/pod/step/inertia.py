@@ -24,6 +24,7 @@ class Course(NamedTuple):
     ----------
     before, now, ahead : (k,) a step ago, at its start, and at ``aim``;  lead : (k r,) their gradient there, row by row
     aim : (r,) where the step is taken to lead
+    other : (k,), spare : (k r,) scratch: the next step begins with what was found at ``aim``
     """
 
     before: np.ndarray
@@ -31,13 +32,17 @@ class Course(NamedTuple):
     ahead: np.ndarray
     lead: np.ndarray
     aim: np.ndarray
+    other: np.ndarray
+    spare: np.ndarray
 
 
 @nb.njit(cache=True)
 def make_course(r: int, count: int, lanes: tuple[int, ...]) -> Course:
     """Return the room that ``count`` amplitudes need: ``lanes`` as in ``pod.step.inside.make_inside``."""
-    one = (count, *lanes)
-    return Course(np.zeros(one), np.zeros(one), np.zeros(one), np.zeros((count * r, *lanes)), np.zeros((r, *lanes)))
+    one, many = (count, *lanes), (count * r, *lanes)
+    return Course(
+        np.zeros(one), np.zeros(one), np.zeros(one), np.zeros(many), np.zeros((r, *lanes)), np.zeros(one), np.zeros(many)
+    )
 
 
 @borrowing
@@ -61,19 +66,18 @@ def fill_amplitudes(
 
 
 @borrowing
-def fill_inertia(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, held: Any, whole: bool) -> None:
-    """Fill amplitudes, mass and, of the ``whole`` body, the inside's masses where the step ``by`` (r,) from ``start`` leads.
+def fill_inertia(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, held: Any) -> None:
+    """Fill amplitudes, mass and the inside's masses where the step ``by`` (r,) from ``start`` leads.
 
     ``work`` and ``held`` are those of ``pod.step.kernel``.
     """
     mass, _, _, inside, course = held
     for i in range(len(by)):
         course.aim[i] = start[i] + by[i]
-    fill_amplitudes(course.aim, tables.inner_root.shape[1] if whole else 1, True, tables, work, course.ahead, course.lead)
+    fill_amplitudes(course.aim, tables.inner_root.shape[1], True, tables, work, course.ahead, course.lead)
     fill_square(course.lead, mass)
-    if whole:
-        fill_root(mass, work.root)
-        fill_mass(work.root, tables, work.values, inside)
+    fill_root(mass, work.root)
+    fill_mass(work.root, tables, work.values, inside)
 
 
 @borrowing

@@ -8,6 +8,7 @@ import numpy as np
 
 from softrl.core.compiled import borrowing, standing, summing
 from softrl.effects.effect import GRAVITY
+from softrl.pod.step.chord import fill_metric
 from softrl.pod.step.inertia import (
     add_inertia,
     fill_amplitudes,
@@ -18,6 +19,7 @@ from softrl.pod.step.inertia import (
 )
 from softrl.pod.step.inside import begin_inside, end_inside, fill_give, make_inside, stored_in
 from softrl.pod.step.linear import newton_direction
+from softrl.pod.step.past import foretell_potential, keep, make_past
 from softrl.pod.step.ports import add_effects, commit_effects, fill_elastic, fill_ports, go_on, make_ports
 from softrl.pod.step.pose import tip_pose
 from softrl.pod.step.potential import fill_monomials, fill_potential, make_room, to_ball
@@ -33,11 +35,9 @@ SCALINGS = 5  # of rates, until they hold no more energy than they may
 @summing
 def begin_step(
     velocity: np.ndarray, inner: np.ndarray, load: np.ndarray, dt: float, tables: Any, held: Any, start: np.ndarray,
-    ahead: np.ndarray, inertia: np.ndarray, right: np.ndarray, whole: bool,
+    ahead: np.ndarray, inertia: np.ndarray, right: np.ndarray,
 ) -> None:
     """Fill what is constant in a step from ``start``: ``inertia`` (r, r) y - ``right`` (r,), and free flight ``ahead``.
-
-    Without its inside if it is not the ``whole`` body.
 
     ``held`` are the mass (r, r), viscosity (r, r) and the force of its slope (r,), the ``pod.step.inside``, and the amplitudes'
     ``pod.step.inertia.Course``.
@@ -55,8 +55,7 @@ def begin_step(
             total += inertia[i, j] * start[j]
         right[i] = total
     add_inertia(free, drag, held, inertia, right)
-    if whole:
-        begin_inside(inner, ahead, start, dt, tables, inside, inertia, right)
+    begin_inside(inner, ahead, start, dt, tables, inside, inertia, right)
 
 
 @borrowing
@@ -116,7 +115,7 @@ def end_step(
     most = max(kinetic + work_of_inertia(y, velocity, former, inner[1], formerly, dt, held), 0.0)
     for a in range(len(course.now)):
         course.before[a] = course.now[a]
-    fill_amplitudes(y, 0, False, tables, work, course.now, course.lead)
+    fill_amplitudes(y, 0, False, tables, work, course.now, course.spare)
     now = kinetic_energy(velocity, inner, dt, held)
     for _ in range(SCALINGS):
         if now <= most:
@@ -127,30 +126,50 @@ def end_step(
         for i in range(len(y)):
             velocity[i] *= share
             work.middle[i] = y[i] - dt * velocity[i]
-        fill_amplitudes(work.middle, 0, False, tables, work, course.before, course.lead)
+        fill_amplitudes(work.middle, 0, False, tables, work, course.before, course.spare)
         now = kinetic_energy(velocity, inner, dt, held)
     return now, bent
 
 
 @standing
-def _fill_resistance(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, held: Any, whole: bool) -> None:
-    """Fill inertia and viscosity of a step ``by`` (r,) from ``start``; not of the ``whole`` body: what shows where it leads."""
-    fill_inertia(start, by, tables, work, held, whole)
+def fill_resistance(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, held: Any) -> None:
+    """Fill inertia and viscosity of a step ``by`` (r,) from ``start``."""
+    fill_inertia(start, by, tables, work, held)
     if tables.scales[2] > 0.0:
-        fill_viscosity(start, by, tables, work, held, whole)
+        fill_viscosity(start, by, tables, work, held)
+
+
+@standing
+def _look_back(
+    y: np.ndarray, by: np.ndarray, tables: Any, work: Any, held: Any, past: Any, trial: np.ndarray, gradient: np.ndarray,
+    hessian: np.ndarray,
+) -> None:
+    """Fill ``past`` and ``held`` as a step ``by`` (r,) that led to ``y`` would have left them; the last three are scratch."""
+    for i in range(len(y)):
+        trial[i] = y[i] - by[i]
+    fill_potential(trial, tables, work, gradient, past.curve_before)
+    fill_resistance(trial, by, tables, work, held)
+    fill_potential(y, tables, work, gradient, hessian)
+    keep(past, y, gradient, hessian)
 
 
 @borrowing
 def _set_out(
-    y: np.ndarray, velocity: np.ndarray, inner: np.ndarray, bent: float, dt: float, tables: Any, work: Any, inside: Any
+    y: np.ndarray, velocity: np.ndarray, inner: np.ndarray, bent: float, dt: float, tables: Any, work: Any, held: Any
 ) -> None:
-    """Fill the inside's stiffness half way of free flight; scale it back where it would store more than ``bent`` twice."""
-    values, point, middle = work.values, work.point, work.middle
+    """Fill viscosity and the inside's stiffness half way of free flight.
+
+    The inside is scaled back where it would store more than ``bent`` twice.
+    """
+    values, point, middle, inside = work.values, work.point, work.middle, held[3]
     for i in range(len(y)):
         middle[i] = y[i] + 0.5 * dt * velocity[i]
     to_ball(middle, point)
-    fill_monomials(point, tables.parent, tables.variable, values[: tables.inner_give.shape[1]])
+    most = max(tables.inner_give.shape[1], tables.stiffness_root.shape[1])
+    fill_monomials(point, tables.parent, tables.variable, values[:most])
     fill_give(tables, values, inside)
+    if tables.scales[2] > 0.0:
+        fill_metric((tables.stiffness_root, tables.stiffness_factor), values, work, held[1])
     now = stored_in(inner[0], inside.give)
     if now > bent:
         for k in range(inner.shape[1]):
@@ -174,9 +193,10 @@ def run_kernel(
     """Advance ``y``, ``velocity`` (r,) and ``inner`` (2, 6) by implicit Euler over ``load`` (steps, r) Pa and N.
 
     The amplitudes are taken where the step's first iteration leads, viscosity half way there, see ``inertia.py`` and
-    ``viscosity.py``; that iteration leaves out the inside and the slope of viscosity. ``velocity`` is the last step's way by
-    ``dt``; after a step it is scaled down where the kinetic energy would grow by more than the forces' work. ``inner``, by which
-    the inside gives to acceleration (``pod.step.inside``), is scaled down where it would gain energy.
+    ``viscosity.py``. That iteration goes by what the last steps foretell (``past.py``); where the next one goes far they are
+    taken where that leads. ``velocity`` is the last step's way by ``dt``; after a step it is scaled down where the kinetic energy
+    would grow by more than the forces' work. ``inner``, by which the inside gives to acceleration (``pod.step.inside``), is
+    scaled down where it would gain energy.
 
     Parameters
     ----------
@@ -198,7 +218,7 @@ def run_kernel(
     direction, trial, progress = np.empty(r), np.empty(r), np.empty(2)
     course = make_course(r, len(tables.amplitudes), ())
     held = (np.empty((r, r)), np.zeros((r, r)), np.zeros(r), make_inside(r, ()), course)
-    ports, bare = make_ports(n), np.empty(r)
+    ports, bare, past = make_ports(n), np.empty(r), make_past(r)
     felt = ports.load[GRAVITY]
     felt[:] = tables.gravity
     with_effects = len(hooks[0].kernels) + len(hooks[1].kernels) > 0
@@ -211,26 +231,32 @@ def run_kernel(
         fill_potential(y, tables, work, gradient, hessian)
         fill_ports(y, rest, gradient, hessian, dt, load[0, :n], tables, ports, True)
         go_on(ports)
+    fill_amplitudes(y - dt * velocity, 0, False, tables, work, course.before, course.spare)
+    _look_back(y, dt * velocity, tables, work, held, past, trial, gradient, hessian)
     farthest = to_ball(y, point)
-    fill_amplitudes(y - dt * velocity, 0, False, tables, work, course.before, course.lead)
-    fill_inertia(y, np.zeros(r), tables, work, held, True)
     course.now[:] = course.ahead
     kinetic = kinetic_energy(velocity, inner, dt, held)
-    _set_out(y, velocity, inner, np.inf, dt, tables, work, held[3])
+    _set_out(y, velocity, inner, np.inf, dt, tables, work, held)
     for step in range(len(load)):
         pressure = load[step, :n]
         start[:] = y
-        _fill_resistance(start, dt * velocity, tables, work, held, False)
-        begin_step(velocity, inner, load[step], dt, tables, held, start, ahead, inertia, right, False)
+        begin_step(velocity, inner, load[step], dt, tables, held, start, ahead, inertia, right)
         y[:] = ahead
         progress[0] = -1.0
         longest = np.inf
         for iteration in range(MAX_ITERATIONS):
-            if iteration == 1:
-                _fill_resistance(start, y - start, tables, work, held, True)
-                begin_step(velocity, inner, load[step], dt, tables, held, start, ahead, inertia, right, True)
-                progress[0] = -1.0
-            fill_potential(y, tables, work, gradient, hessian)
+            if iteration == 0:
+                foretell_potential(past, y, gradient, hessian)
+                if with_effects:
+                    to_ball(y, point)
+                    fill_monomials(point, tables.parent, tables.variable, values[: tables.weight.shape[2]])
+            else:
+                if iteration == 1 or (iteration == 2 and longest >= NEAR):
+                    fill_resistance(start, y - start, tables, work, held)
+                    begin_step(velocity, inner, load[step], dt, tables, held, start, ahead, inertia, right)
+                    progress[0] = -1.0
+                fill_potential(y, tables, work, gradient, hessian)
+                keep(past, y, gradient, hessian)
             for i in range(r):
                 for j in range(r):
                     jacobian[i, j] = hessian[i, j] + inertia[i, j]
@@ -249,7 +275,7 @@ def run_kernel(
         if with_effects:  # the potential's derivatives are those a last, negligible step ago
             commit_effects(y, rest, bare, hessian, dt, pressure, tables, hooks, ports, values)
         kinetic, bent = end_step(y, velocity, inner, dt, tables, work, held, start, kinetic)
-        _set_out(y, velocity, inner, bent, dt, tables, work, held[3])
+        _set_out(y, velocity, inner, bent, dt, tables, work, held)
         farthest = max(farthest, to_ball(y, point))
         if len(path) > 0:
             path[step] = y

@@ -17,20 +17,17 @@ TINY = 1e-300
 
 
 @borrowing
-def fill_viscosity(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, held: Any, whole: bool) -> None:
+def fill_viscosity(start: np.ndarray, by: np.ndarray, tables: Any, work: Any, held: Any) -> None:
     """Fill viscosity and the inside's half way of a step from ``start`` by ``by`` (r,), and the force of its slope.
 
-    The viscosity alone, and no force, if it is not the ``whole`` body. The force is never more than would turn what damps into
-    what drives. ``work`` and ``held`` are those of ``pod.step.kernel``.
+    The force is never more than would turn what damps into what drives. ``work`` and ``held`` are those of ``pod.step.kernel``.
     """
     values, middle, root = work.values, work.middle, work.root
     _, stiff, steep, inside, _ = held
     for i in range(len(by)):
         middle[i] = start[i] + 0.5 * by[i]
     metric = tables.stiffness_root, tables.stiffness_factor
-    fill_chord(metric, middle, by, tables.drag_root.shape[1], tables, work, stiff, steep, whole)
-    if not whole:
-        return
+    fill_chord(metric, middle, by, tables.drag_root.shape[1], tables, work, stiff, steep)
     fill_drag(root, tables, values, inside)
     driven = 0.0
     for i in range(len(by)):

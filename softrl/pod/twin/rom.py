@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from softrl.artifacts.reduced_model import SHAPES, ReducedModel
-from softrl.pod.step.kernel import LONGEST_STEP, SCALINGS
+from softrl.pod.step.kernel import LONGEST_STEP, NEAR, SCALINGS
 from softrl.pod.step.reach import warn_beyond
 from softrl.pod.step.tables import tables_of
 from softrl.pod.step.viscosity import TINY
@@ -126,11 +126,16 @@ class TorchRom(torch.nn.Module):
         before, now = self._amplitudes(start - dt_s * rate)[0], self._amplitudes(start)[0]
         give = self._give(start + 0.5 * dt_s * rate)
         kinetic = kinetic_energy(rate, giving, (now - before) / dt_s, *self._inertia(start)[2:])
-        led, stiff = self._amplitudes(ahead), self._stiff(start + 0.5 * dt_s * rate)
-        inertia, right = self._alone(led, stiff, (before, now), ahead, start, outer, dt_s)
-        first = ahead - self._direction(ahead, inertia, self._slope(ahead) + times(inertia, ahead) - right)
-        held = self._inertia(first), self._resistance(start, first - start), give, (before, now)
-        inertia, right, apart, push, pull = self._sides(held, first, start, rate, inner, outer, dt_s)
+        aim = self._foretold(give, (before, now), start, rate, inner, outer, dt_s)
+        held = self._inertia(aim), self._resistance(start, aim - start), give, (before, now)
+        sides = self._sides(held, aim, start, rate, inner, outer, dt_s)
+        by = self._back(aim, *sides[:2])
+        far = by.abs().amax(1, keepdim=True) >= NEAR
+        if far.any():
+            aim = torch.where(far, aim - by, aim)
+            held = self._inertia(aim), self._resistance(start, aim - start), *held[2:]
+            sides = self._sides(held, aim, start, rate, inner, outer, dt_s)
+        inertia, right, apart, push, pull = sides
         with torch.no_grad():
             y = self._solve(ahead, inertia, right)
             warn_beyond(self._model, float(y.norm(dim=1).max()))
@@ -139,7 +144,7 @@ class TorchRom(torch.nn.Module):
         y = y - torch.linalg.solve(jacobian, left.unsqueeze(-1)).squeeze(-1)
         given = times(apart, push - times(pull.transpose(1, 2), y))
         moved, given_by = (y - start) / dt_s, (given - gives) / dt_s
-        most = kinetic + work_of_inertia(y - first, moved, rate, given_by, giving, held, dt_s)
+        most = kinetic + work_of_inertia(y - aim, moved, rate, given_by, giving, held, dt_s)
         arrived, (_, _, couple, own) = self._amplitudes(y)[0], held[0]
         by = (arrived - now) / dt_s
         for _ in range(SCALINGS):
@@ -153,6 +158,18 @@ class TorchRom(torch.nn.Module):
         given = given * share_of(dot(given, times(give, given)), dot(given, times(after, given)))
         return y @ self.frame.T, moved @ self.frame.T, torch.stack([given, given_by], dim=1)
 
+    def _foretold(
+        self, give: Tensor, course: tuple[Tensor, Tensor], start: Tensor, rate: Tensor, inner: Tensor, outer: Tensor, dt_s: float
+    ) -> Tensor:
+        """Return where (B, r) a step from ``start`` leads by what one at ``rate`` before it tells, see ``pod.step.past``."""
+        by = dt_s * rate
+        stiff = square(self._root(self._monomials(self._ball(start + 0.5 * by)[0], self._few)))
+        held = self._inertia(start), (stiff, *self._resistance(start - by, by)[1:]), give, course
+        inertia, right, *_ = self._sides(held, start, start, rate, inner, outer, dt_s)
+        curve, before, ahead = self._curvature(start), self._curvature(start - by), start + by
+        left = self._slope(start) + times(1.5 * curve - 0.5 * before, by) + times(inertia, ahead) - right
+        return ahead - self._direction(2.0 * curve - before + inertia, left)
+
     def _sides(
         self, held: tuple[tuple[Tensor, ...], tuple[Tensor, ...], Tensor, tuple[Tensor, Tensor]], aim: Tensor, start: Tensor,
         rate: Tensor, inner: Tensor, outer: Tensor, dt_s: float,
@@ -164,22 +181,13 @@ class TorchRom(torch.nn.Module):
         (amplitudes, lead, couple, own), (stiff, steep, drag, tough), give, course = held
         free, rub, viscous = self._weights(dt_s)
         flown = free * (inner[:, 0] + dt_s * inner[:, 1]) + rub * inner[:, 0]
-        inertia, right = self._alone((amplitudes, lead), stiff, course, aim, start, outer, dt_s)
-        right = right - viscous * steep + times(couple, flown) + viscous * times(drag, inner[:, 0])
+        (before, now), mass = course, (free + rub) * square(lead)
+        force = free * (amplitudes - 2.0 * now + before) + rub * (amplitudes - now)
+        right = outer - times(lead.transpose(1, 2), force) + times(mass, aim) + viscous * (times(stiff, start) - steep)
+        right = right + times(couple, flown) + viscous * times(drag, inner[:, 0])
         apart, push, pull = self._ties((couple, own, drag, tough, give), start, rate, inner, dt_s)
         share = pull @ apart
-        return inertia - share @ pull.transpose(1, 2), right - times(share, push), apart, push, pull
-
-    def _alone(
-        self, led: tuple[Tensor, Tensor], stiff: Tensor, course: tuple[Tensor, Tensor], aim: Tensor, start: Tensor, outer: Tensor,
-        dt_s: float,
-    ) -> tuple[Tensor, Tensor]:
-        """Return ``inertia`` and ``right`` but for inside and slope of viscosity; ``led``: amplitudes and gradient at ``aim``."""
-        (amplitudes, lead), (before, now), (free, rub, viscous) = led, course, self._weights(dt_s)
-        mass = (free + rub) * square(lead)
-        force = free * (amplitudes - 2.0 * now + before) + rub * (amplitudes - now)
-        right = outer - times(lead.transpose(1, 2), force) + times(mass, aim) + viscous * times(stiff, start)
-        return mass + viscous * stiff, right
+        return mass + viscous * stiff - share @ pull.transpose(1, 2), right - times(share, push), apart, push, pull
 
     def _ties(
         self, inside: tuple[Tensor, ...], start: Tensor, rate: Tensor, inner: Tensor, dt_s: float
@@ -200,11 +208,14 @@ class TorchRom(torch.nn.Module):
         """Return by what a step multiplies mass for inertia and damping, and viscosity."""
         return self.mass_scale / dt_s**2, self.mass_damping / dt_s, self.stiffness_damping / dt_s
 
-    def _direction(self, y: Tensor, inertia: Tensor, left: Tensor) -> Tensor:
-        """Return by how much (B, r) an iteration of Newton's takes ``y`` back."""
-        jacobian = self._curvature(y) + inertia
+    def _back(self, y: Tensor, inertia: Tensor, right: Tensor) -> Tensor:
+        """Return by how much (B, r) an iteration of Newton's goes back from ``y``."""
+        return self._direction(self._curvature(y) + inertia, self._slope(y) + times(inertia, y) - right)
+
+    def _direction(self, jacobian: Tensor, left: Tensor) -> Tensor:
+        """Return by how much (B, r) an iteration of Newton's goes back from where the forces ``left`` (B, r) are."""
         _, bad = torch.linalg.cholesky_ex(jacobian)
-        jacobian = jacobian + (bad > 0).to(y.dtype)[:, None, None] * self.quadratic
+        jacobian = jacobian + (bad > 0).to(left.dtype)[:, None, None] * self.quadratic
         step = torch.linalg.solve(jacobian, left.unsqueeze(-1)).squeeze(-1)
         return step / (step.abs().amax(1, keepdim=True) / LONGEST_STEP).clamp(min=1.0)
 
@@ -253,10 +264,6 @@ class TorchRom(torch.nn.Module):
         root, values = (part if keep else part.detach() for part in (root, values))
         return square(root), 0.25 * slope, root, values
 
-    def _stiff(self, half: Tensor) -> Tensor:
-        """Return the viscosity (B, r, r) at ``half``."""
-        return square(self._root(self._monomials(self._ball(half)[0], self._few)))
-
     def _root(self, values: Tensor) -> Tensor:
         """Return S L' (B, r, r) of viscosity at monomials ``values``."""
         entries = values[:, : self.stiffness_root.shape[1]] @ self.stiffness_root.T
@@ -271,7 +278,7 @@ class TorchRom(torch.nn.Module):
         """Return the solution of the implicit step, by Newton with halved steps where the slope along them turns."""
         left = self._slope(y) + times(inertia, y) - right
         for _ in range(NEWTON):
-            step = self._direction(y, inertia, left)
+            step = self._direction(self._curvature(y) + inertia, left)
             before = (left * step).sum(1)
             share = torch.ones_like(before).unsqueeze(1)
             for _ in range(6):
