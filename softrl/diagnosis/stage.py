@@ -229,7 +229,7 @@ def _steps(config: Config, robot: Robot, simulator: Simulator, data: Data) -> Nu
     floor = body.floor(data.noise, data.rounding)
     numerics = suited(body, Judge(body, floor, data.travel, config.thresholds, config.seed).material)
     if numerics != config.numerics:
-        log.info("the motion is slow: steps of %g s, and of %g s to rank", numerics.dt_s, numerics.rough_dt_s)
+        log.info("steps of %.3g s, and of %.3g s to rank, suit the motion and its rows", numerics.dt_s, numerics.rough_dt_s)
     return numerics
 
 
