@@ -103,13 +103,13 @@ NAMED = {
     "no noise": Kind(noise_m=0.0),
     "5 Hz": Kind(duration_s=60.0, period_s=0.2),
     "500 Hz": Kind(duration_s=8.0, period_s=0.002),
-    "one run": Kind(runs=1, duration_s=60.0),
+    "dead gauge": Kind(process=_dead_gauge),
     "runs of 5 s": Kind(runs=8, duration_s=5.0),
     "the last run stands": Kind(runs=3, command=_last_stands),
     "to the millimetre": Kind(process=_quantised),
     "Unix times": Kind(process=_unix_time),
 }
-NOT_TOLD = {"dead gauge": Kind(process=_dead_gauge), "tracking that freezes": Kind(process=_frozen)}
+NOT_TOLD = {"one run": Kind(runs=1, duration_s=60.0), "tracking that freezes": Kind(process=_frozen)}
 
 
 @pytest.mark.parametrize("kind", NAMED.values(), ids=NAMED.keys())

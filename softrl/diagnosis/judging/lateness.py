@@ -8,6 +8,7 @@ import numpy as np
 from softrl.diagnosis.judging.examine import Finding, Named
 from softrl.recordings.acting import ACTS
 
+SHAPELESS = 2.0  # rows: over less than these a spread hardly has a shape
 LATE_SHARE = 0.2  # of the interval between samples: a log that is less late goes without saying
 
 
@@ -50,15 +51,15 @@ def _of_shifts(finding: Finding) -> list[str]:
 
 
 def _of_spread(finding: Finding, named: Named) -> list[str]:
-    """Return what a dead time is whose arrivals are spread over less than a row: rows cannot show their shape."""
+    """Return what a dead time is whose arrivals are spread over hardly more than a row: rows cannot show their shape."""
     told = {interval.name: interval.value for interval in named.intervals}
     spread_s = math.sqrt(told.get("dispersion", 0.0)) * told.get("delay_s", 0.0)
     row_s = _row_s(finding)
-    if not 0.0 < spread_s < row_s:
+    if not 0.0 < spread_s < SHAPELESS * row_s:
         return []
     return [
-        f"{named.choice.label()} spreads what arrives over {1e3 * spread_s:.2g} ms, less than a row ({1e3 * row_s:.2g} ms): it "
-        "may as well be a lag with that time constant behind a dead time that is shorter by as much."
+        f"{named.choice.label()} spreads what arrives over {1e3 * spread_s:.2g} ms, of which rows {1e3 * row_s:.2g} ms apart "
+        "hardly show the shape: it may as well be a lag with that time constant behind a dead time that is shorter by as much."
     ]
 
 
