@@ -35,7 +35,7 @@ def joined(training: Problem, findings: Sequence[Finding], search: Search, thres
     lateness against it is not that against the command. Nothing changes where there is one part only or nothing was
     found, where the refit does not run, or where it would bend the body's physics to make up for what the valve's does
     not get right: where it lets the body err under the pressures that were measured by a larger factor than it helps from
-    the command, though as found they serve there, too.
+    the command, though as found they serve there, too, or what the command does to the pressure is unknown.
     """
     if len(findings) < 2 or not any(finding.final.hypothesis.effects for finding in findings):
         return list(findings)
@@ -58,7 +58,8 @@ def joined(training: Problem, findings: Sequence[Finding], search: Search, thres
         plain = training.residual(Hypothesis((), tuned), motion.base.fit.point).squares
         behind = np.r_[fit.point[:-1], motion.final.fit.point[-1]] if LATE in tuned else fit.point
         helped = float(np.sqrt(apart.mean() / together.squares.mean()))
-        if apart.mean() < plain.mean() and _spoilt(motion, behind, helped):
+        serves = apart.mean() < plain.mean() or findings[0].unknown
+        if serves and _spoilt(motion, behind, helped):
             log.info("behind the valve as it is understood the body's parameters would go astray: they are kept")
             return list(findings)
     except SolverError:
