@@ -73,13 +73,14 @@ def _contained(trial: Trial, choice: Choice) -> list[tuple[Hypothesis, np.ndarra
     values = {axis.name: axis.physical(u) for axis, u in zip(axes, trial.fit.point[columns], strict=True)}
     shared = [value for name, value in values.items() if name not in (*law.essence, *GATES, *WIDTHS.values())]
     found, place = [], trial.hypothesis.effects.index(choice)
-    for name in law.contains if shared else ():
+    for name in law.contains:
+        if not shared or name in trial.hypothesis.names:
+            continue
         less = choice._replace(name=name, pinned=choice.pinned_widths)
         begin = [axis.scaled(values.get(axis.name, shared[0])) for axis in effect_axes(less)]
         point = np.insert(np.delete(trial.fit.point, columns), columns[0], begin)
         effects = tuple(less if effect == choice else effect for effect in trial.hypothesis.effects)
-        if name not in trial.hypothesis.names:
-            found.append((Hypothesis(effects, trial.hypothesis.tuned), point, place))
+        found.append((Hypothesis(effects, trial.hypothesis.tuned), point, place))
     return found
 
 
