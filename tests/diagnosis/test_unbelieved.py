@@ -1,12 +1,14 @@
 """Gauges that the motion contradicts are left out, and the report says so; a ceiling of the supply is no gauge that clips."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from softrl.core.tracking import NullTracker
-from softrl.diagnosis.judging.unbelieved import clipping
+from softrl.diagnosis.judging.unbelieved import clipping, doubtful
 from softrl.diagnosis.stage import run
 from softrl.effects.library import effect_class
 from softrl.pcc.simulator import PccSimulator
@@ -16,6 +18,7 @@ from tests.diagnosis.conftest import configured, made
 Lag, SupplyLimit = effect_class("lag"), effect_class("supply_limit")
 FEW = {"candidates": ["lag", "supply_limit", "stiffness_scale"], "search": {"max_effects": 2, "keep": 4}}
 SHARE = 0.4  # of the robot's range
+BEHIND = [(20.0, "unknown", True), (4.0, "unknown", False), (20.0, "named", False)]  # mm behind the gauges, verdict, doubted
 
 
 def _clipped(recordings: RecordingSet, level: float) -> RecordingSet:
@@ -31,6 +34,17 @@ def test_a_gauge_that_clips_is_seen_where_commands_go_higher(body: PccSimulator)
     gentle = [replace(run, pressure_cmd=np.minimum(run.pressure_cmd, level)) for run in cut]
     assert not clipping(gentle, body.robot)
     assert not clipping([replace(run, pressure_meas=None) for run in cut], body.robot)
+
+
+@pytest.mark.parametrize(("behind_mm", "verdict", "doubted"), BEHIND)
+def test_gauges_that_the_motion_follows_are_believed(behind_mm: float, verdict: str, doubted: bool) -> None:
+    """Where commands tell little of a motion that follows its gauges, it is the valve that is not understood."""
+    held = {"corrected": 50.0, "noise_floor": 0.2, "one_lag": 20.0, "blackbox": 12.0}
+    left = {"measured pressure to motion": {"rms_above_noise_mm": behind_mm}}
+    made: Any = SimpleNamespace(
+        data={"measured_pressure_used": True}, errors_mm={"heldout": held}, errors_deg={}, unexplained=left, verdict=verdict
+    )
+    assert doubtful(made, {}) is doubted
 
 
 @pytest.mark.slow

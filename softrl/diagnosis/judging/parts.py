@@ -22,6 +22,7 @@ from softrl.effects.effect import SITES
 from softrl.recordings.gone import sessions_in_order
 from softrl.recordings.recording import Recording
 
+BEHIND_GAUGES = "measured pressure to motion"
 PLACED = ("frame", "base_tilt")  # no news where every session is placed by itself
 SURE = 3.0  # standard errors that a sensor's bias must exceed
 EARLIER = (0.0, 0.25, 0.5, 0.75)  # shares of how late a log was found to be, of which the least that does as well is taken
@@ -112,7 +113,7 @@ def part_behind(valve: Finding, whole: Problem, data: Data, effects: list[str]) 
     later = valve.part.problem.later
     behind = replace(whole, drive="measured", runs=body.training, before=before, supply=supply, later=later)
     sites = tuple(site for site in SITES if site != "valve")
-    return _motion_part(behind, body, "measured pressure to motion", effects, sites)
+    return _motion_part(behind, body, BEHIND_GAUGES, effects, sites)
 
 
 def _motion_part(problem: Problem, data: Data, title: str, effects: list[str], sites: tuple[str, ...]) -> Part:

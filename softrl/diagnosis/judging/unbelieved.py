@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from softrl.artifacts.diagnosis import Diagnosis
+from softrl.diagnosis.judging.parts import BEHIND_GAUGES
 from softrl.diagnosis.judging.verdict import FAR_BETTER
 from softrl.recordings.check import is_clipping
 from softrl.recordings.recording import Recording
@@ -12,15 +13,21 @@ from softrl.robots.robot import Robot
 
 Clips = Mapping[int, float]
 
+
 def doubtful(diagnosis: Diagnosis, clips: Clips) -> bool:
-    """Return whether a gauge ``clips`` and much is left, or a lag or a black box is far better where nothing is understood."""
+    """Return whether a gauge ``clips`` and much is left, or a lag or a black box is far better where nothing is understood.
+
+    Gauges are believed where the motion follows them far better than those tell it from commands: it is the valve then that is
+    not understood.
+    """
     if not diagnosis.data.get("measured_pressure_used"):
         return False
     held = diagnosis.errors_mm["heldout"]
     if clips:
         return held["corrected"] > FAR_BETTER * held["noise_floor"]
     plain = min(held.get(name, np.inf) for name in ("one_lag", "blackbox"))
-    return diagnosis.verdict == "unknown" and _far_better(plain, held["corrected"], held["noise_floor"])
+    unknown = diagnosis.verdict == "unknown" and not _is_followed(diagnosis)
+    return unknown and _far_better(plain, held["corrected"], held["noise_floor"])
 
 
 def tells_more(without: Diagnosis, diagnosis: Diagnosis) -> bool:
@@ -59,6 +66,14 @@ def clipping(runs: Sequence[Recording], robot: Robot) -> dict[int, float]:
         if above and is_clipping(np.concatenate(seen) == level):
             found[chamber] = level
     return found
+
+
+def _is_followed(diagnosis: Diagnosis) -> bool:
+    """Return whether behind the gauges far less of the motion is left than a lag or a black box leaves of it from commands."""
+    held, unit = (diagnosis.errors_deg, "deg") if diagnosis.errors_deg else (diagnosis.errors_mm, "mm")
+    plain = [held["heldout"][name] for name in ("one_lag", "blackbox") if name in held["heldout"]]
+    left = diagnosis.unexplained.get(BEHIND_GAUGES, {}).get(f"rms_above_noise_{unit}", np.inf)
+    return min(plain, default=0.0) > FAR_BETTER * float(left)
 
 
 def _far_better(error: float, than: float, noise: float) -> bool:
