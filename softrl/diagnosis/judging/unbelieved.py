@@ -25,9 +25,8 @@ def doubtful(diagnosis: Diagnosis, clips: Clips) -> bool:
     held = diagnosis.errors_mm["heldout"]
     if clips:
         return held["corrected"] > FAR_BETTER * held["noise_floor"]
-    plain = min(held.get(name, np.inf) for name in ("one_lag", "blackbox"))
     unknown = diagnosis.verdict == "unknown" and not _is_followed(diagnosis)
-    return unknown and _far_better(plain, held["corrected"], held["noise_floor"])
+    return unknown and _far_better(_plain(held), held["corrected"], held["noise_floor"])
 
 
 def tells_more(without: Diagnosis, diagnosis: Diagnosis) -> bool:
@@ -70,10 +69,14 @@ def clipping(runs: Sequence[Recording], robot: Robot) -> dict[int, float]:
 
 def _is_followed(diagnosis: Diagnosis) -> bool:
     """Return whether behind the gauges far less of the motion is left than a lag or a black box leaves of it from commands."""
-    held, unit = (diagnosis.errors_deg, "deg") if diagnosis.errors_deg else (diagnosis.errors_mm, "mm")
-    plain = [held["heldout"][name] for name in ("one_lag", "blackbox") if name in held["heldout"]]
-    left = diagnosis.unexplained.get(BEHIND_GAUGES, {}).get(f"rms_above_noise_{unit}", np.inf)
-    return min(plain, default=0.0) > FAR_BETTER * float(left)
+    errors, unit = (diagnosis.errors_deg, "deg") if diagnosis.errors_deg else (diagnosis.errors_mm, "mm")
+    left = diagnosis.unexplained[BEHIND_GAUGES][f"rms_above_noise_{unit}"]
+    return _plain(errors["heldout"]) > FAR_BETTER * float(left)
+
+
+def _plain(held: Mapping[str, float]) -> float:
+    """Return the least error of what needs no physics, or one lag: infinite where neither was asked."""
+    return min(held.get(name, np.inf) for name in ("one_lag", "blackbox"))
 
 
 def _far_better(error: float, than: float, noise: float) -> bool:

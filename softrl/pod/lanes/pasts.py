@@ -35,7 +35,10 @@ def keep_curves(past: Past) -> None:
 
 @standing
 def foretell_potentials(y: np.ndarray, past: Past, held: Lanes) -> None:
-    """Fill ``gradient`` and ``pairs``, the Hessian, that are likely at ``y`` (r, lanes), a step from where it was asked last."""
+    """Fill ``gradient`` and ``pairs``, the Hessian, that are likely at ``y`` (r, lanes), a step from where it was asked last.
+
+    Asked once a step: the last curves are then those of a step earlier.
+    """
     pair = 0
     for i in range(len(y)):
         put(held.gradient[i], past.slope[i])

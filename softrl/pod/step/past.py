@@ -44,7 +44,10 @@ def keep(past: Any, y: np.ndarray, gradient: np.ndarray, hessian: np.ndarray) ->
 
 @borrowing
 def foretell_potential(past: Any, y: np.ndarray, gradient: np.ndarray, hessian: np.ndarray) -> None:
-    """Fill the potential's derivatives (r,) and (r, r) that are likely at ``y``, a step from where it was asked last."""
+    """Fill the potential's derivatives (r,) and (r, r) that are likely at ``y``, a step from where it was asked last.
+
+    Asked once a step: the last curve is then that of a step earlier.
+    """
     r = len(y)
     for i in range(r):
         gradient[i] = past.slope[i]
