@@ -150,12 +150,12 @@ def refine(
     used = 1 + len(own)
     for _ in range(steps):
         found = _try_steps(residual, point, value, jacobian, cost, low, high, damping, 3)
-        used += found.tries
+        used, damping = used + found.tries, found.damping
         if found.point is None:
             break
         decrease = (cost - found.cost) / max(cost, 1e-300)
         jacobian = _updated(jacobian, found.point - point, found.value - value)
-        point, value, cost, damping = found.point, found.value, found.cost, found.damping
+        point, value, cost = found.point, found.value, found.cost
         if decrease < 0.01:
             break
     return Fit(point, value, jacobian, cost, used, damping=damping)

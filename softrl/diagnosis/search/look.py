@@ -79,11 +79,15 @@ class Moved(NamedTuple):
 
 
 class Begin(NamedTuple):
-    """Where a rough fit may begin: number of the base, scaled parameters, share of the squared error it seems to save."""
+    """Where a rough fit may begin: number of the base, scaled parameters, share of the squared error it seems to save.
+
+    ``own`` is the share that it seems to save of what its own base leaves, ``share`` of what the first leaves.
+    """
 
     base: int
     point: np.ndarray
     share: float
+    own: float = 0.0
 
 
 class Look(NamedTuple):
@@ -102,9 +106,9 @@ def look_at(
     fitting: Problem, bases: list[Base], choice: Choice, points: list[np.ndarray], closely: bool, known: list[Known]
 ) -> Look:
     """Return what one effect seems to save; ``known`` is that of a look before, by base."""
-    cost = float(np.sum(bases[0].left ** 2))
+    costs = [max(float(np.sum(base.left**2)), 1e-300) for base in bases]
     found = [
-        Begin(k, begin, 1.0 - rest / max(cost, 1e-300))
+        Begin(k, begin, 1.0 - rest / costs[0], 1.0 - rest / costs[k])
         for k, base in enumerate(bases)
         for rest, begin in _begins(fitting, base, choice, points, closely, known[k])[:ROUGH_STARTS]
     ]

@@ -29,9 +29,11 @@ LOOK_SHARE = 0.2  # of the best effect's gain, along straight lines, which anoth
 CLOSER = 0.25  # of that: what seems to explain less at the sizes that are tried first is not looked at more closely
 PROMISING = 0.3  # of the best gain: what an effect above a pressure saves in all chambers, to be tried in one alone
 SECOND_LOOK = 0.5  # of an effect's best begin's gain, which another begin of it needs to be followed
+MOST_OF_IT = 0.5  # of what nominal parameters leave: an effect that seems to save as much beside them is followed from there
 FAR_BEHIND = 2.0  # times the cost of the best rough fit: another is not improved further
 LEAD_SHARE = 0.3  # of the best rough fit's gain, which another needs to be fitted in full
 LEAD_GAIN = 0.03  # share of the squared error: a rough fit that saves less will not save what counts when fitted in full
+COMING_DOWN = 0.1  # of the cost where a rough fit began: it is improved however far behind, because it has not come to rest
 HOPE = 0.3  # of what a lead needs: a rough fit that neither gains nor promised as much by its first steps is not improved
 
 
@@ -168,14 +170,15 @@ def _plain(choice: Choice, shape: np.ndarray | None) -> np.ndarray:
 
 
 def _begun(look: Look, bent: bool) -> list[Begin]:
-    """Return the begins that are followed: those that seem good enough, and if ``bent`` the best from every base.
+    """Return the begins that are followed: those that seem good enough, and the best from a base that they do much for.
 
-    Behind a strongly bent curve an effect and the stiffness have to change together before anything is gained, which no
-    straight line shows.
+    Behind a strongly bent curve, ``bent``, an effect and the stiffness have to change together before anything is gained,
+    which no straight line shows: the best from every base is followed there. One that does away with most of what nominal
+    parameters leave may yet be what they were retuned for.
     """
-    best = {begin.base: begin for begin in reversed(look.begins)} if bent else {}
+    best = {begin.base: begin for begin in reversed(look.begins)}
     least = min(SECOND_LOOK * look.share, look.share)  # the best itself, if none promises anything
-    return [b for b in look.begins if b.share >= least or b is best.get(b.base)]
+    return [b for b in look.begins if b.share >= least or (b is best[b.base] and (bent or b.own >= MOST_OF_IT))]
 
 
 def _left_behind(bases: list[Base], choice: Choice, points: list[np.ndarray], look: Look) -> Lead:
@@ -245,7 +248,8 @@ def _rough_fit(
                 continue
             found.append(fit)
             moved = np.abs(fit.point - join(bases[begin.base].trial, begin.point)).max(initial=0.0) >= NEAR
-            if moved and (least is None or fit.cost <= FAR_BEHIND * least.cost):
+            near = least is None or fit.cost <= FAR_BEHIND * least.cost
+            if moved and (near or fit.cost <= COMING_DOWN * bases[begin.base].trial.fit.cost):
                 again = _stepped(fitting, bases, choice, begin, fit, steps)
                 found += [again] if again else []
     if not found:
