@@ -13,11 +13,19 @@ import numpy as np
 from softrl.core.compiled import summing
 from softrl.effects.effect import BODY_PORT_ROWS, LOAD_PORT_ROWS, STAGE, STRAIN
 from softrl.pcc.forces import run_body_effects, run_load_effects
-from softrl.pcc.model import GAINED, LAST, MOVED, TRIAL, VELOCITY, WORK_ROWS, fill_shape, stretching
+from softrl.pcc.model import FIRST, GAINED, LAST, MOVED, SECOND, TRIAL, VELOCITY, WORK_ROWS, fill_shape, stretching
 from softrl.pcc.newton import solve_step
 from softrl.pcc.pose import squared_bend, stumpff, tip_orientation, tip_position
 
 REFRESHED = 16  # steps after which a Jacobian that was corrected on the way is made anew: inertia changes with the shape
+
+
+@summing
+def _keep(work: np.ndarray, stage: int, i: int, gained: float) -> None:
+    """Keep the acceleration at the end of a stage, and how it changed in it; foretell the next step's change by the last two."""
+    change = gained - work[GAINED, i]
+    work[stage + 1, i] = 2.0 * change - work[stage, i]
+    work[stage, i], work[GAINED, i] = change, gained
 
 
 @summing
@@ -64,7 +72,7 @@ def _advance(
             inverse[0, 0] = 0.0
         for i in range(m):
             work[LAST, i], work[VELOCITY, i] = y[i], velocity[i]
-            work[TRIAL, i] = y[i] + stage_s * (velocity[i] + stage_s * work[GAINED, i])
+            work[TRIAL, i] = y[i] + stage_s * (velocity[i] + stage_s * (work[GAINED, i] + work[FIRST + 1, i]))
         solved = solve_step(
             work, jacobian, inverse, stage_s, per_s, pressure[k], tip_force[k], model, hooks, ports, strains, slopes
         )
@@ -76,9 +84,11 @@ def _advance(
             _lead_loads(load_hook, ports, model, stage_s, begun)
         for i in range(m):
             between = (work[TRIAL, i] - y[i]) * per_s
+            gained = (between - velocity[i]) * per_s
+            _keep(work, FIRST, i, gained)
             work[LAST, i] = y[i] + rest_s * between
-            work[VELOCITY, i] = velocity[i] + rest_s * (between - velocity[i]) * per_s
-            work[TRIAL, i] = work[LAST, i] + stage_s * (between + rest_s * (between - velocity[i]) * per_s)
+            work[VELOCITY, i] = velocity[i] + rest_s * gained
+            work[TRIAL, i] = work[LAST, i] + stage_s * (work[VELOCITY, i] + stage_s * (gained + work[SECOND + 1, i]))
         solved = (
             solve_step(work, jacobian, inverse, dt, per_s, pressure[k], tip_force[k], model, hooks, ports, strains, slopes)
             and solved
@@ -88,7 +98,7 @@ def _advance(
             inverse[0, 0] = 0.0
         for i in range(m):
             velocity[i] = (work[TRIAL, i] - work[LAST, i]) * per_s
-            work[GAINED, i] = (velocity[i] - work[VELOCITY, i]) * per_s
+            _keep(work, SECOND, i, (velocity[i] - work[VELOCITY, i]) * per_s)
             y[i] = work[TRIAL, i]
         fill_shape(model, y, shape)
         tip_position(shape, length, position[k])
@@ -122,7 +132,7 @@ def run_kernel(
     A step is the singly diagonally implicit Runge-Kutta method of two stages and second order with ``STAGE`` on its diagonal
     (Alexander 1977): each stage is implicit Euler's of that share of the step, from where the first one has led. It forgets
     stiff modes at once (L-stable), as Euler's method does, and neither damps nor delays those that the step resolves. The search
-    for each begins where the acceleration of the stage before would lead.
+    for each begins where its acceleration leads if that changes from stage to stage as it did in the last two steps.
     Load effects, whose states are rates of the tip and clocks, are led the same way (``_lead_loads``). The body's effects know
     how their states change over any time: they are asked at the end of both stages, and change them with the second.
     """

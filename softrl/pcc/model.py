@@ -51,9 +51,9 @@ class Model(NamedTuple):
     order: tuple[float, ...]
 
 
-# rows of the work array that one step fills, m numbers each
-LAST, VELOCITY, TRIAL, RESIDUAL, STEP, OTHER, NEXT, MOVED, SEEN, GAINED = range(10)
-WORK_ROWS = 10
+# rows of the work array that one step fills, m numbers each; FIRST and SECOND have a row of what is foretold behind them
+LAST, VELOCITY, TRIAL, RESIDUAL, STEP, OTHER, NEXT, MOVED, SEEN, GAINED, FIRST, _, SECOND, _ = range(14)
+WORK_ROWS = 14
 
 
 @summing

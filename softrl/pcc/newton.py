@@ -9,7 +9,7 @@ from softrl.effects.effect import ADDED_SLOPE
 from softrl.pcc.forces import fill_residual
 from softrl.pcc.model import MOVED, NEXT, OTHER, RESIDUAL, SEEN, STEP, TRIAL, stretching
 
-TOLERANCE = 3e-11  # rad or strain: some picometres at the tip of most robots
+TOLERANCE = 1e-10  # rad or strain: some ten picometres at the tip of most robots
 ACCEPTED = 1e-7  # at a kink of friction or contact: 20 nm at the tip of a robot of 0.2 m
 CAUTION = 10.0  # times as slowly as the last step shrank, the next may shrink: the inertia changes with the shape
 MAX_ITERATIONS = 60
