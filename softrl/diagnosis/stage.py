@@ -28,6 +28,7 @@ from softrl.diagnosis.judging.another_body import with_another_body
 from softrl.diagnosis.judging.clock import sent_later
 from softrl.diagnosis.judging.compete import add_calibrated, competitors, judged_on, with_map
 from softrl.diagnosis.judging.correct import Traces, share_closed
+from softrl.diagnosis.judging.days import by_days
 from softrl.diagnosis.judging.examine import Finding, Part, examine
 from softrl.diagnosis.judging.gauges import behind_gauges
 from softrl.diagnosis.judging.join import joined, put_together
@@ -266,9 +267,9 @@ def _examine(config: Config, whole: Problem, data: Data, full: Data, known: list
     The valve alone is simulated in no time, so that its fits see the ``full`` length of the runs. Its finding may be ``known``.
     """
     if not (data.pressure and config.measured_pressure):
-        return [_look(config, both_at_once(whole, data, config.effects))]
+        return [by_days(_look(config, both_at_once(whole, data, config.effects)))]
     valve = known[0] if known else _valve(config, whole, full)
-    return [valve, _look(config, part_behind(valve, whole, data, config.effects))]
+    return [valve, by_days(_look(config, part_behind(valve, whole, data, config.effects)))]
 
 
 def _valve(config: Config, whole: Problem, full: Data, gauges: Sequence[Choice] = ()) -> Finding:

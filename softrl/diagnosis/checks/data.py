@@ -12,6 +12,7 @@ from softrl.diagnosis.checks.floor import LEAST, floor_of
 from softrl.diagnosis.checks.gaps import mend_all
 from softrl.diagnosis.checks.quality import motion_of, torn, unusable
 from softrl.diagnosis.checks.spikes import without_spikes
+from softrl.diagnosis.checks.stamps import evened
 from softrl.diagnosis.checks.within import within
 from softrl.recordings.acting import is_known
 from softrl.recordings.check import DataCheck, RunCheck, check, driven
@@ -126,7 +127,8 @@ def prepare(
     Runs in which the robot was interfered with (``disturbed`` in the notes: names of runs or sessions) are not used. With
     ``few_sessions`` or fewer no session is held out whole.
     """
-    recordings = replace(recordings, recordings=in_order(recordings.recordings))
+    timed, clock = evened(in_order(recordings.recordings))
+    recordings = replace(recordings, recordings=timed)
     found = check(recordings, robot)
     channel = "bend_angle" if robot.output == "bend_angle" else "position"
     seen, copies = _without_copies(_seen_undisturbed(recordings, channel), channel)
@@ -137,7 +139,7 @@ def prepare(
     usable = tuple(r for r in usable if not marked & {r.name, r.session})
     found = replace(found, repeatability=_repeatability(seen, usable))
     parts, bridged = mend_all([*usable, *apart], found)
-    mended = (*_too_short(recordings), *copies, *dead, *spiked, *bridged)
+    mended = (*clock, *_too_short(recordings), *copies, *dead, *spiked, *bridged)
     intact = tuple(run for run in usable if parts[run.name])
     names = {run.name for run in intact}
     shown = tuple(told for told in found.runs if told.name in names)

@@ -89,6 +89,22 @@ class Named(NamedTuple):
     pinned: Sequence[Interval] = ()
 
 
+class Day(NamedTuple):
+    """How far a session differs in itself from all together: share of stiffness, turn of the base in rad, and its shift in m."""
+
+    session: str
+    stiffer: float
+    turn_rad: float
+    shift_m: float
+
+
+class Days(NamedTuple):
+    """How far ``each`` session differs in itself, and the held-out error above the floor that is ``left`` with that, m."""
+
+    each: tuple[Day, ...]
+    left: float
+
+
 @dataclass(frozen=True)
 class Finding:
     """What one part of the pipeline says.
@@ -109,6 +125,7 @@ class Finding:
     judge : on the held-out runs
     joint : scaled parameters of all parts' effects and the simulator's, where they were refitted from command to motion
     switched : effects that took the place of one which the training runs preferred, a sentence each
+    days : how far sessions differ in themselves, where that is what is missing beside what is named, see ``days``
     """
 
     part: Part
@@ -128,6 +145,7 @@ class Finding:
     judge: Judge
     joint: np.ndarray | None = None
     switched: tuple[str, ...] = ()
+    days: Days | None = None
 
 
 def examine(part: Part, search: Search, thresholds: Thresholds, seed: int) -> Finding:

@@ -65,6 +65,7 @@ def conclude(
             "orientation_used": whole.orientation,
             "measured_pressure_used": len(findings) > 1,
             "step_responses": asdict(responses),
+            "sessions_differ": [day._asdict() for finding in findings if finding.days for day in finding.days.each],
         },
         late_s={name: space.late(models[name].point) for name, space in spaces.items()},
     )

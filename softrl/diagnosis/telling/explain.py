@@ -6,6 +6,7 @@ from typing import Any
 
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.diagnosis.judging.along import BENDS
+from softrl.diagnosis.judging.days import told_of_days
 from softrl.diagnosis.judging.examine import Finding
 from softrl.diagnosis.judging.lateness import lateness
 from softrl.diagnosis.judging.leftover import UNEVEN_FACTOR
@@ -107,7 +108,7 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding], ends: Sequence[
     lines += _along_sentence(diagnosis) + lateness(findings)
     left = [finding for finding in findings if finding.left > finding.judge.material]
     lines += [_left_sentence(finding) + _from_command(diagnosis, finding) for finding in left]
-    return lines
+    return lines + told_of_days(findings)
 
 
 def _rival_sentences(rivals: Sequence[dict[str, Any]]) -> list[str]:
@@ -138,6 +139,9 @@ def _rival_sentence(rival: dict[str, Any]) -> str:
 def _little(finding: Finding) -> list[str]:
     """Return in words that the body itself may leave as much, if it may."""
     judge = finding.judge
+    if finding.days:
+        factor, unit = shown_in(finding)
+        return [f"sessions differ a little in themselves: {factor * finding.days.left:.3g} {unit} where each may"]
     if finding.left <= UNEVEN_FACTOR * judge.material and not finding.reasons:
         return ["a detail of the body may leave as much"]
     return [f"{finding.left / judge.travel:.1%} of the motion, {OWN_FORM}"] if finding.left <= judge.form else []
@@ -147,6 +151,8 @@ def _but(findings: Sequence[Finding], verdict: str) -> str:
     """Return what a verdict of nothing missing leaves open, where more stays than a detail of the body would."""
     if verdict != "nothing missing" or all(f.left <= UNEVEN_FACTOR * f.judge.material for f in findings):
         return ""
+    if findings[-1].days:
+        return " What stays is, for the most part, that sessions differ a little in themselves."
     if all(f.left <= max(f.judge.form, UNEVEN_FACTOR * f.judge.material) for f in findings):
         return f" What stays is {findings[-1].left / findings[-1].judge.travel:.1%} of the motion, {OWN_FORM}."
     return " But more stays than white noise, and no test tells whether it is slow noise of the sensor or something else."

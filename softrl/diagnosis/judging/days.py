@@ -1,0 +1,121 @@
+"""Sessions that differ a little in themselves: a base that is mounted anew, a wall as stiff as the day is warm.
+
+No simulator of one robot predicts that, and no law names it. Where it is all that is left, nothing else is missing.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import radians
+
+import numpy as np
+
+from softrl.diagnosis.fitting.problem import ORIENTATION_LEVER, Problem
+from softrl.diagnosis.fitting.trial import Trial
+from softrl.diagnosis.fitting.varied import slopes
+from softrl.diagnosis.judging.examine import Day, Days, Finding
+from softrl.diagnosis.judging.leftover import explained_by, offer_of, reasons_of
+
+TURN_RAD, SHIFT_SHARE, STIFFER = radians(1.0), 0.01, 0.03  # of the base, in lengths, and of the wall: more is no detail of a day
+STIFFNESS = ("stiffness", "modulus")  # in the names of a simulator's parameters
+TURNS, SHIFTS = slice(0, 3), slice(3, 6)  # numbers of a day; the last one is how much stiffer it is
+SHRINK = 1e-9  # of a column's mean square: no motion turns about its own line
+
+
+def by_days(finding: Finding) -> Finding:
+    """Return the ``finding`` as understood where all that makes it unknown is that sessions differ a little in themselves.
+
+    Each may be turned, moved and stiffer by as little as no one avoids from day to day, beside what is the same in all. To first
+    order, fitted on a session's runs that fits see, or on its own where it was held out whole.
+    """
+    part, judge, trial = finding.part, finding.judge, finding.final
+    sessions = dict.fromkeys(run.session for run in (*part.problem.runs, *judge.problem.runs))
+    if not finding.unknown or len(sessions) < 2:
+        return finding
+    sides = [_Side(problem, trial) for problem in (part.problem, judge.problem)]
+    alike = _solved(sides[0].rows(None))
+    apart = {name: _solved(sides[0].rows(name) or sides[1].rows(name)) for name in sessions}
+    days = tuple(_day(name, apart[name] - alike) for name in sessions)
+    if not all(_is_little(day, part.problem.robot.length_m) for day in days):
+        return finding
+    training, heldout = (side.without(apart) for side in sides)
+    each, together = (
+        problem.residual(trial.hypothesis, trial.fit.point, trial.placed).squares
+        for problem in (heldout, sides[1].without(dict.fromkeys(sessions, alike)))
+    )
+    by_itself, mine = replace(judge, problem=heldout), trial._replace(squares=each)
+    offer = offer_of(training, by_itself, mine)
+    explained = explained_by(judge, finding.base, mine, offer)
+    if judge.gap(together, each).low <= 0.0 or reasons_of(by_itself, mine, offer, explained):
+        return finding
+    return replace(finding, unknown=False, reasons=[], closest="", days=Days(days, explained.left))
+
+
+def told_of_days(findings: Sequence[Finding]) -> list[str]:
+    """Return in words how far sessions differ in themselves, where they do."""
+    found = [day for finding in findings if finding.days for day in finding.days.each]
+    each = [
+        f"{day.session} by {100.0 * day.stiffer:+.2g} % in stiffness, {np.degrees(day.turn_rad):.2g} deg and "
+        f"{1e3 * day.shift_m:.2g} mm of the base"
+        for day in found
+    ]
+    return [f"Against all together sessions differ a little in themselves: {'; '.join(each)}."] if each else []
+
+
+class _Side:
+    """The runs of a problem with what a trial leaves of them, and what it would leave on another day."""
+
+    def __init__(self, problem: Problem, trial: Trial) -> None:
+        self.problem, self.residual = problem, problem.residual(trial.hypothesis, trial.fit.point, trial.placed)
+        axes = problem.space(trial.hypothesis).axes
+        stiff = [k for k, axis in enumerate(axes) if axis.log and any(word in axis.name for word in STIFFNESS)]
+        along = slopes(problem, trial, self.residual)
+        self.columns = [self._columns(k, -part[:, :, stiff].sum(axis=2)) for k, part in enumerate(along)]
+
+    def session_of(self, number: int) -> str:
+        """Return the session of a run."""
+        return self.problem.runs[number].session
+
+    def rows(self, session: str | None) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Return columns (rows, 7) and residual (rows,) of every run of a ``session``, or of all."""
+        return [
+            (self.columns[k], left.ravel()) for k, left in enumerate(self.residual.runs) if session in (None, self.session_of(k))
+        ]
+
+    def without(self, numbers: dict[str, np.ndarray]) -> Problem:
+        """Return the problem on days that differ by as much as ``numbers`` (7,) say, by session."""
+        shift = [
+            -(self.columns[k] @ numbers[self.session_of(k)]).reshape(left.shape) for k, left in enumerate(self.residual.runs)
+        ]
+        before = self.problem.defect or [np.zeros(left.shape) for left in self.residual.runs]
+        return replace(self.problem, defect=tuple(a + b for a, b in zip(before, shift, strict=True)))
+
+    def _columns(self, number: int, stiffer: np.ndarray) -> np.ndarray:
+        """Return (rows, 7): what is seen beyond the simulation where the base is turned, moved, and the wall ``stiffer``."""
+        run, bins = self.problem.runs[number], len(stiffer)
+        found = np.zeros((bins, stiffer.shape[1], 7))
+        found[:, :, 6] = stiffer
+        if run.position is None or stiffer.shape[1] == 1:
+            found[:, :, 0] = self.problem.robot.length_m
+            return found.reshape(-1, 7)
+        tip, turned = self.problem.binned(number, run.position), np.eye(3)
+        for axis in range(3):
+            found[:, :3, axis] = np.cross(turned[axis], tip)
+            found[:, axis, 3 + axis] = 1.0
+            if stiffer.shape[1] > 3:
+                found[:, 3 + axis, axis] = ORIENTATION_LEVER * self.problem.robot.length_m
+        return found.reshape(-1, 7)
+
+
+def _solved(rows: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Return the numbers (7,) of a day by least squares."""
+    columns, left = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+    normal = columns.T @ columns
+    return np.linalg.lstsq(normal + SHRINK * np.diag(np.diag(normal)), columns.T @ left, rcond=None)[0]
+
+
+def _day(session: str, numbers: np.ndarray) -> Day:
+    return Day(session, float(numbers[6]), float(np.linalg.norm(numbers[TURNS])), float(np.linalg.norm(numbers[SHIFTS])))
+
+
+def _is_little(day: Day, length_m: float) -> bool:
+    return abs(day.stiffer) < STIFFER and day.turn_rad < TURN_RAD and day.shift_m < SHIFT_SHARE * length_m
