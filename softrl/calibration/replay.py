@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import savgol_filter
@@ -54,8 +54,7 @@ def replay(plant: Plant, recordings: Sequence[Recording], pressure_of: PressureO
 
 def from_row(recording: Recording, first: int, end: int | None = None) -> Recording:
     """Return the rows of a recording from ``first`` on, up to but not ``end``, without markers."""
-    changed: dict[str, Any] = {n: v[first:end] for n, v in recording.channels() if n not in recording.markers}
-    return replace(recording, **changed, markers={})
+    return replace(recording, **recording.part(slice(first, end)) | {"markers": {}})
 
 
 def _follow_ups(recordings: Sequence[Recording]) -> list[list[Recording]]:

@@ -28,7 +28,7 @@ from softrl.diagnosis.judging.another_body import with_another_body
 from softrl.diagnosis.judging.clock import sent_later
 from softrl.diagnosis.judging.compete import add_calibrated, competitors, judged_on, with_map
 from softrl.diagnosis.judging.correct import Traces, share_closed
-from softrl.diagnosis.judging.days import by_days
+from softrl.diagnosis.judging.days import by_days, mounted_apart, says_more
 from softrl.diagnosis.judging.examine import Finding, Part, examine
 from softrl.diagnosis.judging.gauges import behind_gauges
 from softrl.diagnosis.judging.join import joined, put_together
@@ -135,6 +135,11 @@ def diagnose(
     if isinstance(found, Refusal):
         return cannot_tell(found, robot.name, type(simulator).__name__), None
     found, diagnosis, evidence = _heard(config, robot, found, simulator, calibration)
+    if evidence and _may_be_mounts(diagnosis, evidence.findings[-1]):
+        log.info("sessions seem to be mounted a little otherwise each: all is examined again with each placed by itself")
+        again = _diagnosed(config, robot, found, simulator, calibration, mounted=True)
+        if again[1] and again[0].verdict != "unknown" and says_more(again[1].findings[-1], evidence.findings[-1]):
+            return again
     odd = differing(evidence.findings[-1], found.used) if evidence and diagnosis.verdict == "unknown" else []
     if not odd:
         return diagnosis, evidence
@@ -146,6 +151,11 @@ def diagnose(
     if not again[0].effects or again[0].verdict == "unknown":
         return diagnosis, evidence
     return replace(again[0], sentences=[*again[0].sentences, told_of(odd)]), again[1]
+
+
+def _may_be_mounts(diagnosis: Diagnosis, finding: Finding) -> bool:
+    """Return whether what is not understood, or is put down to the days, may be how the base was mounted."""
+    return (diagnosis.verdict == "unknown" or finding.days is not None) and mounted_apart(finding)
 
 
 def _heard(
@@ -188,12 +198,13 @@ def _believing(
 
 
 def _diagnosed(
-    config: Config, robot: Robot, found: Data, simulator: Simulator, calibration: Calibration | None
+    config: Config, robot: Robot, found: Data, simulator: Simulator, calibration: Calibration | None, mounted: bool = False
 ) -> tuple[Diagnosis, Evidence | None]:
     numerics = _steps(config, robot, simulator, found)
     seconds, _ = config.search.bounds_of(simulator)
     data = found.shortened(seconds * numerics.dt_s / config.numerics.dt_s)
     whole, data = _whole(config, robot, simulator, data, numerics)
+    whole = replace(whole, mounted=mounted)
     apart = _contradiction(whole, found)
     if apart:
         return cannot_tell(Refusal(data.check, apart, data.mended), robot.name, type(simulator).__name__), None

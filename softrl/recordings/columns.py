@@ -7,6 +7,7 @@ from pathlib import Path
 
 from softrl.core.errors import RecordingError
 from softrl.core.units import FACTORS
+from softrl.recordings.lost import MOTION
 from softrl.robots.robot import Robot
 
 EXPECTED = (
@@ -50,6 +51,12 @@ class Columns:
     def used(self) -> list[int]:
         """Numbers of the columns that are read."""
         return sorted(number for place in self.channels.values() for number, _ in place.values())
+
+    @property
+    def motion(self) -> list[int]:
+        """Numbers of the columns that hold motion, of which samples may be lost."""
+        shown = (self.channels.get(channel, {}) for channel in (*MOTION, *self.markers))
+        return sorted(number for place in shown for number, _ in place.values())
 
 
 def match_columns(header: list[str], robot: Robot | None, path: Path) -> Columns:

@@ -12,8 +12,9 @@ import numpy as np
 import yaml
 
 from softrl.core.errors import RecordingError
-from softrl.recordings.columns import match_columns
+from softrl.recordings.columns import Columns, match_columns
 from softrl.recordings.frame import continuous_quaternion, rotate, rotation_between, turn
+from softrl.recordings.lost import lost
 from softrl.recordings.run import Recording
 from softrl.recordings.store import DATASET, OF_SESSIONS
 from softrl.recordings.validate import require_values
@@ -23,6 +24,7 @@ log = logging.getLogger(__name__)
 
 EPOCH_S = 1e8  # a later time counts from an epoch, as Unix time does: no session goes on for three years
 SAME_ROW_S = 1e-3  # by which a run may begin before the end of another: the row at which a log was cut stands in both
+LOST_MOST = 0.5  # of a run's rows may lack their motion
 NAMING = ("disturbed", "out_of_distribution")  # notes that hold names of runs or sessions, as they are written
 
 
@@ -129,7 +131,7 @@ def _read_run(path: Path, name: str, session: Session, robot: Robot | None) -> R
     columns = match_columns(header, robot, path)
     if columns.others:
         log.warning("%s: columns of other names are left out: %s", path, ", ".join(columns.others))
-    table = _values(path, header, lines, columns.used)
+    table, unseen = _with_lost_motion(path, _values(path, header, lines, columns), columns)
     require_values(path, header, table, columns, robot)
     arrays = {channel: _channel(table, place) for channel, place in columns.channels.items()}
     arrays = _in_base_frame(arrays, session.axis, robot.axis if robot is not None else "+z")
@@ -137,7 +139,24 @@ def _read_run(path: Path, name: str, session: Session, robot: Robot | None) -> R
     for flat in ("time", "bend_angle", "temperature"):
         if flat in arrays:
             arrays[flat] = arrays[flat][:, 0]
-    return Recording(name=name, session=session.name, markers=markers, **arrays)
+    run = Recording(name=name, session=session.name, markers=markers, **arrays)
+    return lost(run, unseen) if unseen.any() else run
+
+
+def _with_lost_motion(path: Path, table: np.ndarray, columns: Columns) -> tuple[np.ndarray, np.ndarray]:
+    """Return the table with motion that is missing (nan) held from the sample before, and in which rows (samples,) it was.
+
+    Where no more than ``LOST_MOST`` of them show all of it nothing is held.
+    """
+    moved = columns.motion
+    unseen = np.isnan(table[:, moved]).any(axis=1)
+    if not unseen.any() or np.mean(unseen) > LOST_MOST:
+        return table, np.zeros(len(table), dtype=bool)
+    log.warning("%s: %d rows without motion (nan): what was commanded then acts, and nothing is compared", path, unseen.sum())
+    last = np.maximum.accumulate(np.where(unseen, np.argmin(unseen), np.arange(len(table))))
+    held = table.copy()
+    held[:, moved] = table[last][:, moved]
+    return held, unseen
 
 
 def _require_order(recordings: Sequence[Recording], path: Path) -> None:
@@ -200,15 +219,25 @@ def _table(path: Path) -> tuple[list[str], list[str]]:
     return header, lines
 
 
-def _values(path: Path, header: list[str], lines: list[str], used: list[int]) -> np.ndarray:
-    """Return the table (samples, columns) of which the ``used`` columns are read; zero elsewhere."""
+def _values(path: Path, header: list[str], lines: list[str], columns: Columns) -> np.ndarray:
+    """Return the table (samples, columns), read where the columns are ours, nan where motion is missing, and zero elsewhere."""
+    used, moved = columns.used, columns.motion
     try:
-        read = np.loadtxt([line for line in lines[1:] if line.strip()], delimiter=",", ndmin=2, comments=None, usecols=used)
+        full = [_with_nan(line, moved) for line in lines[1:] if line.strip()]
+        read = np.loadtxt(full, delimiter=",", ndmin=2, comments=None, usecols=used)
     except ValueError as error:
         raise RecordingError(_bad_cell(path, header, lines, used)) from error
     table = np.zeros((len(read), len(header)))
     table[:, used] = read
     return table
+
+
+def _with_nan(line: str, moved: list[int]) -> str:
+    """Return a ``line`` with nan in the empty ones of its cells ``moved``."""
+    if ",," not in line.replace(" ", "") and not line.rstrip().endswith(","):
+        return line
+    cells = line.split(",")
+    return ",".join("nan" if k in moved and not cell.strip() else cell for k, cell in enumerate(cells))
 
 
 def _require_commas(path: Path, lines: list[str]) -> None:

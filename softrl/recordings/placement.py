@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 
 class Registration(NamedTuple):
@@ -24,3 +25,22 @@ def place(points: np.ndarray, seen: np.ndarray) -> Registration:
     sign = np.sign(np.linalg.det(vt.T @ u.T))
     turn = vt.T @ np.diag([1.0, 1.0, sign]) @ u.T
     return Registration(turn, target - turn @ centre)
+
+
+def place_nearby(points: np.ndarray, seen: np.ndarray, turn_rad: float, shift_m: float) -> Registration:
+    """Return what ``place`` does, but turned by no more than ``turn_rad`` and with the base moved by no more than ``shift_m``."""
+    free = Rotation.from_matrix(place(points, seen).turn).as_rotvec()
+    turn = Rotation.from_rotvec(free * min(1.0, turn_rad / max(float(np.linalg.norm(free)), 1e-300))).as_matrix()
+    shift = seen.mean(axis=0) - turn @ points.mean(axis=0)
+    return Registration(turn, shift * min(1.0, shift_m / max(float(np.linalg.norm(shift)), 1e-300)))
+
+
+def turn_between(simulated: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """Return the rotation vector (steps, 3) rad from ``simulated`` to ``measured`` quaternions (steps, 4) w x y z."""
+    a, b = measured, simulated
+    w = np.einsum("ij,ij->i", a, b)
+    v = a[:, 1:] * b[:, :1] - b[:, 1:] * a[:, :1] - np.cross(a[:, 1:], b[:, 1:])
+    v *= np.where(w < 0.0, -1.0, 1.0)[:, None]
+    half = np.linalg.norm(v, axis=1)
+    angle = 2.0 * np.arctan2(half, np.abs(w))
+    return np.asarray(v * np.where(half > 1e-12, angle / np.maximum(half, 1e-300), 2.0)[:, None])

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +24,8 @@ class Recording:
     tip_force : (steps, 3) N on the tip, base frame
     markers : name -> (steps, 3) m
     temperature : (steps,) degree Celsius
+    unseen : (steps,) where the motion was lost, and what stands in its channels is what its neighbours make likely; None where
+        all of it was seen
     gone_s : how long the run it was cut from, its session, and all sessions had gone on at its first sample, see
         ``recordings.gone``
     """
@@ -39,11 +42,18 @@ class Recording:
     markers: dict[str, np.ndarray] = field(default_factory=dict)
     temperature: np.ndarray | None = None
     gone_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    unseen: np.ndarray | None = None
 
     def channels(self) -> Iterator[tuple[str, np.ndarray]]:
         """Yield the recorded channels by name, markers by their own."""
         for entry in fields(self):
             values = getattr(self, entry.name)
-            if isinstance(values, np.ndarray):
+            if isinstance(values, np.ndarray) and entry.name != "unseen":
                 yield entry.name, values
         yield from self.markers.items()
+
+    def part(self, which: slice | np.ndarray) -> dict[str, Any]:
+        """Return the fields of the run's samples ``which``, for ``dataclasses.replace``."""
+        markers = {name: values[which] for name, values in self.markers.items()}
+        found = {name: values[which] for name, values in self.channels() if name not in markers}
+        return {**found, "markers": markers, "unseen": None if self.unseen is None else self.unseen[which]}

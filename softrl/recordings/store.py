@@ -66,6 +66,9 @@ def _write_run(path: Path, recording: Recording, robot: Robot | None) -> None:
 
 
 def _columns(recording: Recording, robot: Robot | None) -> Iterator[tuple[str, np.ndarray]]:
+    def seen(motion: np.ndarray) -> np.ndarray:
+        return motion if recording.unseen is None else np.where(recording.unseen, np.nan, motion)
+
     yield "time_s", recording.time
     yield from command_columns(recording.pressure_cmd, robot)
     if recording.pressure_meas is not None:
@@ -78,12 +81,12 @@ def _columns(recording: Recording, robot: Robot | None) -> Iterator[tuple[str, n
     ):
         if values is not None:
             for i, axis in enumerate("xyz"):
-                yield from _scaled(f"{name}_{axis}_{unit}", values[:, i])
+                yield from _scaled(f"{name}_{axis}_{unit}", values[:, i] if name == "force" else seen(values[:, i]))
     if recording.quaternion is not None:
         for i, axis in enumerate("wxyz"):
-            yield f"tip_q{axis}", recording.quaternion[:, i]
+            yield f"tip_q{axis}", seen(recording.quaternion[:, i])
     if recording.bend_angle is not None:
-        yield from _scaled("bend_angle_deg", recording.bend_angle)
+        yield from _scaled("bend_angle_deg", seen(recording.bend_angle))
     if recording.temperature is not None:
         yield "temp_c", recording.temperature
 

@@ -49,7 +49,8 @@ def _require_finite(path: Path, header: list[str], table: np.ndarray) -> None:
         row, column = bad[0]
         raise RecordingError(
             f"{path}, line {_line(row)}, column '{header[column]}': {table[row, column]} "
-            f"({len(bad)} such values); expected numbers; drop the rows, or the column if the channel is optional"
+            f"({len(bad)} such values); expected numbers, or nan where motion was lost, in half of a run's rows at most; drop "
+            "the rows, or the column if the channel is optional"
         )
 
 

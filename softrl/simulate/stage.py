@@ -216,8 +216,7 @@ def _thinned(recording: Recording, share: float, rng: np.random.Generator) -> Re
         return recording
     kept = rng.random(len(recording.time)) >= share
     kept[:2] = True
-    changed: dict[str, Any] = {n: values[kept] for n, values in recording.channels() if n not in recording.markers}
-    return replace(recording, **changed)
+    return replace(recording, **recording.part(kept))
 
 
 def _report(recorded: RecordingSet, simulated: RecordingSet, seconds: float, tracker: Tracker) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -76,11 +76,10 @@ def mend_all(runs: Sequence[Recording], check: DataCheck) -> tuple[dict[str, tup
 
 def rows(run: Recording, which: slice | np.ndarray, name: str | None = None) -> Recording:
     """Return the samples ``which`` of a run, under another name if one is given."""
-    changed: dict[str, Any] = {key: values[which] for key, values in run.channels() if key not in run.markers}
-    markers = {key: values[which] for key, values in run.markers.items()}
+    changed = run.part(which)
     later = float(changed["time"][0] - run.time[0]) if len(changed["time"]) else 0.0
     in_run, in_session, ever = (gone + later for gone in run.gone_s)
-    return replace(run, name=name or run.name, markers=markers, gone_s=(in_run, in_session, ever), **changed)
+    return replace(run, name=name or run.name, gone_s=(in_run, in_session, ever), **changed)
 
 
 def _change(run: Recording, first: int) -> float:

@@ -6,10 +6,10 @@ import numpy as np
 from scipy.ndimage import median_filter, percentile_filter
 
 from softrl.core.identity import Same
-from softrl.diagnosis.checks.gaps import rows
 from softrl.diagnosis.checks.strayed import DIGITS, strayed
 from softrl.effects.hold import reading_period, reading_phase
 from softrl.recordings.check import resolution
+from softrl.recordings.lost import lost
 from softrl.recordings.recording import Recording
 
 LONGEST = 7  # samples: what lasts longer may be real
@@ -21,7 +21,10 @@ JUMP_SHARE = 0.5  # of its height a spike is entered and left by within one samp
 
 
 def without_spikes(runs: Sequence[Recording]) -> tuple[tuple[Recording, ...], list[str]]:
-    """Return the runs without samples whose motion is a spike, and how many there were, a sentence a run."""
+    """Return the runs with spikes of the motion marked as unseen, and how many there were, a sentence a run.
+
+    What was commanded meanwhile stays.
+    """
     kept, lines = [], []
     for run in runs:
         wrong = np.zeros(len(run.time), dtype=bool)
@@ -37,7 +40,7 @@ def without_spikes(runs: Sequence[Recording]) -> tuple[tuple[Recording, ...], li
                 f"{run.name}: {np.count_nonzero(wrong)} samples, first at t = {run.time[wrong][0]:.2f} s, jump away and "
                 "back at once or within seconds and are left out: the tracking mistook something"
             )
-        kept.append(rows(run, ~wrong) if wrong.any() else run)
+        kept.append(lost(run, wrong) if wrong.any() else run)
     return tuple(kept), lines
 
 

@@ -13,11 +13,12 @@ from scipy.ndimage import median_filter, uniform_filter1d
 
 from softrl.recordings.recording import Recording
 
-OFF = 0.3  # of the period: a stamp farther from its tick is off the clock
+OFF = 0.4  # of the period: a stamp farther from its tick is off the clock
 ON_CLOCK = 0.98  # of the stamps that have to be on it
 LEAST = 0.01  # of the period: less jitter is that of digits
 PULL = 0.05  # of how far a stamp is from its tick, by which the next ticks move
 AROUND = 51  # rows over which the clock may wander
+WANDERS = 0.3  # times the jitter: a mean over so many rows differs by half of that without any wandering
 CENTRE = np.array([-1.0, 4.0, 0.0, 4.0, -1.0]) / 6.0  # what a cubic through four neighbours has in their middle
 SLOPE = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0
 WILD = 6.0  # times the median of what samples are off their neighbours: a jump, or a slip of the tracking
@@ -68,10 +69,12 @@ def even_clock(time: np.ndarray) -> np.ndarray | None:
     if len(apart) < AROUND or np.median(apart) <= 0.0:
         return None
     count = _ticks(time, float(np.median(apart)))
-    period = float(np.polyfit(count, time, 1)[0])
-    count = _ticks(time, period)
-    wander = uniform_filter1d(median_filter(time - period * count, AROUND, mode="nearest"), AROUND, mode="nearest")
-    even = period * count + wander
+    count = _ticks(time, float(np.polyfit(count, time, 1)[0]))
+    period, first = np.polyfit(count, time, 1)
+    even = period * count + first
+    wander = uniform_filter1d(median_filter(time - even, AROUND, mode="nearest"), AROUND, mode="nearest")
+    if wander.std() > WANDERS * (time - even - wander).std():
+        even = even + wander
     off = np.abs(time - even)
     on_clock = np.mean(off < OFF * period) >= ON_CLOCK and np.sqrt(np.mean(off**2)) > LEAST * period
     return even if on_clock and (np.diff(even) > 0.0).all() else None

@@ -8,18 +8,21 @@ ROUNDED = 1e-4  # of a bin: a row at its very edge belongs to the bin that begin
 
 
 class Bins:
-    """The bins of a run from its sample ``first`` on, without empty ones.
+    """The bins of a run from its sample ``first`` on, without empty ones, and without samples that are ``unseen``.
 
     Attributes
     ----------
     places : (bins,) which bins out of the run's whole time hold samples
-    number : (samples,) of which of these every sample is
+    number : (samples,) of which of these every sample is, unseen ones next to it
     """
 
-    def __init__(self, time: np.ndarray, first: int, bin_s: float):
+    def __init__(self, time: np.ndarray, first: int, bin_s: float, unseen: np.ndarray | None = None):
         self._first = first
         place = ((time[first:] - time[0]) / bin_s + ROUNDED).astype(int)
-        self.places, self.number = np.unique(place, return_inverse=True)
+        seen = np.ones(len(place)) if unseen is None else (~unseen[first:]).astype(float)
+        self.places = np.unique(place[seen > 0.0])
+        self.number = np.minimum(np.searchsorted(self.places, place), len(self.places) - 1)
+        self._seen = seen
 
     def __len__(self) -> int:
         return len(self.places)
@@ -27,7 +30,7 @@ class Bins:
     @cached_property
     def _samples(self) -> np.ndarray:
         """Number of samples (bins, 1) in every bin."""
-        return np.bincount(self.number)[:, None]
+        return np.bincount(self.number, self._seen)[:, None]
 
     @property
     def noise_left(self) -> float:
@@ -36,5 +39,5 @@ class Bins:
 
     def mean(self, values: np.ndarray) -> np.ndarray:
         """Return the means (bins, n) of ``values`` (steps, n) of the whole run."""
-        sums = np.stack([np.bincount(self.number, column) for column in values[self._first :].T], axis=1)
+        sums = np.stack([np.bincount(self.number, self._seen * column) for column in values[self._first :].T], axis=1)
         return np.asarray(sums / self._samples)

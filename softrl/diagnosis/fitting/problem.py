@@ -1,11 +1,13 @@
 """Recordings, a body and what is compared: the residual of any hypothesis, binned in time."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from softrl.core.errors import SolverError
 from softrl.core.identity import Same
@@ -18,7 +20,7 @@ from softrl.effects.chain import Plant, chain_of
 from softrl.effects.driving import Supply
 from softrl.effects.library import effect_class, names
 from softrl.effects.replay import CHANNELS, replay
-from softrl.recordings.placement import Registration, place
+from softrl.recordings.placement import Registration, place, place_nearby, turn_between
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
@@ -28,6 +30,7 @@ FOLDS, FOLD_S = 8, 20.0  # with fewer runs than that: so many parts, where each 
 SAME_RATE = 0.1  # relative difference of sampling intervals that is jitter
 KEPT = 16  # bodies with other parameters: the columns of a Jacobian by effects' parameters share one
 REPLAYS = 4  # the last ones, kept: what a fit ends with is asked for again by all that judges it
+MOUNT_TURN_RAD, MOUNT_SHIFT_SHARE = math.radians(1.0), 0.01  # of a base mounted anew, the latter in lengths: more is no detail
 ORIENTATION_LEVER = 0.5  # lengths of the robot: turns orientation errors into displacements
 
 
@@ -77,6 +80,7 @@ class Problem:
     target : "motion", or "pressure" to compare measured with supplied pressure
     drive : "command" or "measured", see ``effects.replay``
     register : place the simulator in each session's frame by the best rigid motion
+    mounted : do so within what no one avoids who mounts a base anew
     orientation : compare orientations too, not positions only
     before : by run the pressures (chambers,) Pa under which the body stood before the first sample, where they are known
         better than by the first pressures themselves, see ``prelude``
@@ -103,6 +107,7 @@ class Problem:
     supply: Mapping[str, Supply] = field(default_factory=dict)
     later: Mapping[str, np.ndarray] = field(default_factory=dict)
     defect: tuple[np.ndarray, ...] = ()
+    mounted: bool = False
 
     def on(self, runs: Sequence[Recording]) -> "Problem":
         """Return the same problem on other runs."""
@@ -145,7 +150,11 @@ class Problem:
     @cached_property
     def bins(self) -> list[Bins]:
         """The bins of all samples that are compared, run by run."""
-        return [Bins(run.time, first, self.numerics.bin_s) for run, first in zip(self.runs, self.first, strict=True)]
+        motion = self.target != "pressure"
+        return [
+            Bins(run.time, first, self.numerics.bin_s, run.unseen if motion else None)
+            for run, first in zip(self.runs, self.first, strict=True)
+        ]
 
     @cached_property
     def spacing_s(self) -> float:
@@ -290,7 +299,7 @@ class Problem:
         elif self.robot.output == "bend_angle":
             found = [self._angle(k, simulated[k]) for k in range(len(self.runs))]
         else:
-            placed = self._placements(simulated, registrations) if self.register else {}
+            placed = self._placements(simulated, registrations) if self.register or self.mounted else {}
             found = [self._motion(k, simulated[k], placed) for k in range(len(self.runs))]
         return Residual([a + b for a, b in zip(found, self.defect, strict=True)] if self.defect else found, placed)
 
@@ -310,7 +319,9 @@ class Problem:
             position = position @ turn.T + shift
         parts = [_present(run.position) - position]
         if self.orientation and run.quaternion is not None:
-            parts.append(ORIENTATION_LEVER * self.robot.length_m * _turn_between(simulated.quaternion, run.quaternion))
+            turned = turn_between(_present(simulated.quaternion), run.quaternion)
+            mount = placed[run.session].turn if run.session in placed else np.eye(3)  # a small one
+            parts.append(ORIENTATION_LEVER * self.robot.length_m * (turned - Rotation.from_matrix(mount).as_rotvec()))
         return self.binned(k, np.hstack(parts))
 
     def _placements(
@@ -320,10 +331,9 @@ class Problem:
         for session in dict.fromkeys(run.session for run in self.runs):
             if session not in placed:
                 mine = [k for k, run in enumerate(self.runs) if run.session == session]
-                placed[session] = place(
-                    np.concatenate([_present(simulated[k].position) for k in mine]),
-                    np.concatenate([_present(self.runs[k].position) for k in mine]),
-                )
+                points, seen = (np.concatenate([_present(side[k].position) for k in mine]) for side in (simulated, self.runs))
+                nearby = MOUNT_TURN_RAD, MOUNT_SHIFT_SHARE * self.robot.length_m
+                placed[session] = place(points, seen) if self.register else place_nearby(points, seen, *nearby)
         return placed
 
 
@@ -331,17 +341,6 @@ class Problem:
 def _tuned(same: Same[Simulator], *values: tuple[str, float]) -> Simulator:
     """Return the simulator with other parameters, kept: what it works out of them is worked out once."""
     return same.thing.with_parameters(**dict(values)) if values else same.thing
-
-
-def _turn_between(simulated: np.ndarray | None, measured: np.ndarray) -> np.ndarray:
-    """Return the rotation vector (steps, 3) rad from simulated to measured orientation, quaternions w x y z."""
-    a, b = measured, _present(simulated)
-    w = np.einsum("ij,ij->i", a, b)
-    v = a[:, 1:] * b[:, :1] - b[:, 1:] * a[:, :1] - np.cross(a[:, 1:], b[:, 1:])
-    v *= np.where(w < 0.0, -1.0, 1.0)[:, None]
-    half = np.linalg.norm(v, axis=1)
-    angle = 2.0 * np.arctan2(half, np.abs(w))
-    return np.asarray(v * np.where(half > 1e-12, angle / np.maximum(half, 1e-300), 2.0)[:, None])
 
 
 def _present(values: np.ndarray | None) -> np.ndarray:

@@ -5,17 +5,16 @@ No simulator of one robot predicts that, and no law names it. Where it is all th
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import radians
 
 import numpy as np
 
-from softrl.diagnosis.fitting.problem import ORIENTATION_LEVER, Problem
+from softrl.diagnosis.fitting.problem import MOUNT_SHIFT_SHARE, MOUNT_TURN_RAD, ORIENTATION_LEVER, Problem
 from softrl.diagnosis.fitting.trial import Trial
 from softrl.diagnosis.fitting.varied import slopes
 from softrl.diagnosis.judging.examine import Day, Days, Finding
 from softrl.diagnosis.judging.leftover import explained_by, offer_of, reasons_of
 
-TURN_RAD, SHIFT_SHARE, STIFFER = radians(1.0), 0.01, 0.03  # of the base, in lengths, and of the wall: more is no detail of a day
+STIFFER = 0.03  # of the wall: more is no detail of a day
 STIFFNESS = ("stiffness", "modulus")  # in the names of a simulator's parameters
 TURNS, SHIFTS = slice(0, 3), slice(3, 6)  # numbers of a day; the last one is how much stiffer it is
 SHRINK = 1e-9  # of a column's mean square: no motion turns about its own line
@@ -48,6 +47,34 @@ def by_days(finding: Finding) -> Finding:
     if judge.gap(together, each).low <= 0.0 or reasons_of(by_itself, mine, offer, explained):
         return finding
     return replace(finding, unknown=False, reasons=[], closest="", days=Days(days, explained.left))
+
+
+def mounted_apart(finding: Finding) -> bool:
+    """Return whether sessions seem to be mounted a little otherwise each, by what the ``finding`` leaves.
+
+    All of them may be turned and moved alike, which is another matter.
+    """
+    judge, trial = finding.judge, finding.final
+    both = judge.on((*finding.part.problem.runs, *judge.problem.runs))
+    sessions = dict.fromkeys(run.session for run in both.problem.runs)
+    if both.problem.register or both.problem.mounted or both.problem.robot.output == "bend_angle" or len(sessions) < 2:
+        return False
+    side = _Side(both.problem, trial)
+    for columns in side.columns:
+        columns[:, 6] = 0.0
+    alike = _solved(side.rows(None))
+    apart = {name: _solved(side.rows(name)) for name in sessions}
+    each, together = (
+        side.without(numbers).residual(trial.hypothesis, trial.fit.point, trial.placed).squares
+        for numbers in (apart, dict.fromkeys(sessions, alike))
+    )
+    little = all(_is_little(_day(name, apart[name] - alike), both.problem.robot.length_m) for name in sessions)
+    return little and both.shows(together, each)
+
+
+def says_more(again: Finding, before: Finding) -> bool:
+    """Return whether what was found ``again``, with bases placed, leaves plainly less than that days differ, if that was said."""
+    return before.days is None or before.days.left**2 - again.left**2 > again.judge.material**2
 
 
 def told_of_days(findings: Sequence[Finding]) -> list[str]:
@@ -118,4 +145,4 @@ def _day(session: str, numbers: np.ndarray) -> Day:
 
 
 def _is_little(day: Day, length_m: float) -> bool:
-    return abs(day.stiffer) < STIFFER and day.turn_rad < TURN_RAD and day.shift_m < SHIFT_SHARE * length_m
+    return abs(day.stiffer) < STIFFER and day.turn_rad < MOUNT_TURN_RAD and day.shift_m < MOUNT_SHIFT_SHARE * length_m

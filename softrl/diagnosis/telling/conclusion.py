@@ -9,7 +9,7 @@ from softrl.artifacts.diagnosis import Diagnosis
 from softrl.diagnosis.checks.data import Data, Refusal
 from softrl.diagnosis.checks.reach import of_other_length, taken_length, told_of_length
 from softrl.diagnosis.checks.response import step_responses
-from softrl.diagnosis.fitting.problem import Problem
+from softrl.diagnosis.fitting.problem import MOUNT_SHIFT_SHARE, MOUNT_TURN_RAD, Problem
 from softrl.diagnosis.judging.another_body import told_of_taper
 from softrl.diagnosis.judging.correct import Model, Traces, errors, in_mm
 from softrl.diagnosis.judging.examine import Finding
@@ -58,10 +58,10 @@ def conclude(
         unexplained=unexplained(findings),
         next_experiment=next_experiment(findings, verdict, robot, data.noise),
         data={
-            "warnings": [*_warnings(data, whole), *_cut_short(findings)],
+            "warnings": [*_warnings(data, whole, models["corrected"]), *_cut_short(findings)],
             "training_runs": [r.name for r in data.training],
             "heldout_runs": [r.name for r in data.heldout],
-            "sessions_placed_separately": whole.register,
+            "sessions_placed_separately": whole.register or whole.mounted,
             "orientation_used": whole.orientation,
             "measured_pressure_used": len(findings) > 1,
             "step_responses": asdict(responses),
@@ -106,7 +106,7 @@ def _cut_short(findings: list[Finding]) -> list[str]:
     ]
 
 
-def _warnings(data: Data, whole: Problem) -> list[str]:
+def _warnings(data: Data, whole: Problem, model: Model) -> list[str]:
     """Return what is odd about the recordings, one line each."""
     lines = [*data.check.warnings, *data.mended]
     if whole.register:
@@ -114,6 +114,20 @@ def _warnings(data: Data, whole: Problem) -> list[str]:
             "the recorded frame differs from the robot's base frame, or between sessions: every session is placed by "
             "the rigid motion that fits best, so that a tilt or an offset of the frame cannot be told"
         )
+    elif whole.mounted:
+        lines.append(
+            f"sessions are mounted a little otherwise each: every one is placed by itself, within "
+            f"{np.degrees(MOUNT_TURN_RAD):.0f} deg and {MOUNT_SHIFT_SHARE:.0%} of the length ({_mounts(data, whole, model)})"
+        )
     elif length := of_other_length(data.training, whole.robot, whole.simulator):
         lines.append(length)
     return lines
+
+
+def _mounts(data: Data, whole: Problem, model: Model) -> str:
+    """Return in words how far each session is turned and moved where ``model`` places it."""
+    placed = whole.on(data.used).residual(model.hypothesis, model.point, model.placed).registrations
+    return "; ".join(
+        f"{session} {np.degrees(np.arccos(min(1.0, 0.5 * (np.trace(turn) - 1.0)))):.2g} deg, {1e3 * np.linalg.norm(shift):.2g} mm"
+        for session, (turn, shift) in placed.items()
+    )
