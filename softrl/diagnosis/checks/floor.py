@@ -6,7 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrl.diagnosis.checks.gaps import rows
 from softrl.recordings.check import DataCheck, resolution
+from softrl.recordings.lost import MOTION
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
@@ -34,6 +36,8 @@ class Floor(NamedTuple):
 
 def floor_of(found: DataCheck, usable: Sequence[Recording], robot: Robot, channel: str) -> Floor:
     """Return the noise of a channel, as holds or neighbouring samples tell it, whichever is less, or repeats."""
+    if channel in MOTION:
+        usable = [run if run.unseen is None else rows(run, ~run.unseen) for run in usable]
     series = [_columns(run, channel) for run in usable if getattr(run, channel) is not None]
     series = [values for values in series if len(values) >= TELLING] or [values for values in series if len(values) >= LEAST]
     if not series:
