@@ -8,6 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.tracking import NullTracker
+from softrl.diagnosis.fitting.hypothesis import Hypothesis
+from softrl.diagnosis.fitting.problem import Numerics, Problem
 from softrl.diagnosis.stage import run
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.effect import Effect
@@ -51,6 +53,25 @@ def is_told_of_mounts(found: Diagnosis) -> bool:
     return any("mounted a little otherwise" in line for line in found.data["warnings"])
 
 
+def test_each_session_is_placed_within_what_nobody_avoids(body: PccSimulator) -> None:
+    numerics = Numerics(0.01, 0.02, 0.1, 1.0, 4.0)
+    for mount in (1.0, 6.0):
+        runs = recorded(body, warmth=0.0, mount=mount).recordings
+        alike = Problem(body.robot, body, runs, numerics, "motion", "command", False, False)
+        left, placed = (
+            problem.residual(Hypothesis((), ()), np.zeros(0)) for problem in (alike, replace(alike, mounted=True))
+        )
+        assert np.sqrt(left.squares.mean()) > 1e-3 * mount
+        turns = [np.degrees(np.arccos(0.5 * (np.trace(turn) - 1.0))) for turn, _ in placed.registrations.values()]
+        shifts = [np.linalg.norm(shift) for _, shift in placed.registrations.values()]
+        assert max(turns) < 1.0 + 1e-6 and max(shifts) < 0.01 * body.robot.length_m + 1e-9
+        if mount == 1.0:
+            np.testing.assert_allclose(turns, np.linalg.norm(TURNS_DEG, axis=1), atol=0.05)
+            np.testing.assert_allclose(np.multiply(shifts, 1e3), np.linalg.norm(SHIFTS_MM, axis=1), atol=0.1)
+            assert np.sqrt(placed.squares.mean()) < 2e-4
+
+
+@pytest.mark.slow
 def test_days_that_differ_a_little_hide_and_invent_nothing(body: PccSimulator) -> None:
     found = diagnosed(body, recorded(body))
     assert found.verdict == "nothing missing", found.sentences

@@ -77,6 +77,16 @@ def test_spikes_are_found_and_nothing_else() -> None:
     assert not spikes(clean + 3.0 * np.outer(wrong, [0.5, 0.7, -0.3]), jumped).any()
 
 
+def test_lone_samples_are_found_in_a_fast_motion() -> None:
+    time, rng = np.arange(1500) / 30.0, np.random.default_rng(1)
+    swing = np.stack([40.0 * np.sin(2.0 * np.pi * f * time) for f in (0.6, 0.9, 1.3)], axis=1)
+    wrong = np.isin(np.arange(1500), np.arange(40, 1480, 120))
+    seen = swing + 0.15 * rng.standard_normal((1500, 3))
+    still = np.zeros((1500, 2))
+    assert not spikes(seen, still).any()
+    np.testing.assert_array_equal(spikes(seen + np.outer(wrong, [4.0, -3.0, 2.0]), still), wrong)
+
+
 def test_a_body_that_turns_round_fast_is_no_spike() -> None:
     time = 0.02 * np.arange(500)
     swing = 25.0 * np.exp(-(((time - 5.0) / 0.12) ** 2))[:, None] * [0.4, 1.0, 0.0]

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.ndimage import median_filter, percentile_filter
+from scipy.ndimage import correlate1d, median_filter, percentile_filter
 
 from softrl.core.identity import Same
 from softrl.diagnosis.checks.strayed import DIGITS, strayed
@@ -17,6 +17,9 @@ TIMES = 10.0  # a spike stands out from the running median by this many times wh
 LEAST_SHARE = 0.02  # of the range
 NEARBY, CALM_PERCENT = 1.5, 85.0  # times what so many of the samples around it do: a fast swing has many peaks
 COMMAND_SHARE, JUST = 0.15, 3  # of its range: a command that changes by more within a row jumps; rows for which that counts
+CENTRE = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0  # how far a sample is off a cubic through its four neighbours
+ALONE = CENTRE  # and by how much it puts each of them off
+CLEAR, NOT_ALONE = 4.0, 0.2  # times what samples nearby are off; of its pattern, that may be left without it
 JUMP_SHARE = 0.5  # of its height a spike is entered and left by within one sample, beyond the motion before and after
 
 
@@ -99,6 +102,25 @@ def spikes(values: np.ndarray, commands: np.ndarray) -> np.ndarray:
         entered, left = _aside(values, first, -1), _aside(values, end - 1, 1)
         if min(np.linalg.norm(entered), np.linalg.norm(left)) > jump and entered @ left > 0.0:
             wrong[first:end] = True
+    return wrong | (_lone(values, max(LEAST_SHARE * span, DIGITS * digit)) & ~thrown)
+
+
+def _lone(values: np.ndarray, least: float) -> np.ndarray:
+    """Return which rows (steps,) of ``values`` (steps, n) are wrong alone, by ``least`` or more, however fast all moves.
+
+    Such a sample is off a cubic through its neighbours, and puts these off theirs by shares that it alone leaves.
+    """
+    wrong, reach = np.zeros(len(values), dtype=bool), len(ALONE) // 2
+    off = correlate1d(values, CENTRE, axis=0, mode="nearest")
+    size = correlate1d(off, ALONE, axis=0, mode="nearest") / (ALONE @ ALONE)
+    height, level = (np.linalg.norm(rows, axis=1) for rows in (size, off))
+    level = percentile_filter(level, CALM_PERCENT, size=8 * LONGEST + 1, mode="nearest")
+    for row in np.flatnonzero(height > np.maximum(CLEAR * level, least)):
+        around = slice(row - reach, row + reach + 1)
+        if not 2 * reach <= row < len(values) - 2 * reach or height[row] < height[around].max():
+            continue
+        rest = off[around] - np.outer(ALONE, size[row])
+        wrong[row] = np.linalg.norm(rest) < NOT_ALONE * height[row] * np.linalg.norm(ALONE)
     return wrong
 
 
