@@ -91,6 +91,7 @@ def _joined(chain: Sequence[Recording], pressure_of: PressureOf) -> Recording:
         quaternion=None,
         bend_angle=None,
         markers={},
+        unseen=None,
     )
 
 

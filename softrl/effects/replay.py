@@ -217,6 +217,7 @@ def _reported(
         quaternion=_turned(taken_at, time, dt_s, motion.quaternion) if "quaternion" in channels else None,
         bend_angle=_bent(robot, taken_at, time, dt_s, motion.quaternion) if reports_angle else None,
         markers={},
+        unseen=None,
     )
 
 

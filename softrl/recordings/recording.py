@@ -33,7 +33,8 @@ class RecordingSet(Artifact):
     def validate(self) -> None:
         """Check that every channel of every run has one finite row per time."""
         for recording in self.recordings:
-            for channel, values in recording.channels():
+            lost = () if recording.unseen is None else (("unseen", recording.unseen),)
+            for channel, values in (*recording.channels(), *lost):
                 if len(values) != len(recording.time):
                     raise ArtifactError(
                         f"run {recording.name}: {channel} has {len(values)} rows, time {len(recording.time)}"

@@ -3,7 +3,7 @@
 No simulator of one robot predicts that, and no law names it. Where it is all that is left, nothing else is missing.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from softrl.diagnosis.judging.examine import Day, Days, Finding
 from softrl.diagnosis.judging.leftover import explained_by, offer_of, reasons_of
 
 STIFFER = 0.03  # of the wall: more is no detail of a day
-STIFFNESS = ("stiffness", "modulus")  # in the names of a simulator's parameters
+STIFFNESS = "stiffness_scale", "modulus_scale"  # how names of a simulator's parameters end that make its wall stiffer
 TURNS, SHIFTS = slice(0, 3), slice(3, 6)  # numbers of a day; the last one is how much stiffer it is
 SHRINK = 1e-9  # of a column's mean square: no motion turns about its own line
 
@@ -31,20 +31,16 @@ def by_days(finding: Finding) -> Finding:
     if not finding.unknown or len(sessions) < 2:
         return finding
     sides = [_Side(problem, trial) for problem in (part.problem, judge.problem)]
-    alike = _solved(sides[0].rows(None))
-    apart = {name: _solved(sides[0].rows(name) or sides[1].rows(name)) for name in sessions}
+    alike, apart = _numbers(sides, sessions)
     days = tuple(_day(name, apart[name] - alike) for name in sessions)
     if not all(_is_little(day, part.problem.robot.length_m) for day in days):
         return finding
     training, heldout = (side.without(apart) for side in sides)
-    each, together = (
-        problem.residual(trial.hypothesis, trial.fit.point, trial.placed).squares
-        for problem in (heldout, sides[1].without(dict.fromkeys(sessions, alike)))
-    )
-    by_itself, mine = replace(judge, problem=heldout), trial._replace(squares=each)
+    by_itself, mine = replace(judge, problem=heldout), trial._replace(squares=sides[1].left(apart))
     offer = offer_of(training, by_itself, mine)
     explained = explained_by(judge, finding.base, mine, offer)
-    if judge.gap(together, each).low <= 0.0 or reasons_of(by_itself, mine, offer, explained):
+    differ = judge.gap(sides[1].left(dict.fromkeys(sessions, alike)), mine.squares).low > 0.0
+    if not differ or reasons_of(by_itself, mine, offer, explained):
         return finding
     return replace(finding, unknown=False, reasons=[], closest="", days=Days(days, explained.left))
 
@@ -62,14 +58,9 @@ def mounted_apart(finding: Finding) -> bool:
     side = _Side(both.problem, trial)
     for columns in side.columns:
         columns[:, 6] = 0.0
-    alike = _solved(side.rows(None))
-    apart = {name: _solved(side.rows(name)) for name in sessions}
-    each, together = (
-        side.without(numbers).residual(trial.hypothesis, trial.fit.point, trial.placed).squares
-        for numbers in (apart, dict.fromkeys(sessions, alike))
-    )
+    alike, apart = _numbers([side], sessions)
     little = all(_is_little(_day(name, apart[name] - alike), both.problem.robot.length_m) for name in sessions)
-    return little and both.shows(together, each)
+    return little and both.shows(side.left(dict.fromkeys(sessions, alike)), side.left(apart))
 
 
 def says_more(again: Finding, before: Finding) -> bool:
@@ -92,9 +83,10 @@ class _Side:
     """The runs of a problem with what a trial leaves of them, and what it would leave on another day."""
 
     def __init__(self, problem: Problem, trial: Trial) -> None:
-        self.problem, self.residual = problem, problem.residual(trial.hypothesis, trial.fit.point, trial.placed)
-        axes = problem.space(trial.hypothesis).axes
-        stiff = [k for k, axis in enumerate(axes) if axis.log and any(word in axis.name for word in STIFFNESS)]
+        self.problem, self.trial = problem, trial
+        self.residual = problem.residual(trial.hypothesis, trial.fit.point, trial.placed)
+        first = len(trial.fit.point) - len(trial.hypothesis.tuned)
+        stiff = [first + k for k, name in enumerate(trial.hypothesis.tuned) if name.endswith(STIFFNESS)]
         along = slopes(problem, trial, self.residual)
         self.columns = [self._columns(k, -part[:, :, stiff].sum(axis=2)) for k, part in enumerate(along)]
 
@@ -116,6 +108,10 @@ class _Side:
         before = self.problem.defect or [np.zeros(left.shape) for left in self.residual.runs]
         return replace(self.problem, defect=tuple(a + b for a, b in zip(before, shift, strict=True)))
 
+    def left(self, numbers: dict[str, np.ndarray]) -> np.ndarray:
+        """Return the squared errors (bins,) on such days."""
+        return self.without(numbers).residual(self.trial.hypothesis, self.trial.fit.point, self.trial.placed).squares
+
     def _columns(self, number: int, stiffer: np.ndarray) -> np.ndarray:
         """Return (rows, 7): what is seen beyond the simulation where the base is turned, moved, and the wall ``stiffer``."""
         run, bins = self.problem.runs[number], len(stiffer)
@@ -131,6 +127,12 @@ class _Side:
             if stiffer.shape[1] > 3:
                 found[:, 3 + axis, axis] = ORIENTATION_LEVER * self.problem.robot.length_m
         return found.reshape(-1, 7)
+
+
+def _numbers(sides: Sequence[_Side], sessions: Iterable[str]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Return the numbers (7,) of all sessions together, and each one's own, by the first of ``sides`` that holds runs of it."""
+    own = {name: next(filter(None, (side.rows(name) for side in sides))) for name in sessions}
+    return _solved(sides[0].rows(None)), {name: _solved(rows) for name, rows in own.items()}
 
 
 def _solved(rows: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
