@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softrl.core.errors import SolverError
-from softrl.diagnosis.fitting.minimise import jacobian_at, least_squares, moved_on
+from softrl.diagnosis.fitting.minimise import jacobian_at, least_squares, moved_on, refine
 
 FAR = np.array([10.0, 10.0])
 
@@ -95,3 +95,13 @@ def test_a_search_far_behind_ends_where_it_goes_on_slowly() -> None:
     assert short.settled and short.evaluations < long.evaluations
     free = least_squares(bent, np.zeros(1), np.zeros(1), np.array([40.0]), 30, tolerance=0.0, beaten=1e3)
     assert free.evaluations == long.evaluations
+
+
+def test_a_rough_fit_goes_on_as_cautiously_as_it_was_refused() -> None:
+    """Three steps from a bend are all too long with a wrong slope; with the true one and more damping the valley is followed."""
+    start, wrong = np.array([-1.2, 1.44]), np.array([[0.1, 10.0], [-1.0, 0.0]])
+    refused = refine(rosenbrock, start, wrong, np.arange(0), -FAR, FAR, 4, damping=1e-6)
+    np.testing.assert_array_equal(refused.point, start)
+    assert refused.damping > 1e-4
+    on = refine(rosenbrock, refused.point, refused.jacobian, np.arange(2), -FAR, FAR, 4, refused.damping, step=1e-3)
+    assert on.cost < 0.9 * refused.cost

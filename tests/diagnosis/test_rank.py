@@ -34,6 +34,13 @@ def test_an_effect_that_promises_nothing_has_a_begin_all_the_same() -> None:
     assert [begin.share for begin in _begun(look, bent=False)] == [-0.2]
 
 
+def test_what_does_away_with_most_that_nominal_parameters_leave_is_followed_from_there() -> None:
+    nearby, little, most = Begin(0, np.zeros(1), 0.2, 0.2), Begin(1, np.ones(1), -9.0, 0.3), Begin(1, np.ones(1), -4.0, 0.6)
+    assert _begun(Look([nearby, little], [{}, {}]), bent=False) == [nearby]
+    assert _begun(Look([nearby, little], [{}, {}]), bent=True) == [nearby, little]
+    assert _begun(Look([nearby, most, little], [{}, {}]), bent=False) == [nearby, most]
+
+
 def test_where_the_first_begin_leads_nowhere_another_is_followed(monkeypatch: pytest.MonkeyPatch) -> None:
     """A line that disperses less than a rough step shows has no slope there; what is left there tells nothing of the line."""
 
