@@ -12,7 +12,7 @@ from softrl.diagnosis.fitting.problem import MOUNT_SHIFT_SHARE, MOUNT_TURN_RAD, 
 from softrl.diagnosis.fitting.trial import Trial
 from softrl.diagnosis.fitting.varied import slopes
 from softrl.diagnosis.judging.examine import Day, Days, Finding
-from softrl.diagnosis.judging.leftover import explained_by, offer_of, reasons_of
+from softrl.diagnosis.judging.leftover import explained_by, not_understood, offer_of
 
 STIFFER = 0.03  # of the wall: more is no detail of a day
 STIFFNESS = "stiffness_scale", "modulus_scale"  # how names of a simulator's parameters end that make its wall stiffer
@@ -39,8 +39,9 @@ def by_days(finding: Finding) -> Finding:
     by_itself, mine = replace(judge, problem=heldout), trial._replace(squares=sides[1].left(apart))
     offer = offer_of(training, by_itself, mine)
     explained = explained_by(judge, finding.base, mine, offer)
-    differ = judge.gap(sides[1].left(dict.fromkeys(sessions, alike)), mine.squares).low > 0.0
-    if not differ or reasons_of(by_itself, mine, offer, explained):
+    together = sides[1].left(dict.fromkeys(sessions, alike))
+    differ = judge.gap(together, mine.squares).low > 0.0 and judge.removed(together, mine.squares) > judge.material
+    if not differ or not_understood(training, by_itself, mine, offer, explained):
         return finding
     return replace(finding, unknown=False, reasons=[], closest="", days=Days(days, explained.left))
 

@@ -28,10 +28,8 @@ from softrl.diagnosis.judging.leftover import (
     Offer,
     explained_by,
     heldout_residual,
+    not_understood,
     offer_of,
-    pieces_of_course,
-    reasons_of,
-    varies,
 )
 from softrl.diagnosis.judging.rivalry import as_good, asked_again, overtakes
 from softrl.diagnosis.judging.rivals import Rival, of_another_chamber, overtaking, plainer, simpler, stand_in, suddenly
@@ -200,11 +198,7 @@ def _judged(part: Part, judge: Judge, path: Path, base: Trial, final: Trial, sea
     final, named, without = _confirm(part, judge, path, base, final, search)
     offer = offer_of(part.problem, judge, final)
     explained = explained_by(judge, base, final, offer)
-    reasons = reasons_of(judge, final, offer, explained)
-    if not reasons and varies(part.problem, judge, final):
-        reasons = ["the numbers of the effects named would have to change with the pressures"]
-    if not reasons and (pieces := pieces_of_course(final.hypothesis.effects)):
-        reasons = [f"{' and '.join(pieces)} depend on the time alone: steps and ramps together describe any course of it"]
+    reasons = not_understood(part.problem, judge, final, offer, explained)
     in_vain = explained.share < judge.thresholds.explained_share
     closest = final.hypothesis.label() if reasons and named and in_vain else ""
     if reasons and in_vain:

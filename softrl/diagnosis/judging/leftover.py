@@ -112,6 +112,16 @@ def explained_by(judge: Judge, base: Trial, final: Trial, offer: Offer) -> Expla
     return Explained(removed / (removed + max(mapped, min(changing, left**2))), of_all, left)
 
 
+def not_understood(problem: Problem, judge: Judge, final: Trial, offer: Offer, explained: Explained) -> list[str]:
+    """Return why ``final``, fitted on the runs of ``problem``, is no identification, one clause each; empty if it is."""
+    reasons = reasons_of(judge, final, offer, explained)
+    if not reasons and varies(problem, judge, final):
+        return ["the numbers of the effects named would have to change with the pressures"]
+    if not reasons and (pieces := pieces_of_course(final.hypothesis.effects)):
+        return [f"{' and '.join(pieces)} depend on the time alone: steps and ramps together describe any course of it"]
+    return reasons
+
+
 def reasons_of(judge: Judge, final: Trial, offer: Offer, explained: Explained) -> list[str]:
     """Return why the effects do not explain what is measured, one clause each; empty if they do.
 
