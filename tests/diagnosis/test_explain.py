@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from softrl.diagnosis.fitting.hypothesis import Choice, Gate, Hypothesis, Space, effect_axes
+from softrl.diagnosis.judging.examine import Days
 from softrl.diagnosis.judging.verdict import verdict_of
 from softrl.diagnosis.telling.entries import rival_entries, where
 from softrl.diagnosis.telling.explain import (
@@ -70,9 +71,10 @@ def test_a_valve_without_a_gauge_behind_it_may_lie_elsewhere() -> None:
 
 
 def test_nothing_missing_says_what_stays_beyond_a_detail_of_the_body() -> None:
-    def finding(left: float) -> Any:
-        return SimpleNamespace(left=left, judge=SimpleNamespace(material=1.0, form=3.0, travel=100.0))
+    def finding(left: float, days: Any = None) -> Any:
+        return SimpleNamespace(left=left, days=days, judge=SimpleNamespace(material=1.0, form=3.0, travel=100.0))
 
+    assert "sessions differ a little" in _but([finding(3.5, Days((), 1.0))], "nothing missing")
     assert "no test tells" in _but([finding(3.5)], "nothing missing")
     assert "2.5% of the motion, as much as a lumped body may err" in _but([finding(2.5)], "nothing missing")
     assert not _but([finding(1.5)], "nothing missing") and not _but([finding(2.5)], "unknown")
