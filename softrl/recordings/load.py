@@ -14,7 +14,7 @@ import yaml
 from softrl.core.errors import RecordingError
 from softrl.recordings.columns import Columns, match_columns
 from softrl.recordings.frame import continuous_quaternion, rotate, rotation_between, turn
-from softrl.recordings.lost import lost
+from softrl.recordings.lost import LOST_MOST, lost
 from softrl.recordings.run import Recording
 from softrl.recordings.store import DATASET, OF_SESSIONS
 from softrl.recordings.validate import require_values
@@ -24,7 +24,6 @@ log = logging.getLogger(__name__)
 
 EPOCH_S = 1e8  # a later time counts from an epoch, as Unix time does: no session goes on for three years
 SAME_ROW_S = 1e-3  # by which a run may begin before the end of another: the row at which a log was cut stands in both
-LOST_MOST = 0.5  # of a run's rows may lack their motion
 NAMING = ("disturbed", "out_of_distribution")  # notes that hold names of runs or sessions, as they are written
 
 
@@ -146,7 +145,7 @@ def _read_run(path: Path, name: str, session: Session, robot: Robot | None) -> R
 def _with_lost_motion(path: Path, table: np.ndarray, columns: Columns) -> tuple[np.ndarray, np.ndarray]:
     """Return the table with motion that is missing (nan) held from the sample before, and in which rows (samples,) it was.
 
-    Where no more than ``LOST_MOST`` of them show all of it nothing is held.
+    Where more than ``LOST_MOST`` of them lack some of it nothing is held.
     """
     moved = columns.motion
     unseen = np.isnan(table[:, moved]).any(axis=1)

@@ -8,6 +8,12 @@ import numpy as np
 from softrl.recordings.run import Recording
 
 MOTION = "position", "quaternion", "bend_angle"
+LOST_MOST = 0.5  # of a run's rows may lack their motion
+
+
+def is_seen(run: Recording) -> bool:
+    """Return whether no more of the motion of ``run`` was lost than may be."""
+    return run.unseen is None or bool(run.unseen.mean() <= LOST_MOST)
 
 
 def lost(run: Recording, unseen: np.ndarray) -> Recording:

@@ -1,11 +1,14 @@
 """A frame that the camera lost: its row's command acts, its motion is not compared, and nothing is made up of it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from softrl.core.errors import RecordingError
+from softrl.diagnosis.checks.gaps import mend
+from softrl.diagnosis.checks.within import within
 from softrl.diagnosis.fitting.bins import Bins
 from softrl.recordings.lost import lost
 from softrl.recordings.read import read
@@ -71,3 +74,14 @@ def test_parts_of_a_run_know_what_was_lost_in_them() -> None:
     assert marked.quaternion is not None
     np.testing.assert_allclose(marked.quaternion, turned, atol=1e-3)
     assert RecordingSet("tripod", (marked,)).sessions() == ["day"]
+
+
+def test_fits_see_no_piece_of_a_run_whose_motion_was_lost() -> None:
+    time = 0.1 * np.arange(600)
+    moved = np.outer(np.sin(time), [0.01, 0.0, 0.0])
+    whole = Recording("whole", "day", time, np.ones((600, 3)) * moved[:, :1], position=moved)
+    blind = lost(replace(whole, name="blind"), time < 25.0)
+    assert [run.name for run in within([whole, blind], 40.0)] == ["whole"]
+    assert [run.name for run in within([whole, blind], 200.0)] == ["whole", "blind"]
+    torn = replace(blind, time=blind.time + 30.0 * (blind.time >= 20.0))
+    assert [part.name for part in mend(torn, [(19.9, 30.1)]).parts] == ["blind, part 2"]

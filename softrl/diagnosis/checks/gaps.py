@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrl.recordings.check import DataCheck
+from softrl.recordings.lost import is_seen
 from softrl.recordings.recording import Recording
 
 BRIDGED_CHANGE_S = 0.25  # change across a pause, in shares of a channel's range, times its length: less is bridged
@@ -45,7 +46,7 @@ def mend(run: Recording, gaps: Sequence[tuple[float, float]]) -> Mended:
     if len(cuts) == 2:
         return Mended((run,), sum(length for _, length in gaps), 0.0)
     parts = [rows(run, slice(a, b), f"{run.name}, part {k}") for k, (a, b) in enumerate(pairwise(cuts), 1)]
-    parts = [part for part in parts if len(part.time) > 1 and np.ptp(part.time) >= MIN_PART_S]
+    parts = [part for part in parts if len(part.time) > 1 and np.ptp(part.time) >= MIN_PART_S and is_seen(part)]
     inside = [any(p.time[0] <= start <= p.time[-1] - length for p in parts) for start, length in gaps]
     spanned = sum(float(np.ptp(part.time)) for part in parts)
     crossed = sum(length for (_, length), kept in zip(gaps, inside, strict=True) if kept)

@@ -17,8 +17,7 @@ TIMES = 10.0  # a spike stands out from the running median by this many times wh
 LEAST_SHARE = 0.02  # of the range
 NEARBY, CALM_PERCENT = 1.5, 85.0  # times what so many of the samples around it do: a fast swing has many peaks
 COMMAND_SHARE, JUST = 0.15, 3  # of its range: a command that changes by more within a row jumps; rows for which that counts
-CENTRE = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0  # how far a sample is off a cubic through its four neighbours
-ALONE = CENTRE  # and by how much it puts each of them off
+ALONE = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0  # how far a sample is off a cubic through its neighbours, and puts these off
 CLEAR, NOT_ALONE = 4.0, 0.2  # times what samples nearby are off; of its pattern, that may be left without it
 JUMP_SHARE = 0.5  # of its height a spike is entered and left by within one sample, beyond the motion before and after
 
@@ -111,7 +110,7 @@ def _lone(values: np.ndarray, least: float) -> np.ndarray:
     Such a sample is off a cubic through its neighbours, and puts these off theirs by shares that it alone leaves.
     """
     wrong, reach = np.zeros(len(values), dtype=bool), len(ALONE) // 2
-    off = correlate1d(values, CENTRE, axis=0, mode="nearest")
+    off = correlate1d(values, ALONE, axis=0, mode="nearest")
     size = correlate1d(off, ALONE, axis=0, mode="nearest") / (ALONE @ ALONE)
     height, level = (np.linalg.norm(rows, axis=1) for rows in (size, off))
     level = percentile_filter(level, CALM_PERCENT, size=8 * LONGEST + 1, mode="nearest")

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
+from softrl.diagnosis.checks.spikes import ALONE
 from softrl.recordings.recording import Recording
 
 OFF = 0.4  # of the period: a stamp farther from its tick is off the clock
@@ -19,7 +20,6 @@ LEAST = 0.01  # of the period: less jitter is that of digits
 PULL = 0.05  # of how far a stamp is from its tick, by which the next ticks move
 AROUND = 51  # rows over which the clock may wander
 WANDERS = 0.3  # times the jitter: a mean over so many rows differs by half of that without any wandering
-CENTRE = np.array([-1.0, 4.0, 0.0, 4.0, -1.0]) / 6.0  # what a cubic through four neighbours has in their middle
 SLOPE = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0
 WILD = 6.0  # times the median of what samples are off their neighbours: a jump, or a slip of the tracking
 REPEATED = 0.1  # of the samples: more show a sensor slower than the rows, whose values jump
@@ -49,7 +49,7 @@ def evened(runs: Sequence[Recording]) -> tuple[tuple[Recording, ...], list[str]]
         if even is not None
         for values in (run.position, run.bend_angle)
         if values is not None
-        for piece in _pieces(run.time, even, values.reshape(len(values), -1))
+        for piece in _pieces(run, even, values.reshape(len(values), -1))
     ]
     share, error = _share_of(pieces)
     if not share + SURE * error < KEPT:
@@ -91,18 +91,20 @@ def _ticks(time: np.ndarray, period: float) -> np.ndarray:
     return count
 
 
-def _pieces(time: np.ndarray, even: np.ndarray, values: np.ndarray) -> list[_Seen]:
+def _pieces(run: Recording, even: np.ndarray, values: np.ndarray) -> list[_Seen]:
     """Return what the samples ``values`` (steps, n) with two neighbours on each side show, in pieces of equal length."""
     moved = (np.diff(values, axis=0) != 0.0).any(axis=1)
     if np.mean(~moved) > REPEATED:
         return []
+    seen = np.ones(len(even), dtype=bool) if run.unseen is None else ~run.unseen
     steps = np.diff(even)
-    near = np.abs(steps - np.median(steps)) < OFF * np.median(steps)
+    near = (np.abs(steps - np.median(steps)) < OFF * np.median(steps)) & seen[1:] & seen[:-1]
     rows = np.flatnonzero(np.convolve(near, np.ones(4), "valid") > 3.5)[:, None] + np.arange(5)
-    late = time - even
-    off = values[rows[:, 2]] - np.einsum("j,kjn->kn", CENTRE, values[rows])
+    if len(rows) < AROUND:
+        return []
+    off = np.einsum("j,kjn->kn", ALONE, values[rows])
     speed = np.einsum("j,kjn->kn", SLOPE, values[rows]) / np.median(steps)
-    told = speed * (late[rows[:, 2]] - late[rows] @ CENTRE)[:, None]
+    told = speed * ((run.time - even)[rows] @ ALONE)[:, None]
     tame = np.abs(off) < WILD * np.median(np.abs(off), axis=0)
     parts = [np.array_split(found, FEWEST) for found in (off, told, tame)]
     return [_Seen(a[good], b[good]) for a, b, good in zip(*parts, strict=True)]

@@ -6,6 +6,7 @@ import numpy as np
 
 from softrl.diagnosis.checks.gaps import rows
 from softrl.diagnosis.fitting.problem import MIN_FOLDS
+from softrl.recordings.lost import is_seen
 from softrl.recordings.recording import Recording
 from softrl.recordings.validate import SLOW_S
 
@@ -14,7 +15,7 @@ ROUNDED = 1e-9  # of a length: a run that stays whole keeps its last row, howeve
 
 
 def within(runs: Sequence[Recording], seconds: float) -> tuple[Recording, ...]:
-    """Return runs that together last at most ``seconds``, cut at one common length; all start as recorded.
+    """Return runs that together last at most ``seconds``, cut at one common length; all start as recorded, and show motion.
 
     Where that would leave less than ``LEAST_S`` of each, the runs that were driven most are taken, one of every session
     before a second of any: slow effects do not show in many short pieces. A run's rows more than ``SLOW_S`` apart count as if
@@ -32,7 +33,8 @@ def within(runs: Sequence[Recording], seconds: float) -> tuple[Recording, ...]:
         runs = [runs[k] for k in chosen]
     length = _common_length(runs, seconds)
     ends = [int(np.searchsorted(run.time, _after(run, (1.0 + ROUNDED) * length), side="right")) for run in runs]
-    return tuple(rows(run, slice(end)) for run, end in zip(runs, ends, strict=True))
+    pieces = tuple(rows(run, slice(end)) for run, end in zip(runs, ends, strict=True))
+    return tuple(filter(is_seen, pieces)) or pieces
 
 
 def _slower(run: Recording) -> float:

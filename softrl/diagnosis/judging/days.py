@@ -5,6 +5,7 @@ No simulator of one robot predicts that, and no law names it. Where it is all th
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from softrl.diagnosis.judging.leftover import explained_by, not_understood, offe
 
 STIFFER = 0.03  # of the wall: more is no detail of a day
 STIFFNESS = "stiffness_scale", "modulus_scale"  # how names of a simulator's parameters end that make its wall stiffer
-TURNS, SHIFTS = slice(0, 3), slice(3, 6)  # numbers of a day; the last one is how much stiffer it is
+TURNS, SHIFTS, STIFFENS = slice(0, 3), slice(3, 6), 6  # numbers of a day
 SHRINK = 1e-9  # of a column's mean square: no motion turns about its own line
 
 
@@ -31,19 +32,18 @@ def by_days(finding: Finding) -> Finding:
     if not finding.unknown or len(sessions) < 2:
         return finding
     sides = [_Side(problem, trial) for problem in (part.problem, judge.problem)]
-    alike, apart = _numbers(sides, sessions)
-    days = tuple(_day(name, apart[name] - alike) for name in sessions)
-    if not all(_is_little(day, part.problem.robot.length_m) for day in days):
+    found = _little(sides, sessions)
+    if found is None:
         return finding
-    training, heldout = (side.without(apart) for side in sides)
-    by_itself, mine = replace(judge, problem=heldout), trial._replace(squares=sides[1].left(apart))
+    training, heldout = (side.without(found.apart) for side in sides)
+    together, each = sides[1].left(found.alike), sides[1].left(found.apart)
+    by_itself, mine = replace(judge, problem=heldout), trial._replace(squares=each)
     offer = offer_of(training, by_itself, mine)
     explained = explained_by(judge, finding.base, mine, offer)
-    together = sides[1].left(dict.fromkeys(sessions, alike))
-    differ = judge.gap(together, mine.squares).low > 0.0 and judge.removed(together, mine.squares) > judge.material
+    differ = judge.gap(together, each).low > 0.0 and judge.removed(together, each) > judge.material
     if not differ or not_understood(training, by_itself, mine, offer, explained):
         return finding
-    return replace(finding, unknown=False, reasons=[], closest="", days=Days(days, explained.left))
+    return replace(finding, unknown=False, reasons=[], closest="", days=Days(found.days, explained.left))
 
 
 def mounted_apart(finding: Finding) -> bool:
@@ -51,17 +51,13 @@ def mounted_apart(finding: Finding) -> bool:
 
     All of them may be turned and moved alike, which is another matter.
     """
-    judge, trial = finding.judge, finding.final
-    both = judge.on((*finding.part.problem.runs, *judge.problem.runs))
+    both = finding.judge.on((*finding.part.problem.runs, *finding.judge.problem.runs))
     sessions = dict.fromkeys(run.session for run in both.problem.runs)
     if both.problem.register or both.problem.mounted or both.problem.robot.output == "bend_angle" or len(sessions) < 2:
         return False
-    side = _Side(both.problem, trial)
-    for columns in side.columns:
-        columns[:, 6] = 0.0
-    alike, apart = _numbers([side], sessions)
-    little = all(_is_little(_day(name, apart[name] - alike), both.problem.robot.length_m) for name in sessions)
-    return little and both.shows(side.left(dict.fromkeys(sessions, alike)), side.left(apart))
+    side = _Side(both.problem, finding.final, mounts_only=True)
+    found = _little([side], sessions)
+    return found is not None and both.shows(side.left(found.alike), side.left(found.apart))
 
 
 def says_more(again: Finding, before: Finding) -> bool:
@@ -83,13 +79,11 @@ def told_of_days(findings: Sequence[Finding]) -> list[str]:
 class _Side:
     """The runs of a problem with what a trial leaves of them, and what it would leave on another day."""
 
-    def __init__(self, problem: Problem, trial: Trial) -> None:
+    def __init__(self, problem: Problem, trial: Trial, mounts_only: bool = False) -> None:
         self.problem, self.trial = problem, trial
         self.residual = problem.residual(trial.hypothesis, trial.fit.point, trial.placed)
-        first = len(trial.fit.point) - len(trial.hypothesis.tuned)
-        stiff = [first + k for k, name in enumerate(trial.hypothesis.tuned) if name.endswith(STIFFNESS)]
-        along = slopes(problem, trial, self.residual)
-        self.columns = [self._columns(k, -part[:, :, stiff].sum(axis=2)) for k, part in enumerate(along)]
+        stiffer = [np.zeros_like(left) for left in self.residual.runs] if mounts_only else self._stiffer()
+        self.columns = [self._columns(k, rows) for k, rows in enumerate(stiffer)]
 
     def session_of(self, number: int) -> str:
         """Return the session of a run."""
@@ -113,11 +107,18 @@ class _Side:
         """Return the squared errors (bins,) on such days."""
         return self.without(numbers).residual(self.trial.hypothesis, self.trial.fit.point, self.trial.placed).squares
 
+    def _stiffer(self) -> list[np.ndarray]:
+        """Return what is seen beyond the simulation (bins, channels) a run where the wall is stiffer, per share of that."""
+        tuned = self.trial.hypothesis.tuned
+        first = len(self.trial.fit.point) - len(tuned)
+        stiff = [first + k for k, name in enumerate(tuned) if name.endswith(STIFFNESS)]
+        return [-part[:, :, stiff].sum(axis=2) for part in slopes(self.problem, self.trial, self.residual)]
+
     def _columns(self, number: int, stiffer: np.ndarray) -> np.ndarray:
         """Return (rows, 7): what is seen beyond the simulation where the base is turned, moved, and the wall ``stiffer``."""
         run, bins = self.problem.runs[number], len(stiffer)
         found = np.zeros((bins, stiffer.shape[1], 7))
-        found[:, :, 6] = stiffer
+        found[:, :, STIFFENS] = stiffer
         if run.position is None or stiffer.shape[1] == 1:
             found[:, :, 0] = self.problem.robot.length_m
             return found.reshape(-1, 7)
@@ -130,10 +131,21 @@ class _Side:
         return found.reshape(-1, 7)
 
 
-def _numbers(sides: Sequence[_Side], sessions: Iterable[str]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Return the numbers (7,) of all sessions together, and each one's own, by the first of ``sides`` that holds runs of it."""
-    own = {name: next(filter(None, (side.rows(name) for side in sides))) for name in sessions}
-    return _solved(sides[0].rows(None)), {name: _solved(rows) for name, rows in own.items()}
+class _Little(NamedTuple):
+    """Numbers (7,) of all sessions together and each one's own, by session, and how far these are from those."""
+
+    alike: dict[str, np.ndarray]
+    apart: dict[str, np.ndarray]
+    days: tuple[Day, ...]
+
+
+def _little(sides: Sequence[_Side], sessions: Iterable[str]) -> _Little | None:
+    """Return how sessions differ, each by the first of ``sides`` that holds runs of it; None where one differs by much."""
+    rows = {name: next(filter(None, (side.rows(name) for side in sides))) for name in sessions}
+    alike, apart = _solved(sides[0].rows(None)), {name: _solved(mine) for name, mine in rows.items()}
+    days = tuple(_day(name, own - alike) for name, own in apart.items())
+    length_m = sides[0].problem.robot.length_m
+    return _Little(dict.fromkeys(apart, alike), apart, days) if all(_is_little(day, length_m) for day in days) else None
 
 
 def _solved(rows: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
@@ -144,7 +156,7 @@ def _solved(rows: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
 
 
 def _day(session: str, numbers: np.ndarray) -> Day:
-    return Day(session, float(numbers[6]), float(np.linalg.norm(numbers[TURNS])), float(np.linalg.norm(numbers[SHIFTS])))
+    return Day(session, float(numbers[STIFFENS]), float(np.linalg.norm(numbers[TURNS])), float(np.linalg.norm(numbers[SHIFTS])))
 
 
 def _is_little(day: Day, length_m: float) -> bool:
