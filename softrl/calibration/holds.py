@@ -87,6 +87,7 @@ def settled_holds(
     for run, recording in enumerate(recordings.recordings):
         for first, last in _constant_stretches(recording, hold_min_s):
             position, drift = end_of_hold(recording, first, last, average_s)
+            drift = drift if recording.seen[_end_rows(recording, first, last, average_s)].all() else np.nan
             felt_n = _felt_at_end(recording, first, last, average_s)
             unsettled += drift >= drift_max_m
             untold += np.isnan(drift)
@@ -96,7 +97,8 @@ def settled_holds(
     if unsettled:
         log.info("%d holds still moved more than %g mm at their end and are left out", unsettled, 1e3 * drift_max_m)
     if untold:
-        log.warning("%d holds are left out: too few rows to tell whether they still move; log faster or hold longer", untold)
+        told = "%d holds are left out: too few rows, or lost ones, to tell whether they still move; log faster or hold longer"
+        log.warning(told, untold)
     if loaded:
         log.warning("%d holds with more than %.3g N on the tip are left out: f_RS is a free tip's", loaded, loaded_n)
     if len(found) < 4:
@@ -121,7 +123,7 @@ def moving_rows(
     found = []
     for run, first in since.items():
         recording = recordings.recordings[run]
-        moving = (_since_change(recording) < settle_s) & (_felt(recording) <= loaded_n)
+        moving = (_since_change(recording) < settle_s) & (_felt(recording) <= loaded_n) & recording.seen
         for row in first + np.flatnonzero(moving[first:]):
             found.append((recording.pressure_cmd[row], recording.position[row], run, row))
     if not found:

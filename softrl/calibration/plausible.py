@@ -10,7 +10,7 @@ from softrl.core.errors import RecordingError
 from softrl.effects.chain import Plant
 from softrl.recordings.check import check
 from softrl.recordings.mistaken import mistaken
-from softrl.recordings.placement import place
+from softrl.recordings.placement import joined, place
 from softrl.recordings.recording import Recording, RecordingSet
 
 log = logging.getLogger(__name__)
@@ -45,7 +45,7 @@ def _warn_of_frames(runs: Sequence[Recording], simulated: Sequence[Recording], t
     """Warn of sessions in which a rigid motion of the frame explains most of how far tips are from what is simulated."""
     for session in dict.fromkeys(run.session for run in runs):
         mine = [k for k, run in enumerate(runs) if run.session == session]
-        points, seen = (np.concatenate([np.asarray(side[k].position) for k in mine]) for side in (simulated, runs))
+        points, seen = joined([simulated[k] for k in mine], [runs[k] for k in mine])
         turn, shift = place(points, seen)
         plain, placed = (np.mean(np.sum((seen - tips) ** 2, axis=1)) for tips in (points, points @ turn.T + shift))
         if placed < PLACED_SHARE * plain and np.sqrt(plain - placed) > tolerance_m:

@@ -146,7 +146,7 @@ def replay_errors(
         errors = _errors(robot, recording, from_row(motions[number], since[number]))
         rows = holds.last_row[holds.run == number] - since[number]
         for name, error in errors.items():
-            over_runs.setdefault(f"{name}_run", []).append(error)
+            over_runs.setdefault(f"{name}_run", []).append(error[recording.seen])
             if not name.startswith("velocity"):
                 at_holds.setdefault(f"{name}_hold", []).append(error[rows])
     errors = {name: _rms(np.concatenate(e)) for name, e in (at_holds | over_runs).items()}

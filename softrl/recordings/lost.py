@@ -13,12 +13,12 @@ LOST_MOST = 0.5  # of a run's rows may lack their motion
 
 def is_seen(run: Recording) -> bool:
     """Return whether no more of the motion of ``run`` was lost than may be."""
-    return run.unseen is None or bool(run.unseen.mean() <= LOST_MOST)
+    return bool(np.mean(~run.seen) <= LOST_MOST)
 
 
 def lost(run: Recording, unseen: np.ndarray) -> Recording:
     """Return ``run`` with its motion ``unseen`` (steps,) at some samples, besides any before: it is bridged evenly there."""
-    unseen = unseen if run.unseen is None else unseen | run.unseen
+    unseen = unseen | ~run.seen
     changed: dict[str, Any] = {
         name: bridged(run.time, getattr(run, name), unseen) for name in MOTION if getattr(run, name) is not None
     }

@@ -1,9 +1,12 @@
 """The rigid motion that places a simulator's frame in a session's."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+
+from softrl.recordings.run import Recording
 
 
 class Registration(NamedTuple):
@@ -11,6 +14,13 @@ class Registration(NamedTuple):
 
     turn: np.ndarray
     shift: np.ndarray
+
+
+def joined(simulated: Sequence[Recording], runs: Sequence[Recording]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the tips (samples, 3) m that are ``simulated`` and those of ``runs``, wherever these were seen."""
+    pairs = [(made.position[run.seen], run.position[run.seen]) for made, run in zip(simulated, runs, strict=True)]
+    points, seen = zip(*pairs, strict=True)
+    return np.concatenate(points), np.concatenate(seen)
 
 
 def place(points: np.ndarray, seen: np.ndarray) -> Registration:

@@ -25,7 +25,7 @@ def repeatability(runs: Sequence[Recording], clean: Sequence[Recording] = ()) ->
     the ``clean`` run of the same name has no more, if there is one, are no noise either.
     """
     squares: dict[str, list[float]] = {}
-    kept = {run.name: run.time if run.unseen is None else run.time[~run.unseen] for run in clean}
+    kept = {run.name: run.time[run.seen] for run in clean}
     for i, one in enumerate(runs):
         for other in [run for run in runs[i + 1 :] if run.session == one.session]:
             count = min(len(one.time), len(other.time))

@@ -44,6 +44,11 @@ class Recording:
     gone_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     unseen: np.ndarray | None = None
 
+    @property
+    def seen(self) -> np.ndarray:
+        """Whether the motion (steps,) was seen."""
+        return np.ones(len(self.time), dtype=bool) if self.unseen is None else ~self.unseen
+
     def channels(self) -> Iterator[tuple[str, np.ndarray]]:
         """Yield the recorded channels by name, markers by their own."""
         for entry in fields(self):

@@ -67,7 +67,7 @@ def _write_run(path: Path, recording: Recording, robot: Robot | None) -> None:
 
 def _columns(recording: Recording, robot: Robot | None) -> Iterator[tuple[str, np.ndarray]]:
     def seen(motion: np.ndarray) -> np.ndarray:
-        return motion if recording.unseen is None else np.where(recording.unseen, np.nan, motion)
+        return np.where(recording.seen, motion, np.nan)
 
     yield "time_s", recording.time
     yield from command_columns(recording.pressure_cmd, robot)

@@ -10,12 +10,14 @@ from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.tracking import NullTracker
 from softrl.diagnosis.fitting.hypothesis import Hypothesis
 from softrl.diagnosis.fitting.problem import Numerics, Problem
+from softrl.diagnosis.judging.correct import Model, traces
 from softrl.diagnosis.stage import run
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.effect import Effect
 from softrl.effects.lag import Lag
 from softrl.effects.replay import replay
 from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.lost import lost
 from softrl.recordings.recording import Recording, RecordingSet
 from tests.diagnosis.conftest import configured, programs
 
@@ -56,7 +58,7 @@ def is_told_of_mounts(found: Diagnosis) -> bool:
 def test_each_session_is_placed_within_what_nobody_avoids(body: PccSimulator) -> None:
     numerics = Numerics(0.01, 0.02, 0.1, 1.0, 4.0)
     for mount in (1.0, 6.0):
-        runs = recorded(body, warmth=0.0, mount=mount).recordings
+        runs = tuple(lost(run, (run.time > 2.0) & (run.time < 5.0)) for run in recorded(body, warmth=0.0, mount=mount).recordings)
         alike = Problem(body.robot, body, runs, numerics, "motion", "command", False, False)
         left, placed = (
             problem.residual(Hypothesis((), ()), np.zeros(0)) for problem in (alike, replace(alike, mounted=True))
@@ -69,6 +71,8 @@ def test_each_session_is_placed_within_what_nobody_avoids(body: PccSimulator) ->
             np.testing.assert_allclose(turns, np.linalg.norm(TURNS_DEG, axis=1), atol=0.05)
             np.testing.assert_allclose(np.multiply(shifts, 1e3), np.linalg.norm(SHIFTS_MM, axis=1), atol=0.1)
             assert np.sqrt(placed.squares.mean()) < 2e-4
+            model = Model(Hypothesis((), ()), np.zeros(0), placed.registrations)
+            assert traces(replace(alike, mounted=True), model).rms < 3e-4
 
 
 @pytest.mark.slow

@@ -85,7 +85,7 @@ def test_bins_hold_what_is_said_to_be_left_of_noise(tripod: Robot, body: PccSimu
 
 @pytest.mark.parametrize("began_s", [0.0, 1.7e9])
 def test_rows_as_slow_as_bins_have_one_each(began_s: float) -> None:
-    bins = Bins(began_s + 0.1 * np.arange(750), 0, 0.1)
+    bins = Bins(began_s + 0.1 * np.arange(750), 0, 0.1, np.ones(750, dtype=bool))
     np.testing.assert_array_equal(bins.places, np.arange(750))
 
 

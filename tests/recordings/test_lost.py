@@ -57,7 +57,7 @@ def test_a_run_without_most_of_its_motion_is_refused(tmp_path: Path) -> None:
 
 def test_bins_hold_what_was_seen_only() -> None:
     time, unseen = 0.02 * np.arange(10), np.isin(np.arange(10), [1, 5, 6, 7, 8, 9])
-    bins = Bins(time, 0, 0.1, unseen)
+    bins = Bins(time, 0, 0.1, ~unseen)
     np.testing.assert_array_equal(bins.places, [0])
     np.testing.assert_allclose(bins.mean(np.arange(10.0)[:, None]), [[(0 + 2 + 3 + 4) / 4]])
     assert bins.noise_left == pytest.approx(0.25)

@@ -37,7 +37,7 @@ class Floor(NamedTuple):
 def floor_of(found: DataCheck, usable: Sequence[Recording], robot: Robot, channel: str) -> Floor:
     """Return the noise of a channel, as holds or neighbouring samples tell it, whichever is less, or repeats."""
     if channel in MOTION:
-        usable = [run if run.unseen is None else rows(run, ~run.unseen) for run in usable]
+        usable = [rows(run, run.seen) for run in usable]
     series = [_columns(run, channel) for run in usable if getattr(run, channel) is not None]
     series = [values for values in series if len(values) >= TELLING] or [values for values in series if len(values) >= LEAST]
     if not series:

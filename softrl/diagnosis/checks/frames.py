@@ -8,7 +8,7 @@ import numpy as np
 
 from softrl.diagnosis.checks.data import Data
 from softrl.recordings.check import RunCheck, is_elsewhere, tip_at_rest
-from softrl.recordings.placement import Registration, place
+from softrl.recordings.placement import Registration, joined, place
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
@@ -66,14 +66,9 @@ def _apart(simulated: Sequence[Recording], runs: Sequence[Recording]) -> float:
     fits at any turn about that line, and no motion at any turn at all.
     """
     sessions = dict.fromkeys(run.session for run in runs)
-    points, seen = [
-        [np.concatenate([np.asarray(side[k].position) for k in range(len(runs)) if runs[k].session == session])
-         for session in sessions]
-        for side in (simulated, runs)
-    ]  # fmt: skip
-    common = place(np.concatenate(points), np.concatenate(seen))
-    turns = []
-    for p, q in zip(points, seen, strict=True):
+    common, turns = place(*joined(simulated, runs)), []
+    for session in sessions:
+        p, q = joined(*zip(*[pair for pair in zip(simulated, runs, strict=True) if pair[1].session == session], strict=True))
         own = place(p, q)
         shifted = Registration(common.turn, q.mean(axis=0) - common.turn @ p.mean(axis=0))
         turns.append(own.turn if _misplaced(own, p, q) < MISPLACED_SHARE * _misplaced(shifted, p, q) else common.turn)
@@ -90,8 +85,7 @@ def _turned(simulated: Sequence[Recording], runs: Sequence[Recording]) -> float:
 
     A turn counts only if it explains most of the difference between simulated and measured motion.
     """
-    points = np.concatenate([np.asarray(made.position) for made in simulated])
-    target = np.concatenate([np.asarray(run.position) for run in runs])
+    points, target = joined(simulated, runs)
     turn, shift = place(points, target)
     plain = np.mean(np.sum((target - target.mean(axis=0) - points + points.mean(axis=0)) ** 2, axis=1))
     placed = np.mean(np.sum((target - points @ turn.T - shift) ** 2, axis=1))

@@ -96,9 +96,8 @@ def _pieces(run: Recording, even: np.ndarray, values: np.ndarray) -> list[_Seen]
     moved = (np.diff(values, axis=0) != 0.0).any(axis=1)
     if np.mean(~moved) > REPEATED:
         return []
-    seen = np.ones(len(even), dtype=bool) if run.unseen is None else ~run.unseen
     steps = np.diff(even)
-    near = (np.abs(steps - np.median(steps)) < OFF * np.median(steps)) & seen[1:] & seen[:-1]
+    near = (np.abs(steps - np.median(steps)) < OFF * np.median(steps)) & run.seen[1:] & run.seen[:-1]
     rows = np.flatnonzero(np.convolve(near, np.ones(4), "valid") > 3.5)[:, None] + np.arange(5)
     if len(rows) < AROUND:
         return []

@@ -8,21 +8,20 @@ ROUNDED = 1e-4  # of a bin: a row at its very edge belongs to the bin that begin
 
 
 class Bins:
-    """The bins of a run from its sample ``first`` on, without empty ones, and without samples that are ``unseen``.
+    """The bins of a run from its sample ``first`` on, without empty ones, and without samples that were not ``seen``.
 
     Attributes
     ----------
     places : (bins,) which bins out of the run's whole time hold samples
-    number : (samples,) of which of these every sample is, unseen ones next to it
+    number : (samples,) of which of these every sample is, those not seen next to it
     """
 
-    def __init__(self, time: np.ndarray, first: int, bin_s: float, unseen: np.ndarray | None = None):
+    def __init__(self, time: np.ndarray, first: int, bin_s: float, seen: np.ndarray):
         self._first = first
         place = ((time[first:] - time[0]) / bin_s + ROUNDED).astype(int)
-        seen = np.ones(len(place)) if unseen is None else (~unseen[first:]).astype(float)
-        self.places = np.unique(place[seen > 0.0])
+        self._seen = seen[first:].astype(float)
+        self.places = np.unique(place[seen[first:]])
         self.number = np.minimum(np.searchsorted(self.places, place), len(self.places) - 1)
-        self._seen = seen
 
     def __len__(self) -> int:
         return len(self.places)

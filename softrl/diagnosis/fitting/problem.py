@@ -20,7 +20,7 @@ from softrl.effects.chain import Plant, chain_of
 from softrl.effects.driving import Supply
 from softrl.effects.library import effect_class, names
 from softrl.effects.replay import CHANNELS, replay
-from softrl.recordings.placement import Registration, place, place_nearby, turn_between
+from softrl.recordings.placement import Registration, joined, place, place_nearby, turn_between
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 
@@ -150,11 +150,9 @@ class Problem:
     @cached_property
     def bins(self) -> list[Bins]:
         """The bins of all samples that are compared, run by run."""
-        motion = self.target != "pressure"
-        return [
-            Bins(run.time, first, self.numerics.bin_s, run.unseen if motion else None)
-            for run, first in zip(self.runs, self.first, strict=True)
-        ]
+        gauges, bin_s = self.target == "pressure", self.numerics.bin_s  # which show what no camera sees
+        pairs = zip(self.runs, self.first, strict=True)
+        return [Bins(run.time, first, bin_s, run.seen | gauges) for run, first in pairs]
 
     @cached_property
     def spacing_s(self) -> float:
@@ -331,7 +329,7 @@ class Problem:
         for session in dict.fromkeys(run.session for run in self.runs):
             if session not in placed:
                 mine = [k for k, run in enumerate(self.runs) if run.session == session]
-                points, seen = (np.concatenate([_present(side[k].position) for k in mine]) for side in (simulated, self.runs))
+                points, seen = joined([simulated[k] for k in mine], [self.runs[k] for k in mine])
                 nearby = MOUNT_TURN_RAD, MOUNT_SHIFT_SHARE * self.robot.length_m
                 placed[session] = place(points, seen) if self.register else place_nearby(points, seen, *nearby)
         return placed

@@ -70,7 +70,7 @@ def _traces(problem: Problem, ridge: Ridge, features: Features, placed: dict[str
         middle = problem.binned(k, run.time[:, None])[:, 0]
         motion = np.stack([np.interp(run.time, middle, column) for column in rows.T], axis=1)
         if placed:  # a session that no fit saw is placed by what is predicted, as for the models with physics
-            turn, shift = placed.get(run.session) or place(motion, seen(problem, run))
+            turn, shift = placed.get(run.session) or place(motion[run.seen], seen(problem, run)[run.seen])
             motion = motion @ turn.T + shift
         predicted.append(motion)
     return Traces(predicted, rms_error(problem, predicted))

@@ -47,9 +47,14 @@ def traces(problem: Problem, model: Model) -> Traces:
 
 def rms_error(problem: Problem, predicted: Sequence[np.ndarray]) -> float:
     """Return the rms, over all samples that are compared, of how far ``predicted`` (steps, n) by run is off, m (rad)."""
-    each = zip(problem.runs, predicted, problem.first, strict=True)
-    squares = np.concatenate([np.sum((seen(problem, run) - made)[first:] ** 2, axis=1) for run, made, first in each])
-    return float(np.sqrt(squares.mean()))
+    return float(np.sqrt(np.nanmean(np.concatenate([off(problem, k, made) ** 2 for k, made in enumerate(predicted)]))))
+
+
+def off(problem: Problem, number: int, predicted: np.ndarray) -> np.ndarray:
+    """Return how far off (samples,) what is ``predicted`` (steps, n) of a run is, where it is compared; nan where it was lost."""
+    run = problem.runs[number]
+    apart = np.linalg.norm(seen(problem, run) - predicted, axis=1)
+    return np.where(run.seen, apart, np.nan)[problem.first[number] :]
 
 
 def seen(problem: Problem, run: Recording) -> np.ndarray:

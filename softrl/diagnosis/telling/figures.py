@@ -11,7 +11,7 @@ from matplotlib.ticker import NullFormatter
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.diagnosis.fitting.hypothesis import Choice
 from softrl.diagnosis.fitting.problem import Problem
-from softrl.diagnosis.judging.correct import Traces, seen
+from softrl.diagnosis.judging.correct import Traces, off, seen
 from softrl.diagnosis.judging.examine import Finding
 from softrl.diagnosis.series.noise import directions
 from softrl.diagnosis.telling.entries import shown_in
@@ -50,12 +50,12 @@ def draw_run(heldout: Problem, judged: dict[str, Traces]) -> Figure:
     factor, unit = (180.0 / np.pi, "deg") if angle else (1e3, "mm")
     figure = Figure(figsize=(9, 5), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True)
-    above.plot(run.time, factor * measured[:, main], color="black", lw=1.6, label="measured")
+    above.plot(run.time, np.where(run.seen, factor * measured[:, main], np.nan), color="black", lw=1.6, label="measured")
     for name in ("nominal", "retuned", "corrected"):
         traces = judged[name]
         above.plot(run.time, factor * traces.predicted[k][:, main], color=COLOURS[name], lw=0.9, label=name)
-        error = factor * _off(heldout, k, traces)
-        label = f"{name}: rms {np.sqrt(np.mean(error**2)):.3g} {unit}"
+        error = factor * off(heldout, k, traces.predicted[k])
+        label = f"{name}: rms {np.sqrt(np.nanmean(error**2)):.3g} {unit}"
         below.plot(run.time[heldout.first[k] :], error, color=COLOURS[name], lw=0.9, label=label)
     above.set_ylabel(f"{'bend angle' if angle else 'tip ' + 'xyz'[main]}, {unit}")
     above.set_title(f"held-out run {run.name}", loc="right", fontsize=9)
@@ -64,11 +64,6 @@ def draw_run(heldout: Problem, judged: dict[str, Traces]) -> Figure:
     for ax in (above, below):  # above the frame, where it hides no peak
         ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=8, ncols=4, frameon=False, borderaxespad=0.2)
     return figure
-
-
-def _off(heldout: Problem, k: int, traces: Traces) -> np.ndarray:
-    """Return how far (steps,) the motion predicted for run ``k`` is off, from the first sample that is compared."""
-    return np.asarray(np.linalg.norm(seen(heldout, heldout.runs[k]) - traces.predicted[k], axis=1)[heldout.first[k] :])
 
 
 def draw_map(heldout: Problem, judged: dict[str, Traces]) -> Figure:
@@ -88,7 +83,7 @@ def draw_map(heldout: Problem, judged: dict[str, Traces]) -> Figure:
     time = np.concatenate([(run.time - run.time[0])[begin:] for run, begin in rows])
     factor, unit = (180.0 / np.pi, "deg") if heldout.robot.output == "bend_angle" else (1e3, "mm")
     errors = {
-        name: factor * np.concatenate([_off(heldout, k, judged[name]) for k in range(len(rows))])
+        name: factor * np.concatenate([off(heldout, k, predicted) for k, predicted in enumerate(judged[name].predicted)])
         for name in ("retuned", "corrected")
     }
     figure = Figure(figsize=(9, 6), layout="constrained")
@@ -112,7 +107,9 @@ def _of_command(robot: Robot) -> tuple[float, str]:
 
 def _mean_over(x: np.ndarray, y: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the mean error (24, 12) over two coordinates, and the edges of its cells."""
-    count, x_edges, y_edges = np.histogram2d(x, y, bins=(24, 12))
+    x_edges, y_edges = np.histogram2d(x, y, bins=(24, 12))[1:]
+    x, y, error = (values[np.isfinite(error)] for values in (x, y, error))  # else the motion was lost
+    count = np.histogram2d(x, y, bins=(x_edges, y_edges))[0]
     total = np.histogram2d(x, y, bins=(x_edges, y_edges), weights=error)[0]
     return np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0), x_edges, y_edges
 
