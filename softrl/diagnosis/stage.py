@@ -28,7 +28,7 @@ from softrl.diagnosis.judging.another_body import with_another_body
 from softrl.diagnosis.judging.clock import sent_later
 from softrl.diagnosis.judging.compete import add_calibrated, competitors, judged_on, with_map
 from softrl.diagnosis.judging.correct import Traces, share_closed
-from softrl.diagnosis.judging.days import by_days, mounted_apart, says_more
+from softrl.diagnosis.judging.days import by_days, mounted_apart, says_more, stiffer_on
 from softrl.diagnosis.judging.examine import Finding, Part, examine
 from softrl.diagnosis.judging.gauges import behind_gauges
 from softrl.diagnosis.judging.join import joined, put_together
@@ -137,7 +137,7 @@ def diagnose(
     found, diagnosis, evidence = _heard(config, robot, found, simulator, calibration)
     if evidence and _may_be_mounts(diagnosis, evidence.findings[-1]):
         log.info("sessions seem to be mounted a little otherwise each: all is examined again with each placed by itself")
-        again = _diagnosed(config, robot, found, simulator, calibration, mounted=True)
+        again = _diagnosed(config, robot, found, simulator, calibration, stiffer_on(evidence.findings[-1]))
         if again[1] and again[0].verdict != "unknown" and says_more(again[1].findings[-1], evidence.findings[-1]):
             return again
     odd = differing(evidence.findings[-1], found.used) if evidence and diagnosis.verdict == "unknown" else []
@@ -198,13 +198,15 @@ def _believing(
 
 
 def _diagnosed(
-    config: Config, robot: Robot, found: Data, simulator: Simulator, calibration: Calibration | None, mounted: bool = False
+    config: Config, robot: Robot, found: Data, simulator: Simulator, calibration: Calibration | None,
+    days: dict[str, float] | None = None,
 ) -> tuple[Diagnosis, Evidence | None]:
+    """Return the diagnosis; with ``days`` every session is placed by itself, and stiffer by as much as they say, by session."""
     numerics = _steps(config, robot, simulator, found)
     seconds, _ = config.search.bounds_of(simulator)
     data = found.shortened(seconds * numerics.dt_s / config.numerics.dt_s)
     whole, data = _whole(config, robot, simulator, data, numerics)
-    whole = replace(whole, mounted=mounted)
+    whole = whole if days is None else replace(whole, mounted=True, stiffer=days)
     apart = _contradiction(whole, found)
     if apart:
         return cannot_tell(Refusal(data.check, apart, data.mended), robot.name, type(simulator).__name__), None

@@ -6,12 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrl.core.identity import Same
-from softrl.diagnosis.fitting import problem as problems
 from softrl.diagnosis.fitting.bins import Bins
+from softrl.diagnosis.fitting.bodies import tuned_body
 from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, starts
 from softrl.diagnosis.fitting.minimise import Fit, jacobian_at, least_squares
-from softrl.diagnosis.fitting.problem import Numerics, Problem
+from softrl.diagnosis.fitting.problem import REPLAYS, Numerics, Problem
 from softrl.diagnosis.fitting.trial import Trial, fit_trials, shared_out
 from softrl.diagnosis.search.look import Base, hidden_by_retuning, look_at
 from softrl.diagnosis.search.rank import rank
@@ -54,11 +53,13 @@ def test_shared_effects_and_kept_bodies_replay_as_those_made_for_every_run(tripo
 
 def test_a_kept_body_belongs_to_one_simulator(tripod: Robot, body: PccSimulator) -> None:
     other = replace(body, damping_s=2.0 * body.damping_s)
-    values = (("mass_scale", 1.3),)
-    one, two = (problems._tuned(Same(simulator), *values) for simulator in (body, other))
+    values = {"mass_scale": 1.3}
+    one, two = (tuned_body(simulator, values, 0.0) for simulator in (body, other))
     assert one == body.with_parameters(mass_scale=1.3) and two == other.with_parameters(mass_scale=1.3)
-    assert problems._tuned(Same(body), *values) is one
-    assert problems._tuned(Same(body)) is body
+    assert tuned_body(body, values, 0.0) is one
+    assert tuned_body(body, {}, 0.0) is body
+    softer = tuned_body(body, {"bending_stiffness_scale": 1.0, "mass_scale": 1.3}, -0.02)
+    assert softer == body.with_parameters(bending_stiffness_scale=0.98, mass_scale=1.3)
 
 
 def test_bins_hold_means(tripod: Robot, body: PccSimulator) -> None:
@@ -122,7 +123,7 @@ def test_a_replay_asked_for_again_is_the_same_and_other_processes_do_not_carry_i
     problem, hypothesis = problem_of(tripod, body), Hypothesis((Choice("lag"),), ())
     points = [starts(Choice("lag"))[0] * share for share in (0.2, 0.4, 0.6, 0.8, 1.0, 1.2)]
     first = [problem.residual(hypothesis, point).flat for point in points]
-    assert len(problem._known) == problems.REPLAYS
+    assert len(problem._known) == REPLAYS
     again = [problem.residual(hypothesis, point).flat for point in reversed(points)]
     for one, two in zip(first, reversed(again), strict=True):
         np.testing.assert_array_equal(one, two)

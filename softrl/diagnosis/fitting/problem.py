@@ -3,17 +3,17 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softrl.core.errors import SolverError
-from softrl.core.identity import Same
 from softrl.core.simulator import Simulator
 from softrl.diagnosis.fitting import effort
 from softrl.diagnosis.fitting.bins import Bins
+from softrl.diagnosis.fitting.bodies import tuned_body
 from softrl.diagnosis.fitting.hypothesis import LASTING, LATE, Hypothesis, Space
 from softrl.diagnosis.fitting.still_body import StillBody
 from softrl.effects.chain import Plant, chain_of
@@ -28,7 +28,6 @@ UNJUDGED_S, UNJUDGED_SHARE = 1.0, 0.05  # of a run that does not begin at rest, 
 MIN_FOLDS = 3  # parts of the data that are left out in turn, at least
 FOLDS, FOLD_S = 8, 20.0  # with fewer runs than that: so many parts, where each is as long
 SAME_RATE = 0.1  # relative difference of sampling intervals that is jitter
-KEPT = 16  # bodies with other parameters: the columns of a Jacobian by effects' parameters share one
 REPLAYS = 4  # the last ones, kept: what a fit ends with is asked for again by all that judges it
 MOUNT_TURN_RAD, MOUNT_SHIFT_SHARE = math.radians(1.0), 0.01  # of a base mounted anew, the latter in lengths: more is no detail
 ORIENTATION_LEVER = 0.5  # lengths of the robot: turns orientation errors into displacements
@@ -81,6 +80,7 @@ class Problem:
     drive : "command" or "measured", see ``effects.replay``
     register : place the simulator in each session's frame by the best rigid motion
     mounted : do so within what no one avoids who mounts a base anew
+    stiffer : by session the share by which the wall is stiffer that day
     orientation : compare orientations too, not positions only
     before : by run the pressures (chambers,) Pa under which the body stood before the first sample, where they are known
         better than by the first pressures themselves, see ``prelude``
@@ -108,6 +108,7 @@ class Problem:
     later: Mapping[str, np.ndarray] = field(default_factory=dict)
     defect: tuple[np.ndarray, ...] = ()
     mounted: bool = False
+    stiffer: Mapping[str, float] = field(default_factory=dict)
 
     def on(self, runs: Sequence[Recording]) -> "Problem":
         """Return the same problem on other runs."""
@@ -242,14 +243,20 @@ class Problem:
 
     def _replayed(self, hypothesis: Hypothesis, point: np.ndarray, channels: tuple[str, ...]) -> list[Recording]:
         space = self.space(hypothesis)
-        body = StillBody() if self.target == "pressure" else _tuned(Same(self.simulator), *space.tuned(point).items())
-        apart = {s for choice in hypothesis.effects for s in choice.sessions}  # all others share what acts everywhere
+        apart = {s for choice in hypothesis.effects for s in choice.sessions} | {*self.stiffer}  # all others share what acts
         lasts = any(choice.lasting for choice in hypothesis.effects)
         times = [
             (run.session if run.session in apart else "", run.gone_s if lasts else (run.gone_s[0], 0.0, 0.0))
             for run in self.runs
         ]
-        plants = {when: Plant(body, chain_of(self.robot, space.effects(point, *when))) for when in dict.fromkeys(times)}
+        tuned = space.tuned(point)
+        bodies = {
+            day: StillBody() if self.target == "pressure" else tuned_body(self.simulator, tuned, self.stiffer.get(day, 0.0))
+            for day, _ in times
+        }
+        plants = {
+            when: Plant(bodies[when[0]], chain_of(self.robot, space.effects(point, *when))) for when in dict.fromkeys(times)
+        }
         pairs, late_s = zip(times, self.runs, strict=True), space.late(point)
         return [self._replay(plants[when], run, channels, late_s) for when, run in pairs]
 
@@ -333,12 +340,6 @@ class Problem:
                 nearby = MOUNT_TURN_RAD, MOUNT_SHIFT_SHARE * self.robot.length_m
                 placed[session] = place(points, seen) if self.register else place_nearby(points, seen, *nearby)
         return placed
-
-
-@lru_cache(maxsize=KEPT)
-def _tuned(same: Same[Simulator], *values: tuple[str, float]) -> Simulator:
-    """Return the simulator with other parameters, kept: what it works out of them is worked out once."""
-    return same.thing.with_parameters(**dict(values)) if values else same.thing
 
 
 def _present(values: np.ndarray | None) -> np.ndarray:

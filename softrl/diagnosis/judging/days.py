@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrl.diagnosis.fitting.bodies import STIFFNESS
 from softrl.diagnosis.fitting.problem import MOUNT_SHIFT_SHARE, MOUNT_TURN_RAD, ORIENTATION_LEVER, Problem
 from softrl.diagnosis.fitting.trial import Trial
 from softrl.diagnosis.fitting.varied import slopes
@@ -16,7 +17,6 @@ from softrl.diagnosis.judging.examine import Day, Days, Finding
 from softrl.diagnosis.judging.leftover import explained_by, not_understood, offer_of
 
 STIFFER = 0.03  # of the wall: more is no detail of a day
-STIFFNESS = "stiffness_scale", "modulus_scale"  # how names of a simulator's parameters end that make its wall stiffer
 TURNS, SHIFTS, STIFFENS = slice(0, 3), slice(3, 6), 6  # numbers of a day
 SHRINK = 1e-9  # of a column's mean square: no motion turns about its own line
 
@@ -58,6 +58,11 @@ def mounted_apart(finding: Finding) -> bool:
     side = _Side(both.problem, finding.final, mounts_only=True)
     found = _little([side], sessions)
     return found is not None and both.shows(side.left(found.alike), side.left(found.apart))
+
+
+def stiffer_on(finding: Finding) -> dict[str, float]:
+    """Return by session the share by which the wall is stiffer that day, where the ``finding`` is that days differ."""
+    return {day.session: day.stiffer for day in finding.days.each} if finding.days else {}
 
 
 def says_more(again: Finding, before: Finding) -> bool:

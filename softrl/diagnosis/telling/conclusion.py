@@ -129,5 +129,6 @@ def _mounts(data: Data, whole: Problem, model: Model) -> str:
     placed = whole.on(data.used).residual(model.hypothesis, model.point, model.placed).registrations
     return "; ".join(
         f"{session} {np.degrees(np.arccos(min(1.0, 0.5 * (np.trace(turn) - 1.0)))):.2g} deg, {1e3 * np.linalg.norm(shift):.2g} mm"
+        + (f", {whole.stiffer[session]:+.1%} in stiffness" if session in whole.stiffer else "")
         for session, (turn, shift) in placed.items()
     )
