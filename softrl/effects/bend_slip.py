@@ -1,0 +1,74 @@
+"""Joints, or layers along the body, that slip in the direction in which it bends, whichever chambers bend it."""
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from softrl.core.compiled import standing_as
+from softrl.effects.effect import ADDED, ADDED_SLOPE, PORT_KERNEL, RATE, Effect, parameter
+from softrl.effects.play import spread_of
+from softrl.robots.robot import Robot
+
+ELEMENTS, SPREAD = 4, 0.8  # that slip one after the other, at 0.4 to 1.6 times the strain at which they do on average
+
+
+@standing_as(PORT_KERNEL)
+def bend_slip_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
+    """Advance springs in series with sliders by what the bend turns and grows: each is drawn no farther than it yields."""
+    slope, yield_strain, n = parameters[0], parameters[1], port.shape[1]
+    moved_x = moved_y = pull_x = pull_y = held = 0.0
+    for i in range(n):
+        moved_x += parameters[2 + i] * port[RATE, i] * dt
+        moved_y += parameters[2 + n + i] * port[RATE, i] * dt
+    for k in range(ELEMENTS):
+        yields = yield_strain * spread_of(SPREAD, k, ELEMENTS)
+        x, y = state[2 * k] + moved_x, state[2 * k + 1] + moved_y
+        share = min(1.0, yields / max(math.hypot(x, y), 1e-300))
+        x, y = share * x, share * y
+        pull_x, pull_y, held = pull_x + x, pull_y + y, held + share
+        if commit:
+            state[2 * k], state[2 * k + 1] = x, y
+    for i in range(n):
+        along_x, along_y = parameters[2 + 2 * n + i], parameters[2 + 3 * n + i]
+        port[ADDED, i] += slope * (along_x * pull_x + along_y * pull_y)
+        port[ADDED_SLOPE, i] += slope * held * (along_x * parameters[2 + i] + along_y * parameters[2 + n + i])
+
+
+@dataclass(frozen=True)
+class BendSlip(Effect):
+    """Hysteresis of the bend as a whole: a stress that follows the bend's vector until it slips along with it.
+
+    ``height`` is what a chamber in the plane of the bend resists at most, as a share of the robot's largest pressure;
+    ``yield_strain`` is the strain there at which the elements slip on average.
+
+    Notes
+    -----
+    Sum of four elastoplastic elements of equal stiffness with radial return in the plane of bends (Prandtl and Iwan in two
+    dimensions, textbook form, no equation number checked). Where every wall slips by itself (``hysteresis``, ``play``) two
+    chambers that bend the body between them are seen to slip one by one, and those on the other side as well. What stretches
+    the body meets nothing. Exact for any step in which the bend goes straight on.
+    """
+
+    site: ClassVar[str] = "body"
+    title: ClassVar[str] = "slip along the bend"
+    kernel: ClassVar = bend_slip_kernel
+    variant_of: ClassVar[str] = "hysteresis"
+    sticks: ClassVar[bool] = True
+
+    height: float = parameter("1", 0.0, 1.0, 0.0, typical=0.1)
+    yield_strain: float = parameter("1", 0.001, 0.3, 0.02, typical=0.02, log=True)
+
+    def pack(self, robot: Robot) -> np.ndarray:
+        """Return (stiffness of an element Pa, yield strain, x and y of the bend by chamber strains, x and y of chambers)."""
+        height, yield_strain = super().pack(robot)[:2]
+        around = np.asarray(robot.chamber_direction)
+        shape = np.hstack([np.ones((len(around), 1)), around]) if len(around) > 1 else around
+        to_bend = np.linalg.pinv(shape)[-2:]
+        slope = height * robot.largest_pa / (yield_strain * ELEMENTS)
+        return np.r_[slope, yield_strain, to_bend.ravel(), around.T.ravel()]
+
+    def reset(self, robot: Robot) -> np.ndarray:
+        """Return how far every element is drawn, x and y: not at all."""
+        return np.zeros(2 * ELEMENTS)
