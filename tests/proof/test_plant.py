@@ -142,6 +142,25 @@ def test_slip_does_not_know_the_rate_and_damage_only_the_past() -> None:
     assert virgin == 0.0 and back < 0.0
 
 
+def test_a_joint_pulls_back_to_where_it_came_from_and_does_not_know_the_rate() -> None:
+    """Straight on its pull levels off as Dahl's law has it; aside it turns after the motion; slower is the same."""
+    table = laws.neutral_table()
+    table[laws.JOINT, :2] = 0.2, 0.1
+    ways = []
+    for steps in (500, 5000):
+        drawn, h = np.zeros(2), 1.0 / steps
+        for _ in range(steps):
+            laws.rub(table, h, 5, np.array([0.03, 0.0]), drawn)
+        straight = drawn.copy()
+        for _ in range(steps):
+            laws.rub(table, 2.0 * h, 5, np.array([0.0, 0.03]), drawn)
+        ways.append([straight, drawn.copy()])
+    assert np.allclose(ways[0], ways[1], atol=1e-9)
+    assert straight == pytest.approx([1.0 - np.exp(-1.5), 0.0]) and drawn == pytest.approx(
+        [np.exp(-3.0) * straight[0], 1.0 - np.exp(-3.0)]
+    )
+
+
 def test_the_line_delays_by_its_time_and_an_orifice_settles() -> None:
     table = laws.neutral_table()
     table[laws.LINE, 0] = 0.2

@@ -95,9 +95,10 @@ def _grow(
         added = addition(fitting, judge, current, choices, search, path)
         if added is None:
             break
+        unit = "Pa" if fitting.target == "pressure" else "m"
         report(
-            f"{current.hypothesis.label()}: rms {judge.rms(current.squares):.4g}, best addition "
-            f"{added.hypothesis.effects[-1].label()}: {judge.rms(added.squares):.4g} on runs left out"
+            f"{current.hypothesis.label()}: rms {judge.rms(current.squares):.4g} {unit}, best addition "
+            f"{added.hypothesis.effects[-1].label()}: {judge.rms(added.squares):.4g} {unit} on runs left out"
         )
         if not pays(judge, current, added):
             break

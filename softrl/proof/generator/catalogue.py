@@ -73,6 +73,7 @@ RIGHT: dict[str, tuple[int, tuple[str, ...], float]] = {
     "relax": (laws.RELAX, ("drift",), 0.4),
     "braid": (laws.BRAID, ("stretch_area",), 6.0),
     "fold": (laws.FOLD, ("bimodular",), 0.6),
+    "joint": (laws.JOINT, ("bend_slip",), 0.4),
     "mass": (laws.MASS, ("payload",), 1.5),
     "tilt": (laws.TILT, ("mount_tilt",), 0.5),
     "rebound": (laws.REBOUND, ("contact",), 2000.0),
@@ -128,6 +129,7 @@ PAIRS = (
     ("mass", "slip"),
     ("braid", "spool"),
     ("fold", "powerlaw"),
+    ("joint", "spool"),
 )
 INSEPARABLE = (
     ("dead_time", "delay", "without measured pressure a delay before a time-invariant body equals one behind it"),
@@ -198,6 +200,8 @@ def draw(name: str, place: str, session_s: float, chambers: int, rng: np.random.
         drawn = {1: u(0.02, 0.05), 2: u(0.12, 0.2)}
     elif name == "fold":
         drawn = {1: u(0.03, 0.15)}
+    elif name == "joint":
+        drawn = {1: u(0.04, 0.2)}
     elif name == "relax":
         drawn = {1: u(0.4, 1.5) * session_s}
     elif name == "tilt":

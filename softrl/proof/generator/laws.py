@@ -13,14 +13,14 @@ import numpy as np
 LAWS = (
     "spool", "choke", "line", "relay", "ceiling", "stick",
     "orifice", "gain", "offset", "coupling", "balloon", "warmth", "product",
-    "powerlaw", "slip", "bristle", "damage", "fung", "soften", "wall", "relax", "braid", "fold", "rubber",
+    "powerlaw", "slip", "bristle", "damage", "fung", "soften", "wall", "relax", "braid", "fold", "rubber", "joint",
     "mass", "tilt", "rebound", "string", "buckle",
     "frame", "marker", "latency", "sampling", "twist", "jolt",
 )  # fmt: skip
 (
     SPOOL, CHOKE, LINE, RELAY, CEILING, STICK,
     ORIFICE, GAIN, OFFSET, COUPLING, BALLOON, WARMTH, PRODUCT,
-    POWERLAW, SLIP, BRISTLE, DAMAGE, FUNG, SOFTEN, WALL, RELAX, BRAID, FOLD, RUBBER,
+    POWERLAW, SLIP, BRISTLE, DAMAGE, FUNG, SOFTEN, WALL, RELAX, BRAID, FOLD, RUBBER, JOINT,
     MASS, TILT, REBOUND, STRING, BUCKLE,
     FRAME, MARKER, LATENCY, SAMPLING, TWIST, JOLT,
 ) = range(len(LAWS))  # fmt: skip
@@ -204,6 +204,19 @@ def resist(
         if int(P[POWERLAW, CHAMBER]) == c:
             added += spring * relaxed(P[POWERLAW, 0], h, rate * h, s[2 + SLIPS :])
     return added
+
+
+@nb.njit(cache=True)
+def rub(P: np.ndarray, h: float, joints: int, rates: np.ndarray, s: np.ndarray) -> None:
+    """Advance how far the bristles ``s`` (2,) of one of ``joints`` are drawn by its ``rates`` (2,) of turn, 1 at most.
+
+    Dahl's friction of a joint that turns any way: it pulls back to where the joint came from, and its size levels off.
+    """
+    reach = P[JOINT, 1] / joints
+    turned = math.hypot(rates[0], rates[1]) * h / reach
+    kept = math.exp(-turned)
+    for k in range(2):
+        s[k] = kept * s[k] + (1.0 - kept) * rates[k] * h / max(turned * reach, 1e-300)
 
 
 @nb.njit(cache=True)

@@ -88,6 +88,7 @@ def _run(
     mid_q, mid_v = np.zeros(m), np.zeros(m)
     supplies, chamber = np.zeros((chambers, laws.SUPPLY_SLOTS)), np.zeros((chambers, 2))
     walls, modes = np.zeros((chambers, laws.WALL_SLOTS)), np.zeros((3, laws.MODES))
+    joints = np.zeros((n, 2))
     p, acting, pushed = np.zeros(chambers), np.zeros(chambers), np.zeros(3)
     e_rest, s_rest = np.zeros(chambers), np.zeros(3)
     between[:] = v
@@ -149,6 +150,10 @@ def _run(
                 force[3 * j] += generalized[0]
                 force[3 * j + 1] += generalized[1]
                 force[3 * j + 2] += generalized[2] / n - rest[3 * j + 2]
+                if P[laws.JOINT, 0] > 0.0:
+                    laws.rub(P, h, n, mid_v[3 * j : 3 * j + 2], joints[j])
+                    for k3 in range(2):
+                        force[3 * j + k3] -= P[laws.JOINT, 0] * unit * area * radius * joints[j, k3]
             advance(q, v, between, h, M, force, stiffness, damping, A, x)
         t = times[row]
         kinematics(q, v, length, points, speeds, biases, jacobian, R)
