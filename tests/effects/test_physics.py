@@ -18,6 +18,7 @@ from softrl.effects import friction
 from softrl.effects.area_growth import AreaGrowth
 from softrl.effects.asymmetry import Asymmetry
 from softrl.effects.base_tilt import BaseTilt
+from softrl.effects.bend_slip import BendSlip
 from softrl.effects.bimodular import Bimodular
 from softrl.effects.chain import EffectChain, Plant, SignalFilter, chain_of
 from softrl.effects.command_map import CommandMap
@@ -114,10 +115,10 @@ def step_to(pressure: float, steps: int) -> np.ndarray:
     return np.full((steps, 3), pressure)
 
 
-def pull(effect: Effect, strain: np.ndarray, dt_s: float = DT, pressure: float = 0.0) -> np.ndarray:
-    """Return the added pressure (steps,) in chamber 0 along a path of strain, every step committed."""
-    state, added, last = effect.reset(ROBOT), [], 0.0
-    for value in strain:
+def pulls(effect: Effect, strains: np.ndarray, dt_s: float = DT, pressure: float = 0.0) -> np.ndarray:
+    """Return the added pressure (steps, 3) along a path (steps, 3) of the chambers' strains, every step committed."""
+    state, added, last = effect.reset(ROBOT), [], np.zeros(3)
+    for value in strains:
         port = np.zeros((BODY_PORT_ROWS, 3))
         port[STRAIN], port[RATE] = value, (value - last) / dt_s
         port[ELASTIC], port[ELASTIC_SLOPE], port[REST], port[PRESSURE] = (
@@ -127,9 +128,14 @@ def pull(effect: Effect, strain: np.ndarray, dt_s: float = DT, pressure: float =
             pressure,
         )
         type(effect).kernel(effect.pack(ROBOT), state, port, dt_s, True)
-        added.append(port[ADDED, 0])
+        added.append(port[ADDED].copy())
         last = value
     return np.array(added)
+
+
+def pull(effect: Effect, strain: np.ndarray, dt_s: float = DT, pressure: float = 0.0) -> np.ndarray:
+    """Return the added pressure (steps,) in chamber 0 where all chambers are strained alike along a path (steps,)."""
+    return pulls(effect, np.repeat(strain[:, None], 3, axis=1), dt_s, pressure)[:, 0]
 
 
 def move(effects: list[Effect], pressure: np.ndarray, body: PccSimulator | None = None, **kwargs: np.ndarray) -> Motion:
@@ -612,6 +618,40 @@ def test_play_with_a_spread_yields_piece_by_piece_and_remembers_where_it_turned(
     onward = np.linspace(0.02, -0.02, 401)[1:]
     looped = pull(effect, np.concatenate([strain, out, back, onward]))[-400:]
     np.testing.assert_allclose(looped, pull(effect, np.concatenate([strain, onward]))[-400:], atol=1e-9 * FULL)
+
+
+AROUND = np.asarray(ROBOT.chamber_direction)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4, math.pi / 2, 3.0])
+def test_slip_along_the_bend_is_the_same_whichever_way_the_body_bends(angle: float) -> None:
+    """A bend is resisted along itself, by the height at most, a stretch not at all; a reversal gives back what was drawn."""
+    effect, along = BendSlip(height=0.1, yield_strain=0.01), np.array([math.cos(angle), math.sin(angle)])
+    bend = np.concatenate([np.linspace(0.0, 0.05, 201), np.linspace(0.05, 0.0, 201)])
+    stretch = 0.3 * np.sin(40.0 * bend)
+    added = pulls(effect, bend[:, None] * (AROUND @ along) + stretch[:, None])
+    moment = added @ AROUND / 1.5
+    np.testing.assert_allclose(added.sum(axis=1), 0.0, atol=1e-9 * FULL)
+    np.testing.assert_allclose(moment @ [-along[1], along[0]], 0.0, atol=1e-9 * FULL)
+    met = moment @ along
+    few = np.minimum(bend[:201, None], 0.01 * np.array([0.4, 0.8, 1.2, 1.6])).sum(axis=1)
+    np.testing.assert_allclose(met[:201], 0.1 * FULL * few / 0.04, atol=1e-9 * FULL)
+    assert met[200] == pytest.approx(0.1 * FULL) and met[-1] == pytest.approx(-0.1 * FULL)
+
+
+@pytest.mark.parametrize("count", [400, 4000])
+def test_slip_along_the_bend_turns_after_the_bend_and_loses_work_that_knows_no_rate(count: int) -> None:
+    """Round a circle the pull keeps its height and lags behind the way; no closed path gives work."""
+    effect, way = BendSlip(height=0.1, yield_strain=0.005), np.linspace(0.0, 4.0 * math.pi, count + 1)[1:]
+    bend = 0.05 * np.column_stack([np.cos(way), np.sin(way)])
+    moments = [pulls(effect, bend @ AROUND.T, dt_s) @ AROUND / 1.5 for dt_s in (0.01, 1.0)]
+    np.testing.assert_allclose(moments[0], moments[1], atol=1e-9 * FULL)
+    settled = moments[0][count // 2 :]
+    assert np.hypot(*settled.T) == pytest.approx(0.1 * FULL, rel=1e-2)
+    steps = np.diff(bend, axis=0)[count // 2 - 1 :]
+    work = (settled * steps).sum(axis=1)
+    assert (work > 0.0).all()
+    assert work.sum() == pytest.approx(0.1 * FULL * 2.0 * math.pi * 0.05, rel=0.02)  # a circle's length at the full height
 
 
 @pytest.mark.parametrize("spread", [0.0, 1.0])
