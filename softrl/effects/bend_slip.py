@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import ADDED, ADDED_SLOPE, PORT_KERNEL, RATE, Effect, parameter
+from softrl.effects.effect import ADDED, COUPLED, PORT_KERNEL, RATE, Effect, parameter
 from softrl.effects.play import spread_of
 from softrl.robots.robot import Robot
 
@@ -18,7 +18,7 @@ ELEMENTS, SPREAD = 4, 0.8  # that slip one after the other, at 0.4 to 1.6 times 
 def bend_slip_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
     """Advance springs in series with sliders by what the bend turns and grows: each is drawn no farther than it yields."""
     slope, yield_strain, n = parameters[0], parameters[1], port.shape[1]
-    moved_x = moved_y = pull_x = pull_y = held = 0.0
+    moved_x = moved_y = pull_x = pull_y = held_xx = held_xy = held_yy = 0.0
     for i in range(n):
         moved_x += parameters[2 + i] * port[RATE, i] * dt
         moved_y += parameters[2 + n + i] * port[RATE, i] * dt
@@ -27,13 +27,17 @@ def bend_slip_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray
         x, y = state[2 * k] + moved_x, state[2 * k + 1] + moved_y
         share = min(1.0, yields / max(math.hypot(x, y), 1e-300))
         x, y = share * x, share * y
-        pull_x, pull_y, held = pull_x + x, pull_y + y, held + share
+        lost = share / yields**2 if share < 1.0 else 0.0  # of what slips: along itself it is drawn no farther
+        pull_x, pull_y = pull_x + x, pull_y + y
+        held_xx, held_xy, held_yy = held_xx + share - lost * x * x, held_xy - lost * x * y, held_yy + share - lost * y * y
         if commit:
             state[2 * k], state[2 * k + 1] = x, y
     for i in range(n):
         along_x, along_y = parameters[2 + 2 * n + i], parameters[2 + 3 * n + i]
         port[ADDED, i] += slope * (along_x * pull_x + along_y * pull_y)
-        port[ADDED_SLOPE, i] += slope * held * (along_x * parameters[2 + i] + along_y * parameters[2 + n + i])
+        by_x, by_y = along_x * held_xx + along_y * held_xy, along_x * held_xy + along_y * held_yy
+        for j in range(n):
+            port[COUPLED + i, j] += slope * (by_x * parameters[2 + j] + by_y * parameters[2 + n + j])
 
 
 @dataclass(frozen=True)

@@ -38,8 +38,8 @@ ANY_MOMENT_S = 3.2e7  # a year: what goes on from run to run may begin after as 
 EVERYWHERE = -1.0  # as ``above_share``: no pressure is below it
 TURN = 2.0 * math.pi  # rad, either way: bounds of a direction, so that a search may pass where it would jump
 
-# rows of a body port (10, chambers): one column per chamber
-STRAIN, RATE, ELASTIC, ELASTIC_SLOPE, PRESSURE, REST, ADDED, ADDED_SLOPE, CHANGED, UNEVEN = range(10)
+# rows of a body port (10 + chambers, chambers): one column per chamber
+STRAIN, RATE, ELASTIC, ELASTIC_SLOPE, PRESSURE, REST, ADDED, ADDED_SLOPE, CHANGED, UNEVEN, COUPLED = range(11)
 # STRAIN         chamber elongation e_i relative to rest, dimensionless (trial value)
 # RATE           (e_i - e_i at the last step) / dt, 1/s
 # ELASTIC        elastic resisting pressure of the bare body, Pa, zero at rest;  ELASTIC_SLOPE  its derivative by e_i, Pa
@@ -47,6 +47,7 @@ STRAIN, RATE, ELASTIC, ELASTIC_SLOPE, PRESSURE, REST, ADDED, ADDED_SLOPE, CHANGE
 # ADDED          output: further resisting pressure, Pa (positive resists elongation);  ADDED_SLOPE  d ADDED / d e_i, Pa
 # CHANGED        in/out: by what share of itself the elastic resistance has changed: laws that multiply it do so in turn
 # UNEVEN         in/out: the same of what the bare body resists beside the chambers' mean strains, where all walls have changed
+# COUPLED .. +i  output: d ADDED_i / d e_j, Pa, beside that slope, of what answers in one chamber to strains of others
 
 # rows of a load port (7, 3)
 TIP, TIP_VELOCITY, GRAVITY, FORCE, FORCE_SLOPE = 0, 1, 2, 3, 4
@@ -54,8 +55,28 @@ TIP, TIP_VELOCITY, GRAVITY, FORCE, FORCE_SLOPE = 0, 1, 2, 3, 4
 # GRAVITY        in/out: gravity felt by the body, m/s^2 (a tilt rotates it)
 # FORCE          output: further force on the tip, N;  FORCE_SLOPE .. +2  output: d FORCE / d TIP, N/m (rows: force)
 
-BODY_PORT_ROWS, LOAD_PORT_ROWS = 10, 7
+LOAD_PORT_ROWS = 7
 STAGE = 1.0 - math.sqrt(0.5)  # share of a step after which bodies whose steps have two stages ask, besides its end
+
+
+@nb.njit(cache=True)
+def body_port(chambers: int) -> np.ndarray:
+    """Return an empty body port."""
+    return np.zeros((COUPLED + chambers, chambers))
+
+
+@borrowing
+def clear(port: np.ndarray) -> None:
+    """Take out of a body port what effects have put in."""
+    for row in range(ADDED, port.shape[0]):
+        for i in range(port.shape[1]):
+            port[row, i] = 0.0
+
+
+@borrowing
+def slope_of(port: np.ndarray, i: int, j: int) -> float:
+    """Return by how much chamber ``i`` resists more, Pa, for each unit by which the strain of chamber ``j`` grows."""
+    return port[COUPLED + i, j] + (port[ADDED_SLOPE, i] if i == j else 0.0)
 
 
 @borrowing
@@ -166,6 +187,7 @@ class Effect:
     contains : names of the effects that this one is where its ``essence`` is neutral: where it does no better it is that one
     essence : names of the parameters without all of which it is another effect: never are all held at their neutral values
     undivided : whether it is another effect without any one of its ``essence``: none is held at its neutral value
+    twins : two groups of parameters that say the same with all values exchanged: what acts alone is told as the first, or none
     onset_of : name of the effect that this one is where that begins in a moment, or empty: a failed chamber has a smaller gain
     sudden : whether it may begin from one moment to the next: a camera is knocked rather than a robot's mount
     above_own : whether it acts above a pressure of its own only, and so in no need of a gate that says one
@@ -203,6 +225,7 @@ class Effect:
     contains: ClassVar[tuple[str, ...]] = ()
     essence: ClassVar[tuple[str, ...]] = ()
     undivided: ClassVar[bool] = False
+    twins: ClassVar[tuple[tuple[str, ...], ...]] = ()
     onset_of: ClassVar[str] = ""
     sudden: ClassVar[bool] = True
     above_own: ClassVar[bool] = False

@@ -16,14 +16,12 @@ from softrl.core.simulator import Hook
 from softrl.effects.call import address_of, call_port, call_signal
 from softrl.effects.effect import (
     ADDED,
-    ADDED_SLOPE,
-    CHANGED,
+    COUPLED,
     EVERYWHERE,
     GRAVITY,
     PORT_KERNEL,
     PRESSURE,
     SIGNAL_KERNEL,
-    UNEVEN,
     Effect,
 )
 from softrl.effects.quaternion import product
@@ -137,8 +135,10 @@ def gated_body(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: 
     late = _late(state[-1], dt, parameters)
     for i in range(port.shape[1]):
         share = late * _above(port[PRESSURE, i], parameters)
-        for row in (ADDED, ADDED_SLOPE, CHANGED, UNEVEN):
+        for row in range(ADDED, COUPLED):
             port[row, i] = before[row, i] + share * (port[row, i] - before[row, i])
+        for j in range(port.shape[1]):
+            port[COUPLED + i, j] = before[COUPLED + i, j] + share * (port[COUPLED + i, j] - before[COUPLED + i, j])
     if commit:
         state[-1] = _after(state[-1], dt)
 

@@ -35,6 +35,7 @@ class Viscoelasticity(Effect):
     site: ClassVar[str] = "body"
     title: ClassVar[str] = "viscoelastic relaxation and creep of the wall"
     kernel: ClassVar = viscoelasticity_kernel
+    twins: ClassVar = (("share_1", "relaxation_1_s"), ("share_2", "relaxation_2_s"))
 
     share_1: float = parameter("1", 0.0, 5.0, 0.0, typical=0.4)
     relaxation_1_s: float = parameter("s", 0.02, 300.0, 1.0, typical=2.0, log=True)

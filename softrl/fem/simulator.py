@@ -13,7 +13,7 @@ from softrl.core.simulator import Hook, Motion
 from softrl.effects.effect import (
     ADDED,
     ADDED_SLOPE,
-    BODY_PORT_ROWS,
+    COUPLED,
     ELASTIC,
     ELASTIC_SLOPE,
     FORCE,
@@ -26,6 +26,7 @@ from softrl.effects.effect import (
     STRAIN,
     TIP,
     TIP_VELOCITY,
+    body_port,
 )
 from softrl.fem.continuation import Missed, follow, told
 from softrl.fem.coupling import Pose
@@ -245,7 +246,7 @@ class FemSimulator:
         scale, pose = model.rest_volume, trial.body.pose
         change = model.volumes(pose) - hooks.rest
         moved = model.volumes(pose) - model.volumes(state.body.pose)
-        port = np.zeros((BODY_PORT_ROWS, n))
+        port = body_port(n)
         port[STRAIN], port[RATE] = change / scale, moved / (scale * dt_s)
         port[ELASTIC] = self._volume_stiffness @ change
         port[ELASTIC_SLOPE] = port[REST] = np.diag(self._volume_stiffness) * scale
@@ -258,7 +259,7 @@ class FemSimulator:
         for hook in hooks.load:
             hook.kernel(hook.parameters, hook.state, tip, dt_s, commit)
         slope = np.zeros((n + 3, n + 3))
-        slope[:n, :n] = np.diag(-port[ADDED_SLOPE] / scale)
+        slope[:n, :n] = -(np.diag(port[ADDED_SLOPE]) + port[COUPLED:]) / scale
         slope[n:, n:] = tip[FORCE_SLOPE : FORCE_SLOPE + 3]
         return np.r_[-port[ADDED], tip[FORCE]], slope, tip[GRAVITY].copy()
 

@@ -8,8 +8,6 @@ from softrl.core.compiled import summing
 from softrl.effects.call import run_ports
 from softrl.effects.effect import (
     ADDED,
-    ADDED_SLOPE,
-    CHANGED,
     ELASTIC,
     ELASTIC_SLOPE,
     FORCE,
@@ -22,6 +20,7 @@ from softrl.effects.effect import (
     TIP,
     TIP_VELOCITY,
     UNEVEN,
+    clear,
     share_of_all,
 )
 from softrl.pcc.inertia import add_inertia
@@ -64,7 +63,7 @@ def run_body_effects(
         port[STRAIN, c], port[RATE, c] = strain, (strain - strains[c]) * per_s
         port[ELASTIC, c], port[ELASTIC_SLOPE, c] = elastic, slope[c]
         port[PRESSURE, c], port[REST, c] = pressure[c], model.wall[c]
-        port[ADDED, c], port[ADDED_SLOPE, c], port[CHANGED, c], port[UNEVEN, c] = 0.0, 0.0, 0.0, 0.0
+    clear(port)
     run_ports(hook, port, dt, commit)
 
 

@@ -11,7 +11,7 @@ import numba as nb
 import numpy as np
 
 from softrl.core.compiled import summing
-from softrl.effects.effect import BODY_PORT_ROWS, LOAD_PORT_ROWS, STAGE, STRAIN
+from softrl.effects.effect import LOAD_PORT_ROWS, STAGE, STRAIN, body_port
 from softrl.pcc.forces import run_body_effects, run_load_effects
 from softrl.pcc.model import FIRST, GAINED, LAST, MOVED, SECOND, TRIAL, VELOCITY, WORK_ROWS, fill_shape, stretching
 from softrl.pcc.newton import solve_step
@@ -141,9 +141,9 @@ def run_kernel(
         np.zeros((WORK_ROWS, m)),
         np.zeros((m, m)),
         np.zeros((m, m)),
-        (np.zeros((BODY_PORT_ROWS, chambers)), np.zeros((LOAD_PORT_ROWS, 3)), np.zeros(5), np.zeros(5), np.zeros(5)),
+        (body_port(chambers), np.zeros((LOAD_PORT_ROWS, 3)), np.zeros(5), np.zeros(5), np.zeros(5)),
         np.zeros(chambers),
-        np.zeros(chambers),
+        np.zeros((chambers, chambers)),
         np.zeros(len(hooks[1][3])),
     )
     return _advance(y, velocity, dt, pressure, tip_force, model, hooks, position, quaternion, room)

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from softrl.core.compiled import summing
-from softrl.effects.effect import ADDED_SLOPE
+from softrl.effects.effect import slope_of
 from softrl.pcc.forces import fill_residual
 from softrl.pcc.model import MOVED, NEXT, OTHER, RESIDUAL, SEEN, STEP, TRIAL, stretching
 
@@ -106,28 +106,30 @@ def _quick(
 
 @summing
 def _follow(inverse: np.ndarray, slopes: np.ndarray, port: np.ndarray, model: Any, work: np.ndarray) -> bool:
-    """Bring the ``inverse`` Jacobian from the effects' ``slopes`` (chambers,) to those in ``port``; return if it had them.
+    """Bring the ``inverse`` Jacobian from the effects' ``slopes`` to those in ``port``; return if it had them.
 
-    Sherman and Morrison's formula, chamber by chamber.
+    Sherman and Morrison's formula, slope by slope: ``slopes`` (chambers, chambers) are of one chamber by another's strain.
     """
     push, to_strain, rest, moved, seen = model.push, model.to_strain, model.slope, work[MOVED], work[SEEN]
     m, moving, known = len(model.order), stretching(model), True
     for c in range(len(slopes)):
-        change = port[ADDED_SLOPE, c] - slopes[c]
-        if abs(change) < SAME * rest[c]:
-            continue
-        known, slopes[c], along = False, port[ADDED_SLOPE, c], 0.0
-        for i in range(m):
-            moved[i], seen[i] = 0.0, 0.0
-            for j in range(moving):
-                moved[i] += inverse[i, j] * push[j, c]
-                seen[i] += to_strain[c, j] * inverse[j, i]
-        for i in range(moving):
-            along += to_strain[c, i] * moved[i]
-        share = change / (1.0 + change * along)
-        for i in range(m):
-            for j in range(m):
-                inverse[i, j] -= share * moved[i] * seen[j]
+        for d in range(len(slopes)):
+            slope = slope_of(port, c, d)
+            change = slope - slopes[c, d]
+            if abs(change) < SAME * rest[c]:
+                continue
+            known, slopes[c, d], along = False, slope, 0.0
+            for i in range(m):
+                moved[i], seen[i] = 0.0, 0.0
+                for j in range(moving):
+                    moved[i] += inverse[i, j] * push[j, c]
+                    seen[i] += to_strain[d, j] * inverse[j, i]
+            for i in range(moving):
+                along += to_strain[d, i] * moved[i]
+            share = change / (1.0 + change * along)
+            for i in range(m):
+                for j in range(m):
+                    inverse[i, j] -= share * moved[i] * seen[j]
     return known
 
 
@@ -192,7 +194,8 @@ def solve_step(
                     jacobian[i, j] = (other[i] - residual[i]) / NUDGE
             _invert(jacobian, inverse)
             for c in range(len(slopes)):
-                slopes[c] = ports[0][ADDED_SLOPE, c]
+                for d in range(len(slopes)):
+                    slopes[c, d] = slope_of(ports[0], c, d)
             stale = False
         size = _newton_step(order, inverse, residual, step)
         for i in range(m):

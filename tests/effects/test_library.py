@@ -13,7 +13,7 @@ from softrl.core.simulator import Motion
 from softrl.core.span import held
 from softrl.effects import library
 from softrl.effects.chain import EffectChain, Plant, SignalFilter, chain_of
-from softrl.effects.effect import BODY_PORT_ROWS, LOAD_PORT_ROWS, SITES, Effect
+from softrl.effects.effect import LOAD_PORT_ROWS, SITES, Effect, body_port
 from softrl.pcc.simulator import PccSimulator
 from softrl.robots.robot import Robot
 
@@ -58,7 +58,7 @@ def simulate(effects: list[Effect], dt_s: float = 0.01, robot: str = "tripod") -
 def example_input(effect: Effect, robot: Robot) -> np.ndarray:
     rng = np.random.default_rng(4)
     if effect.site == "body":
-        return rng.normal(0.0, 0.05, (BODY_PORT_ROWS, robot.chambers))
+        return rng.normal(0.0, 0.05, body_port(robot.chambers).shape)
     if effect.site == "load":
         return rng.normal(0.0, 0.1, (LOAD_PORT_ROWS, 3))
     if effect.site == "sensor" and effect.channel == "pose":

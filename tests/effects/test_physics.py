@@ -31,7 +31,6 @@ from softrl.effects.drift import Drift
 from softrl.effects.effect import (
     ADDED,
     ADDED_SLOPE,
-    BODY_PORT_ROWS,
     ELASTIC,
     ELASTIC_SLOPE,
     FORCE,
@@ -45,6 +44,8 @@ from softrl.effects.effect import (
     TIP,
     TIP_VELOCITY,
     Effect,
+    body_port,
+    slope_of,
 )
 from softrl.effects.failure import Failure
 from softrl.effects.flow_limit import FlowLimit
@@ -119,7 +120,7 @@ def pulls(effect: Effect, strains: np.ndarray, dt_s: float = DT, pressure: float
     """Return the added pressure (steps, 3) along a path (steps, 3) of the chambers' strains, every step committed."""
     state, added, last = effect.reset(ROBOT), [], np.zeros(3)
     for value in strains:
-        port = np.zeros((BODY_PORT_ROWS, 3))
+        port = body_port(3)
         port[STRAIN], port[RATE] = value, (value - last) / dt_s
         port[ELASTIC], port[ELASTIC_SLOPE], port[REST], port[PRESSURE] = (
             STIFFNESS * value,
@@ -746,7 +747,7 @@ def test_drift_waits_for_its_onset() -> None:
 def test_a_wall_softens_with_the_recorded_temperature_only() -> None:
     """Its stiffness at whole seconds is ``exp(-a (T - 20))`` times the model's, halfway between them in between."""
     effect = ThermalSoftening(softening_per_k=0.02)
-    port = np.zeros((BODY_PORT_ROWS, 3))
+    port = body_port(3)
     port[ELASTIC], port[ELASTIC_SLOPE] = 1e3, 2e4
     for temperature, warm in ((None, 0.0), (np.array([26.0, 30.0]), 8.0), (np.array([30.0]), 10.0)):
         (hook,) = EffectChain(ROBOT, (effect,), temperature=temperature).hooks("body")
@@ -759,7 +760,7 @@ def test_a_wall_softens_with_the_recorded_temperature_only() -> None:
 def test_a_part_of_a_run_has_temperatures_of_its_own() -> None:
     """They are told from its first sample on, however long the run had gone on; what is timed by the run opens by that."""
     temperature = np.linspace(20.0, 30.0, 11)
-    port = np.zeros((BODY_PORT_ROWS, 3))
+    port = body_port(3)
     port[ELASTIC] = 1e3
     for since_s, share in ((0.0, 1.0), (296.0, 1.0), (304.0, 0.5)):
         effect = ThermalSoftening(softening_per_k=0.02, since_s=since_s, over_s=2.0, begun_s=300.0)
@@ -788,7 +789,7 @@ def test_friction_holds_for_good() -> None:
 def test_friction_holds_no_more_than_the_pressure_presses() -> None:
     law, state, added = Friction(dry=0.1, loaded=0.2), np.zeros(3), []
     for rate, pressure in [(1.0, 2e4), (0.0, 2e4), (0.0, 1e4), (0.0, 0.0), (0.0, 2e4), (-1.0, 2e4)]:
-        port = np.zeros((BODY_PORT_ROWS, 3))
+        port = body_port(3)
         port[RATE], port[PRESSURE] = rate, pressure
         state, port = law.apply(ROBOT, state, port, DT)
         added.append(port[ADDED, 0])
@@ -802,7 +803,7 @@ def test_friction_gives_back_no_energy_that_it_did_not_take(step: float) -> None
     rng, law = np.random.default_rng(2), Friction(dry=0.05, loaded=0.1)
     state, taken, slope = np.zeros(3), np.zeros(3), 0.0
     for _ in range(3000):
-        moved, port = step * rng.normal(size=3), np.zeros((BODY_PORT_ROWS, 3))
+        moved, port = step * rng.normal(size=3), body_port(3)
         port[RATE], port[PRESSURE] = moved / DT, FULL * rng.uniform(-1.0, 1.0, size=3)
         state, port = law.apply(ROBOT, state, port, DT)
         taken, slope = taken + port[ADDED] * moved, max(slope, port[ADDED_SLOPE].max())
@@ -891,7 +892,7 @@ def test_the_wall_of_one_chamber_creeps_by_its_own_spring(law: type[Effect]) -> 
     for elastic in (0.0, 4e3):
         effect = law.neutral(chamber=1)
         effect = replace(effect, **{f.name: f.metadata["typical"] for f in law.parameter_fields()})
-        port = np.zeros((BODY_PORT_ROWS, 3))
+        port = body_port(3)
         port[STRAIN], port[REST], port[ELASTIC], port[ELASTIC_SLOPE] = 0.05, STIFFNESS, elastic, STIFFNESS
         law.kernel(effect.pack(ROBOT), effect.reset(ROBOT), port, DT, True)
         added.append(port[ADDED].copy())
@@ -978,7 +979,7 @@ def test_body_slope_is_the_derivative(effect: Effect, strain: float) -> None:
     state, last = effect.reset(ROBOT), 0.0
 
     def port_at(value: float, last: float) -> np.ndarray:
-        port = np.zeros((BODY_PORT_ROWS, 3))
+        port = body_port(3)
         port[STRAIN], port[RATE], port[PRESSURE] = value, (value - last) / DT, 1e4
         port[ELASTIC], port[ELASTIC_SLOPE], port[REST] = STIFFNESS * value, STIFFNESS, STIFFNESS
         return port
@@ -991,6 +992,29 @@ def test_body_slope_is_the_derivative(effect: Effect, strain: float) -> None:
         type(effect).kernel(effect.pack(ROBOT), state, port, DT, False)
     slope = (ports[2][ADDED, 0] - ports[0][ADDED, 0]) / 2e-7
     np.testing.assert_allclose(ports[1][ADDED_SLOPE, 0], slope, rtol=2e-4, atol=1.0)
+
+
+@pytest.mark.parametrize("far", [0.0005, 0.006, 0.05])
+def test_slope_of_slip_along_the_bend_is_the_derivative_by_every_strain(far: float) -> None:
+    """Where all elements hold, where some slip, and where all do."""
+    law, moved = BendSlip(height=0.1, yield_strain=0.01), far * np.array([1.0, 0.3, -0.4])
+    state = law.reset(ROBOT)
+    BendSlip.kernel(law.pack(ROBOT), state, _moving(np.array([0.01, -0.02, 0.004])), DT, True)  # drawn in another direction
+    seen = _moving(moved)
+    BendSlip.kernel(law.pack(ROBOT), state, seen, DT, False)
+    for j in range(3):
+        ports = [_moving(moved + nudge * np.eye(3)[j]) for nudge in (-1e-8, 1e-8)]
+        for port in ports:
+            BendSlip.kernel(law.pack(ROBOT), state, port, DT, False)
+        slope = (ports[1][ADDED] - ports[0][ADDED]) / 2e-8
+        np.testing.assert_allclose([slope_of(seen, i, j) for i in range(3)], slope, rtol=1e-4, atol=1.0)
+
+
+def _moving(strains: np.ndarray) -> np.ndarray:
+    """Return a port whose chambers are strained by as much in one step."""
+    port = body_port(3)
+    port[STRAIN], port[RATE] = strains, strains / DT
+    return port
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrl.effects.effect import ADDED, BODY_PORT_ROWS, ELASTIC, ELASTIC_SLOPE, REST, STAGE, STRAIN, Effect
+from softrl.effects.effect import ADDED, ELASTIC, ELASTIC_SLOPE, REST, STAGE, STRAIN, Effect, body_port
 from softrl.effects.power_creep import PowerCreep
 from softrl.effects.viscoelasticity import Viscoelasticity
 from softrl.robots.robot import Robot
@@ -14,7 +14,7 @@ WALLS = [Viscoelasticity(0.4, 2.0, 0.2, 20.0), PowerCreep(0.3, 0.3), PowerCreep(
 
 
 def port_of(elastic: np.ndarray) -> np.ndarray:
-    port = np.zeros((BODY_PORT_ROWS, len(elastic)))
+    port = body_port(len(elastic))
     port[ELASTIC], port[ELASTIC_SLOPE] = elastic, 1e5
     port[STRAIN], port[REST] = elastic / 1e5, 1e5
     return port

@@ -8,7 +8,7 @@ import pytest
 
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.drift import Drift
-from softrl.effects.effect import ADDED, BODY_PORT_ROWS, ELASTIC, PRESSURE, REST, STRAIN, Effect
+from softrl.effects.effect import ADDED, ELASTIC, PRESSURE, REST, STRAIN, Effect, body_port
 from softrl.effects.mount_tilt import MountTilt
 from softrl.effects.mullins import Mullins
 from softrl.effects.stiffness_scale import StiffnessScale
@@ -58,7 +58,7 @@ def test_factors_on_the_stiffness_multiply() -> None:
     np.testing.assert_allclose(rest_of(body, [StiffnessScale(0.5), StiffnessScale(0.5)], pressure), wanted, atol=1e-6)
     several, added = [StiffnessScale(0.6), Drift(0.02), StrainSoftening(1.0), Mullins(0.3, 0.05)], []
     for order in (several, several[::-1]):
-        port = np.zeros((BODY_PORT_ROWS, 3))
+        port = body_port(3)
         port[STRAIN], port[REST], port[ELASTIC] = 0.03, 2e6, 7e4
         for effect in order:
             state = effect.reset(body.robot) + (1e-2 if isinstance(effect, Mullins) else 30.0)
@@ -93,7 +93,7 @@ def test_what_is_said_of_one_wall_depends_on_its_own_strain(name: str) -> None:
     robot = simulator("three_chamber_segment").robot
     added = []
     for elastic in (0.0, 5e4):
-        port = np.zeros((BODY_PORT_ROWS, 3))
+        port = body_port(3)
         port[STRAIN], port[REST], port[PRESSURE], port[ELASTIC] = 0.05, 2e6, 1e5, elastic
         added.append(effect.apply(robot, effect.reset(robot), port, 0.01)[1][ADDED])
     np.testing.assert_array_equal(added[0], added[1])

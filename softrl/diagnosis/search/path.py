@@ -56,8 +56,11 @@ class Path:
         """
         rival = against.fit.point.tobytes() if against else b""
         keys = [(hypothesis, point.tobytes(), rival) for hypothesis, point in tasks]
-        fresh = {key: (task[0], [task[1]]) for key, task in zip(keys, tasks, strict=True) if key not in self.fitted}
-        todo = list(fresh.values())
+        fresh = {key: task[1] for key, task in zip(keys, tasks, strict=True) if key not in self.fitted}
+        starts: dict[Hypothesis, list[np.ndarray]] = {}
+        for (hypothesis, *_), point in fresh.items():
+            starts.setdefault(hypothesis, []).append(point)
+        todo = list(starts.items())
         found: list[Trial] = []
         if todo:
             found = raced(fitting, None, todo, search, against).finished if against else fit_trials(fitting, None, todo, search)

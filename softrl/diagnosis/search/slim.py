@@ -56,9 +56,23 @@ def slim(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Pat
 def pinned(trial: Trial, choice: Choice, name: str) -> tuple[Hypothesis, np.ndarray, int]:
     """Return (hypothesis, point, place of the effect) with one more parameter of ``choice`` held at neutral, or no gate."""
     place = trial.hypothesis.effects.index(choice)
+    name, start = _second_held(trial, choice, name)
     less = without_gate(choice) if name in GATES else choice._replace(pinned=(*choice.pinned, name))
     effects = tuple(less if effect == choice else effect for effect in trial.hypothesis.effects)
-    return Hypothesis(effects, trial.hypothesis.tuned), np.delete(trial.fit.point, _gone(trial, choice, name)), place
+    return Hypothesis(effects, trial.hypothesis.tuned), np.delete(start, _gone(trial, choice, name)), place
+
+
+def _second_held(trial: Trial, choice: Choice, name: str) -> tuple[str, np.ndarray]:
+    """Return what is to be held in place of ``name``, and where: of twins the second, with the values of both exchanged."""
+    first, second = effect_class(choice.name).twins or ((), ())
+    axes = {axis.name: (axis, column) for axis, column in zip(effect_axes(choice), columns_of(trial, choice), strict=True)}
+    if name not in first or not axes.keys() >= {*first, *second}:
+        return name, trial.fit.point
+    point = trial.fit.point.copy()
+    for one, other in [*zip(first, second, strict=True), *zip(second, first, strict=True)]:
+        (taken, column), (given, from_column) = axes[one], axes[other]
+        point[column] = taken.scaled(given.physical(float(trial.fit.point[from_column])))
+    return second[first.index(name)], point
 
 
 def _gone(trial: Trial, choice: Choice, name: str) -> np.ndarray:

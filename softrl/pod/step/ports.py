@@ -9,9 +9,6 @@ from softrl.core.compiled import borrowing, summing
 from softrl.effects.call import run_ports
 from softrl.effects.effect import (
     ADDED,
-    ADDED_SLOPE,
-    BODY_PORT_ROWS,
-    CHANGED,
     ELASTIC,
     ELASTIC_SLOPE,
     FORCE,
@@ -24,8 +21,10 @@ from softrl.effects.effect import (
     STRAIN,
     TIP,
     TIP_VELOCITY,
-    UNEVEN,
+    body_port,
+    clear,
     share_of_all,
+    slope_of,
 )
 from softrl.pod.step.potential import polynomial
 
@@ -60,7 +59,7 @@ def make_ports(n: int) -> Ports:
     """Return the ports of a body with ``n`` chambers."""
     r = n + 3
     return Ports(
-        np.zeros((BODY_PORT_ROWS, n)),
+        body_port(n),
         np.zeros((LOAD_PORT_ROWS, 3)),
         np.zeros((2, n)),
         np.zeros((2, 3)),
@@ -114,7 +113,7 @@ def fill_ports(
         strains[1, i] = strain / tables.rest_volume[i]
         body[STRAIN, i], body[RATE, i] = strains[1, i], (strains[1, i] - strains[0, i]) / dt
         body[ELASTIC, i], body[PRESSURE, i], body[REST, i] = elastic, pressure[i], tables.rest_slope[i]
-        body[ADDED, i] = body[ADDED_SLOPE, i] = body[CHANGED, i] = body[UNEVEN, i] = 0.0
+    clear(body)
     for k in range(3):
         tips[1, k] = tables.rest_tip[k]
         for j in range(r):
@@ -230,27 +229,31 @@ def _add_body(
     jacobian: np.ndarray,
     probe: bool,
 ) -> None:
-    body, shares, slopes = ports.body, ports.shares, ports.half[0]
+    body, shares, slopes = ports.body, ports.shares, ports.half
     n, r = body.shape[1], len(gradient)
     run_ports(calls, body, dt, False)
     share = share_of_all(body)
     if share != 0.0:
         _add_beside(gradient, hessian, tables, ports, jacobian, share)
     for i in range(n):
-        shares[1, i], slopes[i] = body[ADDED, i], body[ADDED_SLOPE, i]
+        shares[1, i] = body[ADDED, i]
+        for c in range(n):
+            slopes[i, c] = slope_of(body, i, c)
     if probe:
         for i in range(n):
             body[ELASTIC, i] += PROBE * tables.rest_slope[i]
-            body[ADDED, i] = body[ADDED_SLOPE, i] = body[CHANGED, i] = body[UNEVEN, i] = 0.0
+        clear(body)
         run_ports(calls, body, dt, False)
         for i in range(n):
             shares[0, i] = (body[ADDED, i] - shares[1, i]) / (PROBE * tables.rest_slope[i])
     for i in range(n):
-        direct = (slopes[i] - shares[0, i] * body[ELASTIC_SLOPE, i]) / tables.rest_volume[i]
+        slopes[i, i] -= shares[0, i] * body[ELASTIC_SLOPE, i]
         for j in range(r):
             gradient[j] += tables.frame[i, j] * shares[1, i]
         for k in range(r):
-            slope = direct * tables.frame[i, k]
+            slope = 0.0
+            for c in range(n):
+                slope += slopes[i, c] / tables.rest_volume[c] * tables.frame[c, k]
             if shares[0, i] != 0.0:
                 for j in range(r):
                     slope += shares[0, i] * tables.inverse[j, i] * hessian[j, k]
