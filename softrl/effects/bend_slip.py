@@ -8,22 +8,23 @@ import numpy as np
 
 from softrl.core.compiled import standing_as
 from softrl.effects.effect import ADDED, COUPLED, PORT_KERNEL, RATE, Effect, parameter
-from softrl.effects.play import spread_of
 from softrl.robots.robot import Robot
 
-ELEMENTS, SPREAD = 4, 0.8  # that slip one after the other, at 0.4 to 1.6 times the strain at which they do on average
+ELEMENTS, FIRST = 4, 4.0 / 15.0  # that slip one after the other, each at twice the strain; the first's, over the mean
 
 
 @standing_as(PORT_KERNEL)
 def bend_slip_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
     """Advance springs in series with sliders by what the bend turns and grows: each is drawn no farther than it yields."""
-    slope, yield_strain, n = parameters[0], parameters[1], port.shape[1]
+    height, yield_strain, n = parameters[0], parameters[1], port.shape[1]
+    slope = height / (yield_strain * ELEMENTS)
     moved_x = moved_y = pull_x = pull_y = held_xx = held_xy = held_yy = 0.0
     for i in range(n):
         moved_x += parameters[2 + i] * port[RATE, i] * dt
         moved_y += parameters[2 + n + i] * port[RATE, i] * dt
+    yields = 0.5 * FIRST * yield_strain
     for k in range(ELEMENTS):
-        yields = yield_strain * spread_of(SPREAD, k, ELEMENTS)
+        yields *= 2.0
         x, y = state[2 * k] + moved_x, state[2 * k + 1] + moved_y
         share = min(1.0, yields / max(math.hypot(x, y), 1e-300))
         x, y = share * x, share * y
@@ -65,13 +66,12 @@ class BendSlip(Effect):
     yield_strain: float = parameter("1", 0.001, 0.3, 0.02, typical=0.02, log=True)
 
     def pack(self, robot: Robot) -> np.ndarray:
-        """Return (stiffness of an element Pa, yield strain, x and y of the bend by chamber strains, x and y of chambers)."""
-        height, yield_strain = super().pack(robot)[:2]
+        """Return (height Pa, yield strain, x and y of the bend by chamber strains, x and y of chambers)."""
+        own = super().pack(robot)[:2] * [robot.largest_pa, 1.0]
         around = np.asarray(robot.chamber_direction)
         shape = np.hstack([np.ones((len(around), 1)), around]) if len(around) > 1 else around
         to_bend = np.linalg.pinv(shape)[-2:]
-        slope = height * robot.largest_pa / (yield_strain * ELEMENTS)
-        return np.r_[slope, yield_strain, to_bend.ravel(), around.T.ravel()]
+        return np.r_[own, to_bend.ravel(), around.T.ravel()]
 
     def reset(self, robot: Robot) -> np.ndarray:
         """Return how far every element is drawn, x and y: not at all."""

@@ -635,7 +635,7 @@ def test_slip_along_the_bend_is_the_same_whichever_way_the_body_bends(angle: flo
     np.testing.assert_allclose(added.sum(axis=1), 0.0, atol=1e-9 * FULL)
     np.testing.assert_allclose(moment @ [-along[1], along[0]], 0.0, atol=1e-9 * FULL)
     met = moment @ along
-    few = np.minimum(bend[:201, None], 0.01 * np.array([0.4, 0.8, 1.2, 1.6])).sum(axis=1)
+    few = np.minimum(bend[:201, None], 0.04 / 15.0 * np.array([1.0, 2.0, 4.0, 8.0])).sum(axis=1)
     np.testing.assert_allclose(met[:201], 0.1 * FULL * few / 0.04, atol=1e-9 * FULL)
     assert met[200] == pytest.approx(0.1 * FULL) and met[-1] == pytest.approx(-0.1 * FULL)
 
