@@ -16,12 +16,12 @@ ELEMENTS, FIRST = 4, 4.0 / 15.0  # that slip one after the other, each at twice 
 @standing_as(PORT_KERNEL)
 def bend_slip_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
     """Advance springs in series with sliders by what the bend turns and grows: each is drawn no farther than it yields."""
-    height, yield_strain, n = parameters[0], parameters[1], port.shape[1]
-    slope = height / (yield_strain * ELEMENTS)
+    height, yield_strain, scale, n = parameters[0], parameters[1], parameters[2], port.shape[1]
+    slope = scale * height / (yield_strain * ELEMENTS)
     moved_x = moved_y = pull_x = pull_y = held_xx = held_xy = held_yy = 0.0
     for i in range(n):
-        moved_x += parameters[2 + i] * port[RATE, i] * dt
-        moved_y += parameters[2 + n + i] * port[RATE, i] * dt
+        moved_x += parameters[3 + i] * port[RATE, i] * dt
+        moved_y += parameters[3 + n + i] * port[RATE, i] * dt
     yields = 0.5 * FIRST * yield_strain
     for k in range(ELEMENTS):
         yields *= 2.0
@@ -34,11 +34,11 @@ def bend_slip_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray
         if commit:
             state[2 * k], state[2 * k + 1] = x, y
     for i in range(n):
-        along_x, along_y = parameters[2 + 2 * n + i], parameters[2 + 3 * n + i]
-        port[ADDED, i] += slope * (along_x * pull_x + along_y * pull_y)
-        by_x, by_y = along_x * held_xx + along_y * held_xy, along_x * held_xy + along_y * held_yy
+        x, y = parameters[3 + i], parameters[3 + n + i]
+        port[ADDED, i] += slope * (x * pull_x + y * pull_y)
+        by_x, by_y = slope * (x * held_xx + y * held_xy), slope * (x * held_xy + y * held_yy)
         for j in range(n):
-            port[COUPLED + i, j] += slope * (by_x * parameters[2 + j] + by_y * parameters[2 + n + j])
+            port[COUPLED + i, j] += by_x * parameters[3 + j] + by_y * parameters[3 + n + j]
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,8 @@ class BendSlip(Effect):
     Sum of four elastoplastic elements of equal stiffness with radial return in the plane of bends (Prandtl and Iwan in two
     dimensions, textbook form, no equation number checked). Where every wall slips by itself (``hysteresis``, ``play``) two
     chambers that bend the body between them are seen to slip one by one, and those on the other side as well. What stretches
-    the body meets nothing. Exact for any step in which the bend goes straight on.
+    the body meets nothing. Chambers resist as the bend goes with their strains, so that no closed path gains work. Exact for any
+    step in which the bend goes straight on.
     """
 
     site: ClassVar[str] = "body"
@@ -66,12 +67,12 @@ class BendSlip(Effect):
     yield_strain: float = parameter("1", 0.001, 0.3, 0.02, typical=0.02, log=True)
 
     def pack(self, robot: Robot) -> np.ndarray:
-        """Return (height Pa, yield strain, x and y of the bend by chamber strains, x and y of chambers)."""
+        """Return (height Pa, yield strain, scale of a chamber's share in the pull, x and y of the bend by chamber strains)."""
         own = super().pack(robot)[:2] * [robot.largest_pa, 1.0]
         around = np.asarray(robot.chamber_direction)
         shape = np.hstack([np.ones((len(around), 1)), around]) if len(around) > 1 else around
         to_bend = np.linalg.pinv(shape)[-2:]
-        return np.r_[own, to_bend.ravel(), around.T.ravel()]
+        return np.r_[own, 1.0 / np.linalg.norm(to_bend, axis=0).max(), to_bend.ravel()]
 
     def reset(self, robot: Robot) -> np.ndarray:
         """Return how far every element is drawn, x and y: not at all."""

@@ -31,6 +31,7 @@ from softrl.effects.drift import Drift
 from softrl.effects.effect import (
     ADDED,
     ADDED_SLOPE,
+    COUPLED,
     ELASTIC,
     ELASTIC_SLOPE,
     FORCE,
@@ -653,6 +654,24 @@ def test_slip_along_the_bend_turns_after_the_bend_and_loses_work_that_knows_no_r
     work = (settled * steps).sum(axis=1)
     assert (work > 0.0).all()
     assert work.sum() == pytest.approx(0.1 * FULL * 2.0 * math.pi * 0.05, rel=0.02)  # a circle's length at the full height
+
+
+@pytest.mark.parametrize("angles", [(0.0,), (0.0, 180.0), (10.0, 100.0, 170.0), (0.0, 90.0, 180.0, 270.0)])
+def test_slip_along_the_bend_gives_back_no_work_that_it_did_not_take(angles: tuple[float, ...]) -> None:
+    """Wherever chambers stand, and whatever they do: what is taken is at least what the springs store, or nothing."""
+    robot = replace(ROBOT, chamber_angle_deg=angles)
+    law, rng, taken = BendSlip(height=0.1, yield_strain=0.01), np.random.default_rng(3), [0.0]
+    state, largest = law.reset(robot), 0.0
+    for moved in 0.004 * rng.normal(size=(3000, robot.chambers)):
+        port = body_port(robot.chambers)
+        port[RATE] = moved / DT
+        state, port = law.apply(robot, state, port, DT)
+        taken.append(taken[-1] + float(port[ADDED] @ moved))
+        largest = max(largest, np.abs(port[ADDED]).max())
+        coupled = port[COUPLED:]
+        assert np.allclose(coupled, coupled.T) and np.linalg.eigvalsh(coupled).min() > -1e-6 * FULL
+    assert min(taken) >= 0.0 and taken[-1] > 0.0
+    assert 0.08 * FULL < largest <= 0.1 * FULL + 1e-9
 
 
 @pytest.mark.parametrize("spread", [0.0, 1.0])
