@@ -32,6 +32,7 @@ def test_effects_that_drive_each_other_out_are_tried_once(monkeypatch: pytest.Mo
     monkeypatch.setattr(hypothesise, "_settled", lambda _, __, added, *___: trial(added.hypothesis.effects[-1]))
     judge: Any = SimpleNamespace(material=0.0, excess=float, rms=lambda squares: 1.0)
     path, told = Path(trial(LAG), trial()), []
+    fitting: Any = SimpleNamespace(target="motion")
     search: Any = SimpleNamespace(max_effects=3)
-    hypothesise._grow(None, judge, (), search, path, told.append)  # type: ignore[arg-type]
+    hypothesise._grow(fitting, judge, (), search, path, told.append)
     assert asked == ["lag", "play"] and "has been here" in told[-1]
