@@ -155,7 +155,8 @@ def diagnose(
 
 def _may_be_mounts(diagnosis: Diagnosis, finding: Finding) -> bool:
     """Return whether what is not understood, or is put down to the days, may be how the base was mounted."""
-    return (diagnosis.verdict == "unknown" or finding.days is not None) and mounted_apart(finding)
+    by_days_only = finding.days is not None and not finding.days.beside
+    return (diagnosis.verdict == "unknown" or by_days_only) and mounted_apart(finding)
 
 
 def _heard(

@@ -97,6 +97,16 @@ def test_a_lag_beside_such_days_is_named(body: PccSimulator) -> None:
 
 
 @pytest.mark.slow
+def test_days_are_told_beside_what_is_understood_without_them(body: PccSimulator) -> None:
+    found = diagnosed(body, recorded(body, (Lag(fill_s=0.2, vent_s=0.2),), warmth=0.35, mount=0.35))
+    assert found.verdict == "named" and [effect["name"] for effect in found.effects] == ["lag"], found.sentences
+    assert not is_told_of_mounts(found), "no second look where the first has understood"
+    stiffer = np.array([day["stiffer"] for day in found.data["sessions_differ"]])
+    np.testing.assert_allclose(stiffer - stiffer.mean(), 0.35 * (np.array(STIFFER) - np.mean(STIFFER)), atol=2e-3)
+    assert any("sessions differ a little in themselves: 0.1" in line for line in found.sentences), found.sentences
+
+
+@pytest.mark.slow
 def test_what_no_day_explains_stays_unknown(body: PccSimulator) -> None:
     found = diagnosed(body, recorded(body, twist=2.0))
     assert found.verdict == "unknown", found.sentences

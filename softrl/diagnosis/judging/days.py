@@ -17,6 +17,7 @@ from softrl.diagnosis.judging.examine import Day, Days, Finding
 from softrl.diagnosis.judging.leftover import explained_by, not_understood, offer_of
 
 STIFFER = 0.03  # of the wall: more is no detail of a day
+MOSTLY = 0.5  # of the squared error that stays
 TURNS, SHIFTS, STIFFENS = slice(0, 3), slice(3, 6), 6  # numbers of a day
 SHRINK = 1e-9  # of a column's mean square: no motion turns about its own line
 
@@ -25,11 +26,12 @@ def by_days(finding: Finding) -> Finding:
     """Return the ``finding`` as understood where all that makes it unknown is that sessions differ a little in themselves.
 
     Each may be turned, moved and stiffer by as little as no one avoids from day to day, beside what is the same in all. To first
-    order, fitted on a session's runs that fits see, or on its own where it was held out whole.
+    order, fitted on a session's runs that fits see, or on its own where it was held out whole. Where it is understood already and
+    that is most of what stays, it is told.
     """
     part, judge, trial = finding.part, finding.judge, finding.final
     sessions = dict.fromkeys(run.session for run in (*part.problem.runs, *judge.problem.runs))
-    if not finding.unknown or len(sessions) < 2:
+    if len(sessions) < 2 or not (finding.unknown or finding.left > judge.material):
         return finding
     sides = [_Side(problem, trial) for problem in (part.problem, judge.problem)]
     found = _little(sides, sessions)
@@ -41,7 +43,9 @@ def by_days(finding: Finding) -> Finding:
     offer = offer_of(training, by_itself, mine)
     explained = explained_by(judge, finding.base, mine, offer)
     differ = judge.gap(together, each).low > 0.0 and judge.removed(together, each) > judge.material
-    if not differ or not_understood(training, by_itself, mine, offer, explained):
+    if differ and not finding.unknown and explained.left**2 < (1.0 - MOSTLY) * finding.left**2:
+        return replace(finding, days=Days(found.days, explained.left, beside=True))
+    if not differ or not finding.unknown or not_understood(training, by_itself, mine, offer, explained):
         return finding
     return replace(finding, unknown=False, reasons=[], closest="", days=Days(found.days, explained.left))
 

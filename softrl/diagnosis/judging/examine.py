@@ -97,10 +97,11 @@ class Day(NamedTuple):
 
 
 class Days(NamedTuple):
-    """How far ``each`` session differs in itself, and the held-out error above the floor that is ``left`` with that, m."""
+    """How far ``each`` session differs, the error above the floor ``left`` with that, m; ``beside``: understood without, too."""
 
     each: tuple[Day, ...]
     left: float
+    beside: bool = False
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,7 @@ class Finding:
     judge : on the held-out runs
     joint : scaled parameters of all parts' effects and the simulator's, where they were refitted from command to motion
     switched : effects that took the place of one which the training runs preferred, a sentence each
-    days : how far sessions differ in themselves, where that is what is missing beside what is named, see ``days``
+    days : how far sessions differ in themselves, where that is most of what stays, see ``days``
     """
 
     part: Part
