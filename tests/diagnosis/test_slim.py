@@ -1,15 +1,17 @@
 """What says the same with fewer parameters is told with fewer."""
 
 import numpy as np
+import pytest
 
 from softrl.diagnosis.fitting.hypothesis import Choice, Gate, Hypothesis, effect_axes, starts
 from softrl.diagnosis.fitting.judge import Judge
-from softrl.diagnosis.fitting.minimise import Fit
+from softrl.diagnosis.fitting.minimise import Fit, jacobian_at
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.fitting.trial import Trial
 from softrl.diagnosis.search.path import Path
-from softrl.diagnosis.search.slim import _contained, slim
+from softrl.diagnosis.search.slim import _contained, slim, without_silent
 from softrl.effects.leak import Leak
+from softrl.effects.viscoelasticity import Viscoelasticity
 from softrl.pcc.simulator import PccSimulator
 from tests.diagnosis.conftest import configured, made
 
@@ -45,3 +47,31 @@ def test_the_law_within_another_keeps_how_suddenly_its_gate_opens() -> None:
     (less,) = hypothesis.effects
     assert less.name == "lag" and less.pinned == ("over_s",) and len(begin) == len(effect_axes(less))
     assert np.isfinite(begin).all()
+
+
+def test_what_acts_in_the_second_of_two_branches_alone_is_told_as_the_first(body: PccSimulator) -> None:
+    """Its numbers, and the derivatives by them, are those that a fit of the first alone has there."""
+    config, creep = configured(), Choice("viscoelasticity")
+    runs = made(body, (Viscoelasticity(0.0, 0.5, 0.4, 3.0),), sessions=2, noise_m=1e-5).recordings
+    problem = Problem(body.robot, body, runs, config.numerics, "motion", "command", False, False)
+
+    def at(hypothesis: Hypothesis, point: np.ndarray) -> Trial:
+        low, high = problem.space(hypothesis).bounds
+        value = problem.residual(hypothesis, point)
+        columns = jacobian_at(lambda u: problem.residual(hypothesis, u).flat, point, value.flat, low, high, 1e-4)
+        fit = Fit(point, value.flat, columns, 0.5 * float(value.flat @ value.flat), 0)
+        return Trial(hypothesis, fit, {}, value.squares, value.squares)
+
+    told = {"share_1": 0.0, "relaxation_1_s": 0.5, "share_2": 0.4, "relaxation_2_s": 3.0}
+    trial = at(Hypothesis((creep,), ()), np.array([axis.scaled(told[axis.name]) for axis in effect_axes(creep)]))
+    judge = Judge(problem, 1e-6, 0.03, config.thresholds, 0)
+    left = without_silent(problem, judge, trial, config.search, Path(trial, trial))
+    (less,) = left.hypothesis.effects
+    axes = effect_axes(less)
+    values = {axis.name: axis.physical(u) for axis, u in zip(axes, left.fit.point, strict=True)}
+    assert {"share_1", "relaxation_1_s"} <= values.keys() and "relaxation_2_s" in less.pinned
+    assert [values["share_1"], values["relaxation_1_s"]] == pytest.approx([0.4, 3.0])
+    fresh = at(left.hypothesis, left.fit.point).fit.jacobian
+    kept = [k for k, axis in enumerate(axes) if axis.name.endswith(("_1", "_1_s"))]
+    apart = np.linalg.norm(left.fit.jacobian[:, kept] - fresh[:, kept], axis=0)
+    assert (apart < 1e-2 * np.linalg.norm(fresh[:, kept], axis=0)).all()  # of forward differences

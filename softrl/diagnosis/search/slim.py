@@ -38,7 +38,7 @@ def slim(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Pat
         again = False
         for choice in trial.hypothesis.effects[first:]:
             fields = [*may_be_pinned(choice), *([choice.gate.field] if choice.gate else [])]
-            forms = [pinned(trial, choice, name) for name in fields]
+            forms = [pinned(mine, choice, held) for mine, held in (_as_first(trial, choice, name) for name in fields)]
             forms = [form for form in forms if effect_axes(form[0].effects[form[2]]) and not form[0].effects[form[2]].retunes]
             forms += _contained(trial, choice)
             fitted = path.fit(fitting, [(hypothesis, point) for hypothesis, point, _ in forms], search, trial)
@@ -56,23 +56,23 @@ def slim(fitting: Problem, judge: Judge, trial: Trial, search: Search, path: Pat
 def pinned(trial: Trial, choice: Choice, name: str) -> tuple[Hypothesis, np.ndarray, int]:
     """Return (hypothesis, point, place of the effect) with one more parameter of ``choice`` held at neutral, or no gate."""
     place = trial.hypothesis.effects.index(choice)
-    name, start = _second_held(trial, choice, name)
     less = without_gate(choice) if name in GATES else choice._replace(pinned=(*choice.pinned, name))
     effects = tuple(less if effect == choice else effect for effect in trial.hypothesis.effects)
-    return Hypothesis(effects, trial.hypothesis.tuned), np.delete(start, _gone(trial, choice, name)), place
+    return Hypothesis(effects, trial.hypothesis.tuned), np.delete(trial.fit.point, _gone(trial, choice, name)), place
 
 
-def _second_held(trial: Trial, choice: Choice, name: str) -> tuple[str, np.ndarray]:
-    """Return what is to be held in place of ``name``, and where: of twins the second, with the values of both exchanged."""
+def _as_first(trial: Trial, choice: Choice, name: str) -> tuple[Trial, str]:
+    """Return ``trial`` and which parameter to hold for ``name``: of twins the second, after they exchanged their numbers."""
     first, second = effect_class(choice.name).twins or ((), ())
     axes = {axis.name: (axis, column) for axis, column in zip(effect_axes(choice), columns_of(trial, choice), strict=True)}
     if name not in first or not axes.keys() >= {*first, *second}:
-        return name, trial.fit.point
-    point = trial.fit.point.copy()
+        return trial, name
+    point, jacobian = trial.fit.point.copy(), trial.fit.jacobian.copy()
     for one, other in [*zip(first, second, strict=True), *zip(second, first, strict=True)]:
-        (taken, column), (given, from_column) = axes[one], axes[other]
-        point[column] = taken.scaled(given.physical(float(trial.fit.point[from_column])))
-    return second[first.index(name)], point
+        (taken, column), (given, theirs) = axes[one], axes[other]
+        point[column] = taken.scaled(given.physical(float(trial.fit.point[theirs])))
+        jacobian[:, column] = trial.fit.jacobian[:, theirs] * (1.0 if taken.log else taken.scale / given.scale)
+    return trial._replace(fit=trial.fit._replace(point=point, jacobian=jacobian)), second[first.index(name)]
 
 
 def _gone(trial: Trial, choice: Choice, name: str) -> np.ndarray:
@@ -129,10 +129,11 @@ def without_silent(
         for column, axis in zip(columns, effect_axes(choice), strict=True):
             if size[column] > SILENT * size.max() or len(columns) == 1 or is_essential(choice, axis.name):
                 continue
-            hypothesis, point, place = pinned(trial, choice, axis.name)
+            mine, held = _as_first(trial, choice, axis.name)
+            hypothesis, point, place = pinned(mine, choice, held)
             value = axis.physical(float(trial.fit.point[column]))
             shown = axis.name not in MOMENTS or _is_shown(fitting, choice, value)
-            same = _the_same(fitting, trial, hypothesis, point, _gone(trial, choice, axis.name)) if shown else None
+            same = _the_same(fitting, mine, hypothesis, point, _gone(mine, choice, held)) if shown else None
             fitted = [same] if same else path.fit(fitting, [(hypothesis, point)], search)
             if fitted and not judge.tells(fitted[0].squares, trial.squares):
                 path.tried[hypothesis.effects[place]] = path.tried.pop(choice, [])

@@ -238,7 +238,7 @@ def _add_body(
     for i in range(n):
         shares[1, i] = body[ADDED, i]
         for c in range(n):
-            slopes[i, c] = slope_of(body, i, c)
+            slopes[i, c] = slope_of(body, i, c) / tables.rest_volume[c]
     if probe:
         for i in range(n):
             body[ELASTIC, i] += PROBE * tables.rest_slope[i]
@@ -247,13 +247,13 @@ def _add_body(
         for i in range(n):
             shares[0, i] = (body[ADDED, i] - shares[1, i]) / (PROBE * tables.rest_slope[i])
     for i in range(n):
-        slopes[i, i] -= shares[0, i] * body[ELASTIC_SLOPE, i]
+        slopes[i, i] -= shares[0, i] * body[ELASTIC_SLOPE, i] / tables.rest_volume[i]
         for j in range(r):
             gradient[j] += tables.frame[i, j] * shares[1, i]
         for k in range(r):
             slope = 0.0
             for c in range(n):
-                slope += slopes[i, c] / tables.rest_volume[c] * tables.frame[c, k]
+                slope += slopes[i, c] * tables.frame[c, k]
             if shares[0, i] != 0.0:
                 for j in range(r):
                     slope += shares[0, i] * tables.inverse[j, i] * hessian[j, k]
