@@ -39,15 +39,17 @@ def by_days(finding: Finding) -> Finding:
         return finding
     training, heldout = (side.without(found.apart) for side in sides)
     together, each = sides[1].left(found.alike), sides[1].left(found.apart)
+    if judge.gap(together, each).low <= 0.0 or judge.removed(together, each) <= judge.material:
+        return finding
+    left = float(judge.excess(each.mean()))
+    if not finding.unknown:
+        told = Days(found.days, left, beside=True)
+        return replace(finding, days=told) if left**2 < (1.0 - MOSTLY) * finding.left**2 else finding
     by_itself, mine = replace(judge, problem=heldout), trial._replace(squares=each)
     offer = offer_of(training, by_itself, mine)
-    explained = explained_by(judge, finding.base, mine, offer)
-    differ = judge.gap(together, each).low > 0.0 and judge.removed(together, each) > judge.material
-    if differ and not finding.unknown and explained.left**2 < (1.0 - MOSTLY) * finding.left**2:
-        return replace(finding, days=Days(found.days, explained.left, beside=True))
-    if not differ or not finding.unknown or not_understood(training, by_itself, mine, offer, explained):
+    if not_understood(training, by_itself, mine, offer, explained_by(judge, finding.base, mine, offer)):
         return finding
-    return replace(finding, unknown=False, reasons=[], closest="", days=Days(found.days, explained.left))
+    return replace(finding, unknown=False, reasons=[], closest="", days=Days(found.days, left))
 
 
 def mounted_apart(finding: Finding) -> bool:
