@@ -7,7 +7,8 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import ADDED, COUPLED, PORT_KERNEL, RATE, Effect, parameter
+from softrl.effects.bending import packed, resist, turned
+from softrl.effects.effect import PORT_KERNEL, Effect, parameter
 from softrl.robots.robot import Robot
 
 ELEMENTS, FIRST = 4, 4.0 / 15.0  # that slip one after the other, each at twice the strain; the first's, over the mean
@@ -16,13 +17,9 @@ ELEMENTS, FIRST = 4, 4.0 / 15.0  # that slip one after the other, each at twice 
 @standing_as(PORT_KERNEL)
 def bend_slip_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray, dt: float, commit: bool) -> None:
     """Advance springs in series with sliders by what the bend turns and grows: each is drawn no farther than it yields."""
-    height, yield_strain, scale, n = parameters[0], parameters[1], parameters[2], port.shape[1]
-    slope = scale * height / (yield_strain * ELEMENTS)
-    moved_x = moved_y = pull_x = pull_y = held_xx = held_xy = held_yy = 0.0
-    for i in range(n):
-        moved_x += parameters[3 + i] * port[RATE, i] * dt
-        moved_y += parameters[3 + n + i] * port[RATE, i] * dt
-    yields = 0.5 * FIRST * yield_strain
+    moved_x, moved_y = turned(parameters, port, dt)
+    yields, full = 0.5 * FIRST * parameters[1], 1.0 / (ELEMENTS * parameters[1])
+    pull_x = pull_y = held_xx = held_xy = held_yy = 0.0
     for k in range(ELEMENTS):
         yields *= 2.0
         x, y = state[2 * k] + moved_x, state[2 * k + 1] + moved_y
@@ -33,12 +30,7 @@ def bend_slip_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray
         held_xx, held_xy, held_yy = held_xx + share - lost * x * x, held_xy - lost * x * y, held_yy + share - lost * y * y
         if commit:
             state[2 * k], state[2 * k + 1] = x, y
-    for i in range(n):
-        x, y = parameters[3 + i], parameters[3 + n + i]
-        port[ADDED, i] += slope * (x * pull_x + y * pull_y)
-        by_x, by_y = slope * (x * held_xx + y * held_xy), slope * (x * held_xy + y * held_yy)
-        for j in range(n):
-            port[COUPLED + i, j] += by_x * parameters[3 + j] + by_y * parameters[3 + n + j]
+    resist(parameters, port, full * pull_x, full * pull_y, full * held_xx, full * held_xy, full * held_xy, full * held_yy)
 
 
 @dataclass(frozen=True)
@@ -53,8 +45,7 @@ class BendSlip(Effect):
     Sum of four elastoplastic elements of equal stiffness with radial return in the plane of bends (Prandtl and Iwan in two
     dimensions, textbook form, no equation number checked). Where every wall slips by itself (``hysteresis``, ``play``) two
     chambers that bend the body between them are seen to slip one by one, and those on the other side as well. What stretches
-    the body meets nothing. Chambers resist as the bend goes with their strains, so that no closed path gains work. Exact for any
-    step in which the bend goes straight on.
+    the body meets nothing. Exact for any step in which the bend goes straight on.
     """
 
     site: ClassVar[str] = "body"
@@ -68,11 +59,7 @@ class BendSlip(Effect):
 
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (height Pa, yield strain, scale of a chamber's share in the pull, x and y of the bend by chamber strains)."""
-        own = super().pack(robot)[:2] * [robot.largest_pa, 1.0]
-        around = np.asarray(robot.chamber_direction)
-        shape = np.hstack([np.ones((len(around), 1)), around]) if len(around) > 1 else around
-        to_bend = np.linalg.pinv(shape)[-2:]
-        return np.r_[own, 1.0 / np.linalg.norm(to_bend, axis=0).max(), to_bend.ravel()]
+        return packed(robot, self.height, self.yield_strain)
 
     def reset(self, robot: Robot) -> np.ndarray:
         """Return how far every element is drawn, x and y: not at all."""

@@ -1,6 +1,7 @@
 """One law of physics for every effect."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -18,6 +19,7 @@ from softrl.effects import friction
 from softrl.effects.area_growth import AreaGrowth
 from softrl.effects.asymmetry import Asymmetry
 from softrl.effects.base_tilt import BaseTilt
+from softrl.effects.bend_rub import BendRub
 from softrl.effects.bend_slip import BendSlip
 from softrl.effects.bimodular import Bimodular
 from softrl.effects.chain import EffectChain, Plant, SignalFilter, chain_of
@@ -625,10 +627,23 @@ def test_play_with_a_spread_yields_piece_by_piece_and_remembers_where_it_turned(
 AROUND = np.asarray(ROBOT.chamber_direction)
 
 
+def slipped(bend: np.ndarray) -> np.ndarray:
+    """Return what four elements hold that are drawn by ``bend`` from rest, as a share of what all do at most."""
+    return np.minimum(bend[:, None], 0.04 / 15.0 * np.array([1.0, 2.0, 4.0, 8.0])).sum(axis=1) / 0.04
+
+
+def rubbed(bend: np.ndarray) -> np.ndarray:
+    """Return likewise what bristles do."""
+    return 1.0 - np.exp(-bend / 0.01)
+
+
 @pytest.mark.parametrize("angle", [0.0, 0.4, math.pi / 2, 3.0])
-def test_slip_along_the_bend_is_the_same_whichever_way_the_body_bends(angle: float) -> None:
+@pytest.mark.parametrize(("law", "first"), [(BendSlip, slipped), (BendRub, rubbed)])
+def test_what_holds_the_bend_is_the_same_whichever_way_the_body_bends(
+    law: type[Effect], first: Callable[[np.ndarray], np.ndarray], angle: float
+) -> None:
     """A bend is resisted along itself, by the height at most, a stretch not at all; a reversal gives back what was drawn."""
-    effect, along = BendSlip(height=0.1, yield_strain=0.01), np.array([math.cos(angle), math.sin(angle)])
+    effect, along = law(height=0.1, yield_strain=0.01), np.array([math.cos(angle), math.sin(angle)])
     bend = np.concatenate([np.linspace(0.0, 0.05, 201), np.linspace(0.05, 0.0, 201)])
     stretch = 0.3 * np.sin(40.0 * bend)
     added = pulls(effect, bend[:, None] * (AROUND @ along) + stretch[:, None])
@@ -636,15 +651,15 @@ def test_slip_along_the_bend_is_the_same_whichever_way_the_body_bends(angle: flo
     np.testing.assert_allclose(added.sum(axis=1), 0.0, atol=1e-9 * FULL)
     np.testing.assert_allclose(moment @ [-along[1], along[0]], 0.0, atol=1e-9 * FULL)
     met = moment @ along
-    few = np.minimum(bend[:201, None], 0.04 / 15.0 * np.array([1.0, 2.0, 4.0, 8.0])).sum(axis=1)
-    np.testing.assert_allclose(met[:201], 0.1 * FULL * few / 0.04, atol=1e-9 * FULL)
-    assert met[200] == pytest.approx(0.1 * FULL) and met[-1] == pytest.approx(-0.1 * FULL)
+    np.testing.assert_allclose(met[:201], 0.1 * FULL * first(bend[:201]), atol=1e-9 * FULL)
+    assert met[200] == pytest.approx(0.1 * FULL, rel=0.01) and met[-1] == pytest.approx(-0.1 * FULL, rel=0.02)
 
 
 @pytest.mark.parametrize("count", [400, 4000])
-def test_slip_along_the_bend_turns_after_the_bend_and_loses_work_that_knows_no_rate(count: int) -> None:
+@pytest.mark.parametrize("law", [BendSlip, BendRub])
+def test_what_holds_the_bend_turns_after_it_and_loses_work_that_knows_no_rate(law: type[Effect], count: int) -> None:
     """Round a circle the pull keeps its height and lags behind the way; no closed path gives work."""
-    effect, way = BendSlip(height=0.1, yield_strain=0.005), np.linspace(0.0, 4.0 * math.pi, count + 1)[1:]
+    effect, way = law(height=0.1, yield_strain=0.005), np.linspace(0.0, 4.0 * math.pi, count + 1)[1:]
     bend = 0.05 * np.column_stack([np.cos(way), np.sin(way)])
     moments = [pulls(effect, bend @ AROUND.T, dt_s) @ AROUND / 1.5 for dt_s in (0.01, 1.0)]
     np.testing.assert_allclose(moments[0], moments[1], atol=1e-9 * FULL)
@@ -657,10 +672,11 @@ def test_slip_along_the_bend_turns_after_the_bend_and_loses_work_that_knows_no_r
 
 
 @pytest.mark.parametrize("angles", [(0.0,), (0.0, 180.0), (10.0, 100.0, 170.0), (0.0, 90.0, 180.0, 270.0)])
-def test_slip_along_the_bend_gives_back_no_work_that_it_did_not_take(angles: tuple[float, ...]) -> None:
+@pytest.mark.parametrize("kind", [BendSlip, BendRub])
+def test_what_holds_the_bend_gives_back_no_work_that_it_did_not_take(kind: type[Effect], angles: tuple[float, ...]) -> None:
     """Wherever chambers stand, and whatever they do: what is taken is at least what the springs store, or nothing."""
     robot = replace(ROBOT, chamber_angle_deg=angles)
-    law, rng, taken = BendSlip(height=0.1, yield_strain=0.01), np.random.default_rng(3), [0.0]
+    law, rng, taken = kind(height=0.1, yield_strain=0.01), np.random.default_rng(3), [0.0]
     state, largest = law.reset(robot), 0.0
     for moved in 0.004 * rng.normal(size=(3000, robot.chambers)):
         port = body_port(robot.chambers)
@@ -669,7 +685,7 @@ def test_slip_along_the_bend_gives_back_no_work_that_it_did_not_take(angles: tup
         taken.append(taken[-1] + float(port[ADDED] @ moved))
         largest = max(largest, np.abs(port[ADDED]).max())
         coupled = port[COUPLED:]
-        assert np.allclose(coupled, coupled.T) and np.linalg.eigvalsh(coupled).min() > -1e-6 * FULL
+        assert np.linalg.eigvalsh(coupled + coupled.T).min() > -1e-6 * FULL
     assert min(taken) >= 0.0 and taken[-1] > 0.0
     assert 0.08 * FULL < largest <= 0.1 * FULL + 1e-9
 
@@ -1014,17 +1030,18 @@ def test_body_slope_is_the_derivative(effect: Effect, strain: float) -> None:
 
 
 @pytest.mark.parametrize("far", [0.0005, 0.006, 0.05])
-def test_slope_of_slip_along_the_bend_is_the_derivative_by_every_strain(far: float) -> None:
+@pytest.mark.parametrize("kind", [BendSlip, BendRub])
+def test_slope_of_what_holds_the_bend_is_the_derivative_by_every_strain(kind: type[Effect], far: float) -> None:
     """Where all elements hold, where some slip, and where all do."""
-    law, moved = BendSlip(height=0.1, yield_strain=0.01), far * np.array([1.0, 0.3, -0.4])
+    law, moved = kind(height=0.1, yield_strain=0.01), far * np.array([1.0, 0.3, -0.4])
     state = law.reset(ROBOT)
-    BendSlip.kernel(law.pack(ROBOT), state, _moving(np.array([0.01, -0.02, 0.004])), DT, True)  # drawn in another direction
+    kind.kernel(law.pack(ROBOT), state, _moving(np.array([0.01, -0.02, 0.004])), DT, True)  # drawn in another direction
     seen = _moving(moved)
-    BendSlip.kernel(law.pack(ROBOT), state, seen, DT, False)
+    kind.kernel(law.pack(ROBOT), state, seen, DT, False)
     for j in range(3):
         ports = [_moving(moved + nudge * np.eye(3)[j]) for nudge in (-1e-8, 1e-8)]
         for port in ports:
-            BendSlip.kernel(law.pack(ROBOT), state, port, DT, False)
+            kind.kernel(law.pack(ROBOT), state, port, DT, False)
         slope = (ports[1][ADDED] - ports[0][ADDED]) / 2e-8
         np.testing.assert_allclose([slope_of(seen, i, j) for i in range(3)], slope, rtol=1e-4, atol=1.0)
 

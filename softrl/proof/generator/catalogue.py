@@ -73,7 +73,7 @@ RIGHT: dict[str, tuple[int, tuple[str, ...], float]] = {
     "relax": (laws.RELAX, ("drift",), 0.4),
     "braid": (laws.BRAID, ("stretch_area",), 6.0),
     "fold": (laws.FOLD, ("bimodular",), 0.6),
-    "joint": (laws.JOINT, ("bend_slip",), 0.4),
+    "joint": (laws.JOINT, ("bend_slip", "bend_rub"), 0.4),
     "mass": (laws.MASS, ("payload",), 1.5),
     "tilt": (laws.TILT, ("mount_tilt",), 0.5),
     "rebound": (laws.REBOUND, ("contact",), 2000.0),
@@ -143,6 +143,7 @@ INSEPARABLE = (
     ("friction", "hysteresis", "a bristle that slips is Bouc-Wen hysteresis of exponent one with a short yield"),
     ("area_growth", "strain_softening", "a static softening response to pressure alone, no load, no force"),
     ("locking", "strain_softening", "a small share of a wall that gives way and locks, where it gives way"),
+    ("bend_slip", "bend_rub", "a loop whose way out levels off and whose way back is straight lies between corners and none"),
     ("lag", "tube_line", "a well-damped second order beside a first"),
     ("rate_limit", "lag", "sub-sonic flow through an orifice falls with the pressure difference"),
 )

@@ -208,15 +208,16 @@ def resist(
 
 @nb.njit(cache=True)
 def rub(P: np.ndarray, h: float, joints: int, rates: np.ndarray, s: np.ndarray) -> None:
-    """Advance how far the bristles ``s`` (2,) of one of ``joints`` are drawn by its ``rates`` (2,) of turn, 1 at most.
+    """Advance how far the fibres ``s`` (2,) of one of ``joints`` are drawn by its ``rates`` (2,) of turn, about 1 at most.
 
-    Dahl's friction of a joint that turns any way: it pulls back to where the joint came from, and its size levels off.
+    Bouc and Wen's form of exponent 2 for a joint that turns any way: the way out levels off, the way back is straight.
     """
     reach = P[JOINT, 1] / joints
-    turned = math.hypot(rates[0], rates[1]) * h / reach
-    kept = math.exp(-turned)
-    for k in range(2):
-        s[k] = kept * s[k] + (1.0 - kept) * rates[k] * h / max(turned * reach, 1e-300)
+    x, y = rates[0] * h / reach, rates[1] * h / reach
+    count = int(math.hypot(x, y) / 0.02) + 1
+    for _ in range(count):
+        outward = max(s[0] * x + s[1] * y, 0.0)
+        s[0], s[1] = s[0] + (x - outward * s[0]) / count, s[1] + (y - outward * s[1]) / count
 
 
 @nb.njit(cache=True)
