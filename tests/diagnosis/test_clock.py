@@ -50,6 +50,7 @@ def test_commands_sent_by_another_clock_are_no_physics(body: PccSimulator) -> No
     assert held["retuned"] < 1.2 * held["noise_floor"] < 0.5 * held["nominal"]
 
 
+@pytest.mark.slow
 def test_a_lag_behind_another_clock_is_named(body: PccSimulator) -> None:
     found = diagnosed(body, recorded(body, (Lag(fill_s=0.3, vent_s=0.3),), 1.0))
     assert [effect["name"] for effect in found.effects] == ["lag"], found.sentences
