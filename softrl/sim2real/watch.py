@@ -50,7 +50,7 @@ class LineWatch:
     def __init__(self, settings: Watch) -> None:
         self._settings = settings
         self._told: deque[tuple[float, np.ndarray]] = deque()
-        self._usual = 0.0
+        self._usual: np.ndarray | float = 0.0
         self._broken_s = -np.inf
         self.trusted = True
         self.off = np.zeros(1, dtype=bool)
@@ -58,7 +58,7 @@ class LineWatch:
     def advance(self, arrived: Sequence[Sample], healthy: bool = False) -> None:
         """Judge by the samples of one period.
 
-        While the robot is known to be ``healthy``, its sensors show how far they are from the truth; only what goes
+        While the robot is known to be ``healthy``, its sensors show how far each is from the truth; only what goes
         beyond that counts later.
         """
         settings, now = self._settings, arrived[-1].time_s
@@ -68,13 +68,19 @@ class LineWatch:
             self._told.popleft()
         told = np.stack([commanded for _, commanded in self._told])
         # of the second half: a line takes a moment to empty; the median, since one sample may be wrong
-        pressure = np.median([sample.pressure for sample in arrived[len(arrived) // 2 :]], axis=0)
+        pressure = _median([sample.pressure for sample in arrived[len(arrived) // 2 :]])
         beyond = np.maximum(pressure - told.max(axis=0), told.min(axis=0) - pressure)
         # a robot without pressure sensors reports none: nothing speaks against its lines
         departure = np.nan_to_num(beyond)
         if healthy:
-            self._usual = max(self._usual, float(departure.max()))
+            self._usual = np.maximum(self._usual, departure)
         self.off = departure > self._usual + 1e3 * settings.fault_kpa
         if self.off.any():
             self._broken_s = now
         self.trusted = now - self._broken_s > settings.after_s
+
+
+def _median(readings: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the median (n,) of what was measured in readings (n,); not a number where nothing was."""
+    known = [column[np.isfinite(column)] for column in np.stack(readings).T]
+    return np.array([np.median(column) if len(column) else np.nan for column in known])

@@ -1,5 +1,7 @@
 """Laws of the watch over the air lines: slow valves and wrong sensors are whole, a line that is off is not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -48,6 +50,26 @@ def test_a_line_that_is_off_is_found_and_forgiven() -> None:
 def test_a_wrong_sensor_is_known_from_the_approach() -> None:
     told = 15.0 + 2.0 * np.sin(0.05 * np.arange(120))
     assert all(judged(told, told + 8.0))
+
+
+def test_a_lost_reading_does_not_hide_a_line_that_is_off() -> None:
+    told = np.full(120, 15.0)
+    measured = told.copy()
+    measured[30:90] = 0.0
+    measured[57] = np.nan
+    assert judged(told, measured) == [True] * 3 + [False] * 6 + [True] * 3
+
+
+def test_a_wrong_sensor_hides_no_other_line_that_is_off() -> None:
+    watch, told, right = LineWatch(SETTINGS), np.full(10, 15.0), np.full(10, 15.0)
+    for k, second in enumerate((right, right, 0.0 * right)):
+        pairs = zip(period(0.5 * k, told, told + 14.0), period(0.5 * k, told, second), strict=True)
+        both = [
+            replace(a, commanded=np.append(a.commanded, b.commanded), pressure=np.append(a.pressure, b.pressure))
+            for a, b in pairs
+        ]
+        watch.advance(both, healthy=k < 2)
+    np.testing.assert_array_equal(watch.off, [False, True])
 
 
 def test_a_robot_without_pressure_sensors_is_trusted() -> None:
