@@ -21,4 +21,5 @@ def record_sessions(
         time, pressure = session_program(robot, settings, number, rng)
         name = f"identification_{number + 1}"
         with driver:
-            yield record(driver, robot, time, pressure, name, name)
+            recording = record(driver, robot, time, pressure, name, name)
+        yield recording  # the robot is vented while the caller looks at it

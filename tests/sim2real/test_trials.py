@@ -23,8 +23,10 @@ from softrl.sim2real.bandwidth import Bandwidth, measure, predict, response, swe
 from softrl.sim2real.course import Course
 from softrl.sim2real.disturbance import Disturbance, recovery
 from softrl.sim2real.drivers.rig import Hardware, Noise, Rig, sample_of
+from softrl.sim2real.identification import record_sessions
 from softrl.sim2real.report import report_bandwidth, report_recovery
 from softrl.sim2real.rollout import Rollout
+from softrl.sim2real.stage import Config
 from softrl.simulate.stage import coloured_noise
 from tests.sim2real.conftest import CONF, BenchDriver
 
@@ -205,3 +207,11 @@ def test_what_was_recorded_before_a_lost_link_is_kept(
     kept = RecordingSet.read(tmp_path / "interrupted", {})
     assert [len(r.time) for r in kept.recordings] == [10, 30]
     np.testing.assert_allclose(kept.recordings[1].position[-1], driver.samples[-1].position, atol=1e-9)
+
+
+def test_the_robot_is_vented_while_a_session_is_looked_at(
+    tripod: Robot, body: Simulator, silence: Noise, config: Config
+) -> None:
+    driver = BenchDriver(tripod, body, silence)
+    sessions = record_sessions(driver, tripod, config.identification, np.random.default_rng(0))
+    assert [driver.connected for _ in sessions] == [False] * config.identification.sessions
