@@ -103,10 +103,13 @@ class Route:
         return self.reading(motion.position[2 * self.hold - 1 :: self.hold])
 
     def sent(self, last: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-        """Return the setpoints (hold, n) Pa on the way from ``last`` to ``wanted`` (n,), within range and slew."""
-        goal = np.clip(wanted, self.robot.pressure_min_pa, self.robot.pressure_max_pa)
+        """Return the setpoints (hold, n) Pa on the way from ``last`` to ``wanted`` (n,), within range and slew.
+
+        A vented robot whose range leaves out zero begins at the limit next to it, as drivers and programs do.
+        """
+        begun, goal = (np.clip(p, self.robot.pressure_min_pa, self.robot.pressure_max_pa) for p in (last, wanted))
         reach = self.robot.slew_pa_per_s * self.step_s * np.arange(1, self.hold + 1)[:, None]
-        return np.asarray(last + np.clip(goal - last, -reach, reach))
+        return np.asarray(begun + np.clip(goal - begun, -reach, reach))
 
 
 @dataclass(frozen=True)
