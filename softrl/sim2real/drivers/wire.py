@@ -6,10 +6,8 @@ caller has been silent for too long. An emergency stop is remembered here as wel
 """
 
 import logging
-import secrets
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from typing import Self
 
@@ -19,13 +17,12 @@ from softrl.core.driver import Sample
 from softrl.core.errors import ConfigError, DriverError
 from softrl.robots.robot import Robot
 from softrl.sim2real.drivers.limits import Setpoint, require_safe
-from softrl.sim2real.drivers.protocol import PRESSURE_PA, Decoder, Flag, Frame, Kind, State, Welcome, counts
+from softrl.sim2real.drivers.protocol import PRESSURE_PA, Flag, Frame, Kind, State, counts
+from softrl.sim2real.drivers.session import FOREIGN, Session
 from softrl.sim2real.drivers.transport import Transport
 
 log = logging.getLogger(__name__)
-HELLO_EVERY_S = 0.2
 VENT_REPEATS = 3
-FOREIGN = "driver and device do not speak the same protocol"
 
 
 class WireDriver:
@@ -69,19 +66,16 @@ class WireDriver:
         if self._stopped:
             raise DriverError(self._emergency)
         self.samples, self.dropped = [], 0
-        self._decoder, self._transport = Decoder(), self._connect()
-        self._session, self._number, self._heard = secrets.randbelow(1 << 16), 0, 0
-        self._pending: deque[tuple[int, float]] = deque()
+        self._session = Session(self._connect())
         self._fault: str | None = None
         self._taken = self._returned = 0
         self._fresh = threading.Condition()
         try:
-            welcome = self._hello()
+            welcome = self._session.hello(self._robot.chambers, self._start_timeout_s)
             require_safe(welcome, self._robot)
         except BaseException:
-            self._transport.close()
+            self._session.close()
             raise
-        self._pending.clear()
         self._setpoint_period_s = 1.0 / welcome.rate_hz
         self._setpoint = Setpoint(self._robot, self._setpoint_period_s)
         self._clock_s = self._commanded_s = self._until_s = 0.0
@@ -98,11 +92,11 @@ class WireDriver:
         vented = self._vent()
         self._running = False
         self._thread.join()
-        self._transport.close()
-        if self._decoder.damaged or self.dropped:
+        self._session.close()
+        if self._session.damaged or self.dropped:
             log.warning(
                 "link to %s: %d damaged frames and %d late or repeated samples were dropped",
-                self._robot.name, self._decoder.damaged, self.dropped,
+                self._robot.name, self._session.damaged, self.dropped,
             )  # fmt: skip
         failure = None if vented else f"no word from {self._robot.name} that it is vented; its own watchdog has to"
         if error is None and (self._fault or failure):
@@ -155,36 +149,19 @@ class WireDriver:
         """End an emergency stop, an earlier program's too; not while connected, and it lasts if no device answers."""
         if self._entered:
             raise DriverError(f"the driver of {self._robot.name} is connected; leave the 'with' block to release it")
-        self._decoder, self._transport = Decoder(), self._connect()
-        self._session, self._number, self._heard = secrets.randbelow(1 << 16), 0, 0
-        self._pending = deque()
+        session = Session(self._connect())
         stopped, self._stopped = self._stopped, False  # a stop from here on outlives this release
         try:
-            self._hello()
+            session.hello(self._robot.chambers, self._start_timeout_s)
             for _ in range(VENT_REPEATS):
-                self._send(Kind.RELEASE)
+                session.send(Kind.RELEASE)
         except BaseException:
             self._stopped |= stopped
             raise
         finally:
-            self._transport.close()
+            session.close()
 
     # ---- the session -------------------------------------------------------------------------------------------
-
-    def _hello(self) -> Welcome:
-        """Return the device's answer to a new session."""
-        give_up = time.monotonic() + self._start_timeout_s
-        while time.monotonic() < give_up:
-            self._send(Kind.HELLO, bytes([self._robot.chambers]))
-            again = time.monotonic() + HELLO_EVERY_S
-            while time.monotonic() < again:
-                for frame in self._decoder.feed(self._transport.receive()):
-                    if frame.kind == Kind.WELCOME and frame.session == self._session:
-                        self._heard = frame.sequence
-                        return _welcome(frame)
-        raise DriverError(
-            f"no device answered within {self._start_timeout_s:g} s; is it on, and does it speak softrl's protocol?"
-        )
 
     def _begin(self) -> None:
         """Wait for the first sample, from which time counts."""
@@ -198,7 +175,7 @@ class WireDriver:
         if fault is not None:
             self._entered = self._running = False
             self._thread.join()
-            self._transport.close()
+            self._session.close()
             raise DriverError(fault)
 
     def _vent(self) -> bool:
@@ -206,7 +183,7 @@ class WireDriver:
         with self._fresh:
             self._setpoint.vent()
             self._try(self._end)
-            sent, until_s = self._number, self._clock_s + self._vent_s
+            sent, until_s = self._session.sent, self._clock_s + self._vent_s
             give_up = time.monotonic() + self._vent_s + 2.0 * self._link_timeout_s
             while time.monotonic() < give_up and self._alive and (self._acted < sent or self._clock_s < until_s):
                 self._fresh.wait(self._link_timeout_s)
@@ -249,7 +226,7 @@ class WireDriver:
     def _serve(self) -> None:
         """Take samples, answer each by the setpoint, and watch, until the session ends."""
         while self._running:
-            frames = self._decoder.feed(self._transport.receive())
+            frames = self._session.receive()
             with self._fresh:
                 fresh = sum(self._take(frame) for frame in frames)
                 self._watch()
@@ -259,20 +236,19 @@ class WireDriver:
 
     def _take(self, frame: Frame) -> bool:
         """Keep the sample of a STATE and return whether it was one and new."""
-        if frame.kind != Kind.STATE or frame.session != self._session:
+        if frame.kind != Kind.STATE:
             return False
         try:
             state = State.decode(frame.payload, self._robot.chambers)
         except ValueError as error:
             self._fail(f"{error}: {FOREIGN}")
             return False
-        if frame.sequence <= self._heard or state.clock_s <= self._clock_s:
+        if frame.sequence <= self._session.heard or state.clock_s <= self._clock_s:
             self.dropped += 1
             return False
-        self._heard, self._clock_s, self._taken = frame.sequence, state.clock_s, state.taken
+        self._session.heard, self._clock_s, self._taken = frame.sequence, state.clock_s, state.taken
         self._last_fresh = time.monotonic()
-        while self._pending and self._pending[0][0] <= state.taken:
-            self._pending.popleft()
+        self._session.took(state.taken)
         self.samples.append(
             Sample(state.clock_s, state.setpoint, state.pressure, state.position, state.quaternion, state.tip_force)
         )
@@ -288,10 +264,9 @@ class WireDriver:
             self._fail("the device refused a setpoint: its range is smaller than the robot's limits here")
 
     def _watch(self) -> None:
-        now = time.monotonic()
-        if now - self._last_fresh > self._link_timeout_s:
+        if time.monotonic() - self._last_fresh > self._link_timeout_s:
             self._fail(f"lost the link: no fresh sample for {self._link_timeout_s:g} s; what had arrived is kept")
-        elif self._pending and now - self._pending[0][1] > self._link_timeout_s:
+        elif self._session.unheard_s() > self._link_timeout_s:
             self._fail(f"lost the link: the device has taken nothing that was sent for {self._link_timeout_s:g} s")
         elif self._entered and self._setpoint.sent.any() and self._clock_s - self._commanded_s > self._watchdog_s:
             self._fail(f"the watchdog vented the robot: no command for more than {self._watchdog_s:g} s")
@@ -300,12 +275,12 @@ class WireDriver:
         """Send the setpoint, one period further if a sample has come; once the session ends, vent until the line closes."""
         # a VENT or a STOP may be lost, and a setpoint of zero would be reached at the slew only
         if self._stopped or self._fault is not None or not self._entered:
-            self._send(self._end)
+            self._session.send(self._end)
             return
         if move:
             self._setpoint.advance(1)
-        if move or time.monotonic() - self._last_sent > self._setpoint_period_s:
-            self._send(Kind.SETPOINT, counts(self._setpoint.sent, PRESSURE_PA))
+        if move or time.monotonic() - self._session.sent_s > self._setpoint_period_s:
+            self._session.send(Kind.SETPOINT, counts(self._setpoint.sent, PRESSURE_PA))
 
     # ---- ends --------------------------------------------------------------------------------------------------
 
@@ -325,26 +300,13 @@ class WireDriver:
         if self._broken is not None:
             raise DriverError(f"{self._broken} (after {len(self.samples)} samples)")
 
-    def _send(self, kind: Kind, payload: bytes = b"") -> None:
-        self._number += 1
-        self._last_sent = time.monotonic()
-        self._pending.append((self._number, self._last_sent))
-        self._transport.send(Frame(kind, self._session, self._number, payload).encode())
-
     def _try(self, kind: Kind) -> None:
         """Send if the line still takes it."""
         try:
-            self._send(kind)
+            self._session.send(kind)
         except DriverError as error:
             log.error("could not send %s: %s", kind.name, error)
 
     def _require_entry(self) -> None:
         if not self._entered:
             raise DriverError(f"the driver of {self._robot.name} is not connected; use it in a 'with' block")
-
-
-def _welcome(frame: Frame) -> Welcome:
-    try:
-        return Welcome.decode(frame.payload)
-    except ValueError as error:
-        raise DriverError(f"{error}: {FOREIGN}") from error
