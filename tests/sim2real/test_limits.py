@@ -14,6 +14,7 @@ from softrl.sim2real.drivers.limits import Setpoint
 from softrl.sim2real.drivers.protocol import PRESSURE_PA, Decoder, Flag, Frame, Kind, State, counts
 from softrl.sim2real.drivers.regulator import Regulator
 from softrl.sim2real.drivers.rig import Hardware, Noise
+from tests.sim2real.line import Line, driver_on
 
 
 def test_what_is_sent_ramps_to_the_clipped_request(tripod: Robot) -> None:
@@ -45,6 +46,19 @@ def test_nothing_outside_of_the_range_is_sent_to_a_robot_that_is_never_without_p
         device.tick()
     (state,) = Decoder().feed(device.tick() or b"")
     assert State.decode(state.payload, robot.chambers).flags == Flag(0)
+
+
+@pytest.mark.parametrize(("low", "high"), [(5e3, 35e3), (-20e3, -5e3)])
+def test_a_robot_that_is_never_without_pressure_is_driven_over_a_wire(
+    tripod: Robot, body: Simulator, silence: Noise, low: float, high: float
+) -> None:
+    robot = replace(tripod, pressure_min_pa=low, pressure_max_pa=high)
+    line = Line(Regulator(Hardware(body, chain_of(robot, []), silence, 100.0, 100.0, 0.08), 0))
+    with driver_on(line, robot) as driver:
+        assert not driver.advance(0.2)[-1].commanded.any(), "vented until it is told"
+        driver.command(np.full(robot.chambers, 0.5 * (low + high)))
+        np.testing.assert_array_equal(driver.advance(0.3)[-1].commanded, np.full(robot.chambers, 0.5 * (low + high)))
+    assert not line.states[-1].setpoint.any() and not line.states[-1].flags
 
 
 def test_asking_often_does_not_move_faster(tripod: Robot) -> None:

@@ -19,6 +19,7 @@ class Setpoint:
     ----------
     sent : (chambers,) Pa, zero at the start
     goal : (chambers,) Pa, the last request within the robot's range of pressure
+    vented : nothing was requested since the start, or since the last venting; zero may be out of the range
     """
 
     def __init__(self, robot: Robot, period_s: float) -> None:
@@ -29,7 +30,7 @@ class Setpoint:
     def vent(self) -> None:
         """Forget the request: zero gauge in all chambers, at once, whatever the slew."""
         self.sent = self.goal = np.zeros(self._robot.chambers)
-        self._unsent = False
+        self._unsent, self.vented = False, True
 
     def request(self, pressure: np.ndarray) -> np.ndarray:
         """Return what is sent first (chambers,) Pa on the way to ``pressure``.
@@ -47,7 +48,7 @@ class Setpoint:
         if not np.isfinite(pressure).all():
             raise DriverError(f"a command of {pressure} Pa for {self._robot.name}; expected finite numbers")
         self.goal = np.clip(pressure, self._robot.pressure_min_pa, self._robot.pressure_max_pa)
-        self._unsent = True
+        self._unsent, self.vented = True, False
         return self._next()
 
     def advance(self, periods: int) -> np.ndarray:

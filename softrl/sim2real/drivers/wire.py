@@ -280,6 +280,13 @@ class WireDriver:
         if move:
             self._setpoint.advance(1)
         if move or time.monotonic() - self._session.sent_s > self._setpoint_period_s:
+            self._hold()
+
+    def _hold(self) -> None:
+        """Send the setpoint; VENT before the first request, since a device refuses a zero that is out of its range."""
+        if self._setpoint.vented:
+            self._session.send(Kind.VENT)
+        else:
             self._session.send(Kind.SETPOINT, counts(self._setpoint.sent, PRESSURE_PA))
 
     # ---- ends --------------------------------------------------------------------------------------------------
