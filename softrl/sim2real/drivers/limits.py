@@ -65,8 +65,8 @@ class Setpoint:
         return begun + np.clip(self.goal - begun, -self._reach_pa, self._reach_pa)
 
 
-def require_safe(device: Welcome, robot: Robot) -> None:
-    """Refuse a device of another robot, one in emergency stop, and one that would not vent by itself.
+def require_safe(device: Welcome, robot: Robot, link_timeout_s: float) -> None:
+    """Refuse a device of another robot, one in emergency stop, one that would not vent by itself, and one too slow to watch.
 
     Raises
     ------
@@ -85,4 +85,9 @@ def require_safe(device: Welcome, robot: Robot) -> None:
     if device.rate_hz <= 0:
         raise DriverError(
             f"the device sends {device.rate_hz} samples a second; expected 1 or more: set the rate of STATE in the device"
+        )
+    if link_timeout_s * device.rate_hz <= 1.0:
+        raise DriverError(
+            f"the device sends {device.rate_hz} samples a second, but after driver.link_timeout_s={link_timeout_s:g} without "
+            f"one the link counts as lost; expected more than {1.0 / device.rate_hz:g} s: raise it, or the device's rate"
         )

@@ -35,9 +35,9 @@ second until RELEASE.
 
 Watchdog: a device under pressure that has taken no SETPOINT for its watchdog time vents by itself and takes no setpoint until
 the next HELLO. That time is above 0 and at most 100 ms, or a driver refuses the device. A driver repeats its setpoint on every
-STATE, VENT before its first one and once a session ends, and from an emergency stop on STOP in place of all. Both keep the
-slew: after lost frames a setpoint may be far from the last one taken, and the device then moves by no more than its own limit a
-frame.
+STATE, and three times in that time where STATE is seldom. It sends VENT before its first setpoint and once a session ends, and
+from an emergency stop on STOP in place of all. Both keep the slew: after lost frames a setpoint may be far from the last one
+taken, and the device then moves by no more than its own limit a frame.
 """
 
 import binascii

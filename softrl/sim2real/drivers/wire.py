@@ -1,8 +1,9 @@
 """A driver for a device on a wire, in real time: a serial port or datagrams (see ``protocol``).
 
-A thread of its own repeats the setpoint on every sample, so that a busy caller does not starve the device's watchdog, and
-watches the link. It vents the robot at once when the link is one-way, silent, or speaks of a fault, and when the
-caller has been silent for too long. An emergency stop is remembered here as well: the device may never hear of it.
+A thread of its own repeats the setpoint on every sample, and between samples that are seldom, so that neither a busy caller
+nor a slow sensor starves the device's watchdog. It watches the link, and vents the robot at once when that is one-way, silent,
+or speaks of a fault, and when the caller has been silent for too long. An emergency stop is remembered here as well: the
+device may never hear of it.
 """
 
 import logging
@@ -23,6 +24,7 @@ from softrl.sim2real.drivers.transport import Transport
 
 log = logging.getLogger(__name__)
 VENT_REPEATS = 3
+REPEATS = 3  # setpoints at least in the time of the device's watchdog, of which one may be lost and one late
 
 
 class WireDriver:
@@ -72,11 +74,12 @@ class WireDriver:
         self._fresh = threading.Condition()
         try:
             welcome = self._session.hello(self._robot.chambers, self._start_timeout_s)
-            require_safe(welcome, self._robot)
+            require_safe(welcome, self._robot, self._link_timeout_s)
         except BaseException:
             self._session.close()
             raise
         self._setpoint_period_s = 1.0 / welcome.rate_hz
+        self._repeat_s = min(self._setpoint_period_s, 1e-3 * welcome.watchdog_ms / REPEATS)
         self._setpoint = Setpoint(self._robot, self._setpoint_period_s)
         self._clock_s = self._commanded_s = self._until_s = 0.0
         self._running = self._entered = True
@@ -279,7 +282,7 @@ class WireDriver:
             return
         if move:
             self._setpoint.advance(1)
-        if move or time.monotonic() - self._session.sent_s > self._setpoint_period_s:
+        if move or time.monotonic() - self._session.sent_s > self._repeat_s:
             self._hold()
 
     def _hold(self) -> None:
