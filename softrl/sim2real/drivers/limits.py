@@ -51,18 +51,21 @@ class Setpoint:
         self._unsent, self.vented = True, False
         return self._next()
 
-    def advance(self, periods: int) -> np.ndarray:
-        """Return what is sent (sent, chambers) Pa, one row a period, until the goal is reached or time is up."""
+    def advance(self, periods: int, share: float = 1.0) -> np.ndarray:
+        """Return what is sent (sent, chambers) Pa, one row a period, until the goal is reached or time is up.
+
+        Each row goes ``share`` of a period's way, below 1 where less time has passed.
+        """
         rows: list[np.ndarray] = []
         while len(rows) < periods and (self._unsent or not np.array_equal(self.sent, self.goal)):
             self._unsent = False
-            self.sent = self._next()
+            self.sent = self._next(share)
             rows.append(self.sent)
         return np.array(rows).reshape(len(rows), self._robot.chambers)
 
-    def _next(self) -> np.ndarray:
-        begun = np.clip(self.sent, self._robot.pressure_min_pa, self._robot.pressure_max_pa)
-        return begun + np.clip(self.goal - begun, -self._reach_pa, self._reach_pa)
+    def _next(self, share: float = 1.0) -> np.ndarray:
+        begun, reach = np.clip(self.sent, self._robot.pressure_min_pa, self._robot.pressure_max_pa), share * self._reach_pa
+        return begun + np.clip(self.goal - begun, -reach, reach)
 
 
 def require_safe(device: Welcome, robot: Robot, link_timeout_s: float) -> None:

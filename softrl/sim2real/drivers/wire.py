@@ -81,7 +81,7 @@ class WireDriver:
         self._setpoint_period_s = 1.0 / welcome.rate_hz
         self._repeat_s = min(self._setpoint_period_s, 1e-3 * welcome.watchdog_ms / REPEATS)
         self._setpoint = Setpoint(self._robot, self._setpoint_period_s)
-        self._clock_s = self._commanded_s = self._until_s = 0.0
+        self._clock_s = self._commanded_s = self._until_s = self._moved_s = 0.0
         self._running = self._entered = True
         self._last_fresh = time.monotonic()
         self._thread = threading.Thread(target=self._pump, name="softrl-link", daemon=True)
@@ -275,13 +275,15 @@ class WireDriver:
             self._fail(f"the watchdog vented the robot: no command for more than {self._watchdog_s:g} s")
 
     def _repeat(self, move: bool) -> None:
-        """Send the setpoint, one period further if a sample has come; once the session ends, vent until the line closes."""
+        """Send the setpoint, a period further at most if a sample has come; once the session ends, vent until the line closes."""
         # a VENT or a STOP may be lost, and a setpoint of zero would be reached at the slew only
         if self._stopped or self._fault is not None or not self._entered:
             self._session.send(self._end)
             return
         if move:
-            self._setpoint.advance(1)
+            # a device may sample more often than it says; after a gap the way is that of one period still
+            self._setpoint.advance(1, min((self._clock_s - self._moved_s) / self._setpoint_period_s, 1.0))
+            self._moved_s = self._clock_s
         if move or time.monotonic() - self._session.sent_s > self._repeat_s:
             self._hold()
 
