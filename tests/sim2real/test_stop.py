@@ -1,4 +1,4 @@
-"""An emergency stop of a driver on a wire: nothing is commanded until it is released, whatever the device has heard."""
+"""Emergency stops and interrupts of a driver on a wire: nothing is commanded until a release, and no line stays open."""
 
 import numpy as np
 import pytest
@@ -94,3 +94,23 @@ def test_a_stop_in_the_middle_of_an_entry_or_a_release_counts(line: Line, tripod
     with pytest.raises(DriverError, match="emergency stop"), driver:
         pass
     assert not any(state.setpoint.any() for state in line.states)
+
+
+@pytest.mark.parametrize("way", ["_begin", "_vent"])
+def test_an_interrupt_at_either_end_of_a_session_leaves_no_line_open(
+    line: Line, tripod: Robot, way: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver, closed = driver_on(line, tripod), []
+    monkeypatch.setattr(line, "close", lambda: closed.append(line.device._setpoint.sent.any()))
+
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(driver, way, interrupt)
+    with pytest.raises(KeyboardInterrupt), driver:
+        driver.command(LEVEL)
+        driver.advance(0.2)
+    assert closed == [False], "closed, and told to vent before"
+    monkeypatch.undo()
+    with driver:
+        assert driver.advance(0.1)

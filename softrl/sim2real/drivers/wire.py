@@ -86,16 +86,23 @@ class WireDriver:
         self._last_fresh = time.monotonic()
         self._thread = threading.Thread(target=self._pump, name="softrl-link", daemon=True)
         self._thread.start()
-        self._begin()
+        try:
+            self._begin()
+        except BaseException:  # an interrupt too: nobody else would leave what was not entered
+            self._leave()
+            raise
         return self
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         """Vent and disconnect, whatever happened; a failure to vent never hides the error that led here."""
         self._entered = False
-        vented = self._vent()
-        self._running = False
-        self._thread.join()
-        self._session.close()
+        try:
+            vented = self._vent()
+        except BaseException:  # a second interrupt
+            self._try(self._end)
+            raise
+        finally:
+            self._leave()
         if self._session.damaged or self.dropped:
             log.warning(
                 "link to %s: %d damaged frames and %d late or repeated samples were dropped",
@@ -176,10 +183,13 @@ class WireDriver:
             self._until_s = self._commanded_s = self._clock_s
             self._returned = len(self.samples)
         if fault is not None:
-            self._entered = self._running = False
-            self._thread.join()
-            self._session.close()
             raise DriverError(fault)
+
+    def _leave(self) -> None:
+        """End the thread and close the line."""
+        self._entered = self._running = False
+        self._thread.join()
+        self._session.close()
 
     def _vent(self) -> bool:
         """Vent, stay connected for ``vent_s`` and return whether the device said that it is vented."""
