@@ -10,7 +10,7 @@ import yaml
 
 from softrl.core.config import build
 from softrl.core.driver import Driver, Sample
-from softrl.core.errors import DriverError
+from softrl.core.errors import ConfigError, DriverError
 from softrl.effects.lag import Lag
 from softrl.pcc.simulator import PccSimulator
 from softrl.robots.robot import Robot
@@ -44,11 +44,12 @@ NOISE = Noise(
 HIDDEN = {"lag": Lag(fill_s=0.1, vent_s=0.2)}
 
 
-def stub(robot: Robot) -> StubDriver:
+def stub(robot: Robot, **times_s: float) -> StubDriver:
     """Return a stub on the lumped body, 100 samples a second of which some are lost."""
+    usual = {"watchdog_s": 1.0, "vent_s": 0.2, "start_timeout_s": 120.0, "answer_timeout_s": 20.0}
     return StubDriver(
-        robot=robot, body=body_of(robot), hidden=HIDDEN, noise=NOISE, rate_hz=1.0 / PERIOD_S,
-        physics_rate_hz=400.0, watchdog_s=1.0, vent_s=0.2, start_timeout_s=120.0, answer_timeout_s=20.0, seed=3,
+        robot=robot, body=body_of(robot), hidden=HIDDEN, noise=NOISE, rate_hz=1.0 / PERIOD_S, physics_rate_hz=400.0, seed=3,
+        **usual | times_s,
     )  # fmt: skip
 
 
@@ -157,6 +158,15 @@ def test_the_watchdog_vents_a_robot_that_nobody_commands(driver: Driver) -> None
     assert 0.9 < vented - filled < 1.3
 
 
+def test_a_fault_lasts_for_its_session_though_the_caller_swallows_it(driver: Driver) -> None:
+    with pytest.raises(DriverError, match="watchdog"), driver:
+        driver.command(np.full(3, 20e3))
+        with pytest.raises(DriverError, match="watchdog"):
+            driver.advance(3.0)
+        driver.command(np.full(3, 20e3))
+    assert not driver.samples[-1].commanded.any()
+
+
 def test_an_emergency_stop_vents_and_lasts_until_it_is_released(driver: Driver) -> None:
     with pytest.raises(DriverError, match="emergency stop"), driver:
         driver.command(np.full(3, 20e3))
@@ -191,6 +201,17 @@ def test_use_outside_a_with_block_is_refused(driver: Driver) -> None:
         driver.command(np.zeros(3))
     with pytest.raises(DriverError, match="not connected"):
         driver.advance(0.1)
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, np.nan])
+@pytest.mark.parametrize("name", ["watchdog_s", "vent_s", "start_timeout_s", "link_timeout_s"])
+def test_times_that_would_watch_nothing_are_refused(tripod: Robot, name: str, bad: float) -> None:
+    with pytest.raises(ConfigError, match=rf"driver\.{name}={bad:g} must be positive"):
+        SerialDriver(robot=tripod, port="/dev/nothing", baud=460800, **WIRE | {name: bad})
+    if name == "link_timeout_s":
+        return
+    with pytest.raises(ConfigError, match=rf"driver\.{name}={bad:g} must be positive"):
+        stub(tripod, **{name: bad})
 
 
 def test_another_number_of_chambers_works(tripod: Robot) -> None:

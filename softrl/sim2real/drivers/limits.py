@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from softrl.core.errors import DriverError
+from softrl.core.errors import ConfigError, DriverError
 from softrl.robots.robot import Robot
 from softrl.sim2real.drivers.protocol import Flag, Welcome
 
@@ -66,6 +66,13 @@ class Setpoint:
     def _next(self, share: float = 1.0) -> np.ndarray:
         begun, reach = np.clip(self.sent, self._robot.pressure_min_pa, self._robot.pressure_max_pa), share * self._reach_pa
         return begun + np.clip(self.goal - begun, -reach, reach)
+
+
+def require_times(**times_s: float) -> None:
+    """Refuse times of a driver that are not above zero; with one that is not a number nothing would ever be watched."""
+    for name, value in times_s.items():
+        if not value > 0.0:
+            raise ConfigError(f"driver.{name}={value:g} must be positive")
 
 
 def require_safe(device: Welcome, robot: Robot, link_timeout_s: float) -> None:

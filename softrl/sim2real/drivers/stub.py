@@ -13,7 +13,7 @@ from softrl.core.simulator import Simulator
 from softrl.effects.chain import EffectChain
 from softrl.effects.effect import Effect
 from softrl.robots.robot import Robot
-from softrl.sim2real.drivers.limits import Setpoint
+from softrl.sim2real.drivers.limits import Setpoint, require_times
 from softrl.sim2real.drivers.rig import Hardware, Noise, sample_of, serve
 from softrl.sim2real.surface import Surface
 
@@ -148,6 +148,9 @@ class StubDriver:
             raise ConfigError(
                 f"driver.physics_rate_hz={physics_rate_hz:g} is no multiple of driver.rate_hz={rate_hz:g}"
             )
+        require_times(
+            watchdog_s=watchdog_s, vent_s=vent_s, start_timeout_s=start_timeout_s, answer_timeout_s=answer_timeout_s
+        )
         self._robot, self._seed, self._stream = robot, seed, stream
         self._rate_hz, self._vent_s, self.stale_s = rate_hz, vent_s, watchdog_s
         self._start_timeout_s, self._answer_timeout_s = start_timeout_s, answer_timeout_s
@@ -159,6 +162,7 @@ class StubDriver:
         self._entered = self._stopped = False
         self._setpoint = Setpoint(robot, 1.0 / rate_hz)
         self._due = 0.0
+        self._fault: str | None = None
         self.samples: list[Sample] = []
 
     def __enter__(self) -> Self:
@@ -167,7 +171,7 @@ class StubDriver:
             raise DriverError(f"the driver of {self._robot.name} is connected already; leave the first 'with' block")
         self._refuse_if_stopped()
         self._setpoint.vent()
-        self._due, self.samples = 0.0, []
+        self._due, self._fault, self.samples = 0.0, None, []
         if self._link is None:
             self._link = RigLink(self._hardware)
         self._ask(self._start_timeout_s, "start", (self._seed, self._entries, self._stream), self._surface)
@@ -193,7 +197,7 @@ class StubDriver:
         ``Sample.commanded`` tells what was sent when.
         """
         self._require_entry()
-        self._refuse_if_stopped()
+        self._raise_fault()
         return self._setpoint.request(pressure)
 
     def advance(self, dt_s: float) -> list[Sample]:
@@ -212,7 +216,7 @@ class StubDriver:
         self._due -= ticks
         most = max(round(MESSAGE_S * self._rate_hz), 1)
         for start in range(0, ticks, most):
-            self._refuse_if_stopped()
+            self._raise_fault()
             share = min(most, ticks - start)
             self._ask(self._answer_timeout_s, "advance", share, self._setpoint.advance(share))
         return self.samples[before:]
@@ -243,6 +247,12 @@ class StubDriver:
         if self._stopped:
             raise DriverError(f"emergency stop of {self._robot.name}; driver.release() ends it")
 
+    def _raise_fault(self) -> None:
+        """Refuse to go on in a session that a stop or a fault has ended, though the caller may have swallowed that."""
+        self._refuse_if_stopped()
+        if self._fault is not None:
+            raise DriverError(self._fault)
+
     @property
     def rig_pid(self) -> int | None:
         """Process id of the rig, None before the first entry and after it was lost."""
@@ -264,4 +274,5 @@ class StubDriver:
             raise
         self.samples += samples
         if fault is not None:
-            raise DriverError(f"rig of {self._robot.name} after {len(self.samples)} samples: {fault}")
+            self._fault = f"rig of {self._robot.name} after {len(self.samples)} samples: {fault}"
+            raise DriverError(self._fault)

@@ -15,9 +15,9 @@ from typing import Self
 import numpy as np
 
 from softrl.core.driver import Sample
-from softrl.core.errors import ConfigError, DriverError
+from softrl.core.errors import DriverError
 from softrl.robots.robot import Robot
-from softrl.sim2real.drivers.limits import Setpoint, require_safe
+from softrl.sim2real.drivers.limits import Setpoint, require_safe, require_times
 from softrl.sim2real.drivers.protocol import PRESSURE_PA, Flag, Frame, Kind, State, counts
 from softrl.sim2real.drivers.session import FOREIGN, Session
 from softrl.sim2real.drivers.transport import Transport
@@ -50,9 +50,9 @@ class WireDriver:
         self, robot: Robot, connect: Callable[[], Transport], watchdog_s: float, link_timeout_s: float, vent_s: float,
         start_timeout_s: float,
     ) -> None:
-        for name, value in (("watchdog_s", watchdog_s), ("link_timeout_s", link_timeout_s), ("vent_s", vent_s)):
-            if value <= 0:
-                raise ConfigError(f"driver.{name}={value:g} must be positive")
+        require_times(
+            watchdog_s=watchdog_s, link_timeout_s=link_timeout_s, vent_s=vent_s, start_timeout_s=start_timeout_s
+        )
         self._robot, self._connect = robot, connect
         self._watchdog_s, self._link_timeout_s, self.stale_s = watchdog_s, link_timeout_s, link_timeout_s
         self._vent_s, self._start_timeout_s = vent_s, start_timeout_s
