@@ -16,7 +16,7 @@ from softrl.effects.chain import chain_of
 from softrl.robots.robot import Robot
 from softrl.sim2real.drivers.ports import SerialDriver, UdpDriver
 from softrl.sim2real.drivers.protocol import PRESSURE_PA, Decoder, Flag, Frame, Kind, State, Welcome, counts
-from softrl.sim2real.drivers.regulator import Regulator, WiredRig
+from softrl.sim2real.drivers.regulator import PtyEnd, Regulator, WiredRig
 from softrl.sim2real.drivers.rig import Hardware, Noise
 from softrl.sim2real.drivers.transport import SerialTransport, Transport, UdpTransport
 from tests.sim2real.line import LEVEL, Line, Spoil, driver_on, silent
@@ -292,6 +292,15 @@ def test_an_address_or_a_rig_not_both(tripod: Robot, rig: WiredRig) -> None:
         tripod, "/dev/nothing", 460800, 1.0, 0.1, 0.1, 1.0
     ):
         pass
+
+
+def test_a_serial_port_is_for_one_program_alone() -> None:
+    end = PtyEnd()
+    first = SerialTransport(end.address, 460800, 0.01)
+    with pytest.raises(DriverError, match="does no other program hold it"):
+        SerialTransport(end.address, 460800, 0.01)
+    first.close()
+    SerialTransport(end.address, 460800, 0.01).close()
 
 
 @pytest.mark.parametrize("port", [-1, 99999])

@@ -38,9 +38,12 @@ class SerialTransport:
     def __init__(self, port: str, baud: int, wait_s: float) -> None:
         self._name = port
         try:
-            self._port = serial.Serial(port, baud, timeout=wait_s, write_timeout=WRITE_S)
+            # of two programs at one robot each would take half of the other's frames
+            self._port = serial.Serial(port, baud, timeout=wait_s, write_timeout=WRITE_S, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
-            raise DriverError(f"cannot open serial port {port}: {error}; is the device plugged in?") from error
+            raise DriverError(
+                f"cannot open serial port {port}: {error}; is the device plugged in, and does no other program hold it?"
+            ) from error
 
     def send(self, data: bytes) -> None:
         """Write all of ``data``."""
