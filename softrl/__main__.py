@@ -61,8 +61,10 @@ def main() -> None:
     sweep = bool({"-m", "--multirun"} & set(sys.argv[1:]))
     sys.argv[1:] = [word for given in sys.argv[1:] for word in _spell_out(given, sweep)]
     signal.signal(signal.SIGTERM, _stop)
-    if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # as a job in the background ignores it
-        signal.signal(signal.SIGINT, _stop)
+    # a terminal that is closed ends a session at a robot as Ctrl-C does
+    for heeded in {signal.SIGINT, getattr(signal, "SIGHUP", signal.SIGINT)}:
+        if signal.getsignal(heeded) != signal.SIG_IGN:  # as a job in the background ignores the one, nohup the other
+            signal.signal(heeded, _stop)
     sys.unraisablehook = _repeat_interrupt
     error: BaseException | None = None
     try:

@@ -46,6 +46,35 @@ def test_an_interrupt_that_comes_while_it_is_repeated_comes_again() -> None:
     assert done.stdout.strip() == "stopped" and "Exception ignored" not in done.stderr
 
 
+WAITS = """
+import os, signal, sys, time
+if sys.argv[1] == "nohup":
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+from softrl import __main__ as door
+
+def work():
+    try:
+        os.kill(os.getpid(), signal.SIGHUP)
+        time.sleep(0.5)
+    finally:
+        print("left in order", flush=True)
+
+door.run = work
+door.main()
+"""
+
+
+def test_a_closed_terminal_stops_in_order_unless_it_is_to_be_survived() -> None:
+    def run(how: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-c", WAITS, how], capture_output=True, text=True, check=False, timeout=60
+        )
+
+    closed, survived = run("closed"), run("nohup")
+    assert (closed.returncode, closed.stdout) == (130, "left in order\n"), closed.stderr
+    assert (survived.returncode, survived.stdout) == (0, "left in order\n"), survived.stderr
+
+
 FAILS_LATER = """
 import os, signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
