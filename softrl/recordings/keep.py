@@ -72,8 +72,15 @@ def _ends(samples: list[Sample], last: np.ndarray) -> bool:
 
 
 def _store(recordings: list[Recording], robot: Robot, tracker: Tracker) -> None:
+    failure: Exception | None = None
     with tempfile.TemporaryDirectory() as folder:
         store_runs(folder, robot.name, tuple(recordings), {"interrupted": True})
         for path in sorted(Path(folder).iterdir()):
-            tracker.text(f"{FOLDER}/{path.name}", path.read_text())
+            try:
+                tracker.text(f"{FOLDER}/{path.name}", path.read_text())
+            except Exception as error:  # a server that is gone may be what broke off; texts are written beside it first
+                failure = error
+    if failure is not None:
+        log.error("recordings so far are kept in %s/ of the output folder at best, not in the run: %s", FOLDER, failure)
+        return
     log.warning("%d recordings so far are kept in %s/", len(recordings), FOLDER)

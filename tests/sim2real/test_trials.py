@@ -209,6 +209,25 @@ def test_what_was_recorded_before_a_lost_link_is_kept(
     np.testing.assert_allclose(kept.recordings[1].position[-1], driver.samples[-1].position, atol=1e-9)
 
 
+def test_a_server_that_is_gone_costs_no_recording_that_is_written_beside_it(
+    tripod: Robot, body: Simulator, silence: Noise, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Gone(NullTracker):
+        def text(self, name: str, content: str) -> None:
+            (tmp_path / name).parent.mkdir(exist_ok=True)
+            (tmp_path / name).write_text(content)
+            raise ConnectionError("no server")
+
+    driver, runs = BenchDriver(tripod, body, silence), []
+    with pytest.raises(DriverError, match="cable"), keeping(runs, driver, tripod, Gone()):
+        for name in ("one", "two"):
+            with driver:
+                runs.append(recording_of(driver.advance(0.1), tripod, name, name))
+        raise DriverError("cable")
+    assert [run.name for run in RecordingSet.read(tmp_path / "interrupted", {}).recordings] == ["one", "two"]
+    assert "not in the run: no server" in caplog.text
+
+
 def test_the_robot_is_vented_while_a_session_is_looked_at(
     tripod: Robot, body: Simulator, silence: Noise, config: Config
 ) -> None:
