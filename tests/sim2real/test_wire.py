@@ -125,6 +125,12 @@ def test_another_robot_is_refused(line: Line, tripod: Robot) -> None:
         pass
 
 
+def test_pressures_that_no_frame_holds_are_refused(line: Line, tripod: Robot) -> None:
+    hydraulic = replace(tripod, pressure_max_pa=5e6)
+    with pytest.raises(DriverError, match=r"up to 5e\+06 Pa; expected at most 2.14748e\+06 Pa"), driver_on(line, hydraulic):
+        pass
+
+
 @pytest.mark.parametrize(
     ("rate_hz", "watchdog_ms", "told"),
     [(100, 0, "watchdog is 0 ms; expected above 0 and at most 100"), (100, 101, "watchdog is 101 ms"),

@@ -4,7 +4,7 @@ import numpy as np
 
 from softrl.core.errors import ConfigError, DriverError
 from softrl.robots.robot import Robot
-from softrl.sim2real.drivers.protocol import Flag, Welcome
+from softrl.sim2real.drivers.protocol import WIDEST_PA, Flag, Welcome
 
 WATCHDOG_MS = 100  # longest time without a setpoint in which a device may stay under pressure
 
@@ -78,6 +78,8 @@ def require_times(**times_s: float) -> None:
 def require_safe(device: Welcome, robot: Robot, link_timeout_s: float) -> None:
     """Refuse a device of another robot, one in emergency stop, one that would not vent by itself, and one too slow to watch.
 
+    A robot of pressures that no frame holds is refused as well: they would be clipped without a word.
+
     Raises
     ------
     DriverError
@@ -85,6 +87,11 @@ def require_safe(device: Welcome, robot: Robot, link_timeout_s: float) -> None:
     """
     if device.chambers != robot.chambers:
         raise DriverError(f"the device has {device.chambers} chambers, robot={robot.name} has {robot.chambers}")
+    if robot.largest_pa > WIDEST_PA:
+        raise DriverError(
+            f"robot={robot.name} takes up to {robot.largest_pa:g} Pa; expected at most {WIDEST_PA:g} Pa, the widest that the "
+            "protocol of a wire can tell: lower robot.pressure_max_pa, or write a driver of its own"
+        )
     if device.flags & Flag.STOPPED:
         raise DriverError("the device is in emergency stop; end it at the device, or with driver.release()")
     if not 0 < device.watchdog_ms <= WATCHDOG_MS:

@@ -50,6 +50,7 @@ import numpy as np
 SYNC = b"\xa5\x5a"
 VERSION = 1
 PRESSURE_PA, LENGTH_M, SHARE, FORCE_N = 1e-3, 1e-9, 1e-9, 1e-6
+WIDEST_PA = PRESSURE_PA * np.iinfo(np.int32).max
 _HEADER = struct.Struct("<BBBHI")
 _CRC = struct.Struct("<H")
 _WELCOME = struct.Struct("<BHHH")

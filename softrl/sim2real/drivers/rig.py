@@ -160,7 +160,10 @@ class Rig:
                 self._setpoint = setpoints[tick].copy()
             if self._silent_ticks * self._period_s > self._watchdog_s and self._setpoint.any():
                 self._setpoint = np.zeros_like(self._setpoint)
-                fault = f"the watchdog vented the robot: no command for more than {self._watchdog_s:g} s"
+                fault = (
+                    f"the watchdog vented the robot: no command for more than {self._watchdog_s:g} s; command it more often, "
+                    "or raise driver.watchdog_s"
+                )
             row = self._tick()
             if row is not None:
                 rows.append(row)

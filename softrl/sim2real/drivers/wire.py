@@ -282,7 +282,10 @@ class WireDriver:
         elif self._session.unheard_s() > self._link_timeout_s:
             self._fail(f"lost the link: the device has taken nothing that was sent for {self._link_timeout_s:g} s")
         elif self._entered and self._setpoint.sent.any() and self._clock_s - self._commanded_s > self._watchdog_s:
-            self._fail(f"the watchdog vented the robot: no command for more than {self._watchdog_s:g} s")
+            self._fail(
+                f"the watchdog vented the robot: no command for more than {self._watchdog_s:g} s; command it more often, "
+                "or raise driver.watchdog_s"
+            )
 
     def _repeat(self, move: bool) -> None:
         """Send the setpoint, a period further at most if a sample has come; once the session ends, vent until the line closes."""
