@@ -149,7 +149,7 @@ class Plan:
     def renewed(self, sent: np.ndarray, shift: np.ndarray, bend_weight: float) -> np.ndarray:
         """Return the requests (ahead, n) Pa that come nearest to the next targets, whatever was sent before.
 
-        Unlike ``corrected`` it does not hold on to the plan, which serves to linearise about: what it returns follows from
+        Unlike ``correction`` it does not hold on to the plan, which serves to linearise about: what it returns follows from
         the state of the plant and the next targets alone.
 
         Parameters

@@ -102,12 +102,15 @@ def run(
     ``effects``, with the parameters of ``simulator``, are what a diagnosis found: the planned controllers invert them. The
     courses are those of the task that the policy was trained for.
     """
+    surrogate.require_robot(robot.name, robot.gravity_m_s2)
     _require_pace(config, policy)
     task = task_of(policy, config.shape_steps, config.radius_share)
     models = Models(robot, policy, Workspace(surrogate), task, calibration, Plant(simulator, effects))
     trial = Trial(models, driver, config.planning, config.pace)
     if models.surface is None:
         _require_fit(config, robot, task.curves, driver)
+    else:
+        task.check_forces(robot.tip_force_max_n, models.space)  # of the robot at hand, not the one that was trained for
     mount(driver, models)
     recordings: list[Recording] = []
     with keeping(recordings, driver, robot, tracker):

@@ -29,7 +29,7 @@ from softrl.sim2real.identification import session_program
 from softrl.sim2real.rollout import Pace, follow
 from softrl.sim2real.stage import Config, run
 from softrl.sim2real.watch import Watch
-from tests.sim2real.conftest import BenchDriver
+from tests.sim2real.conftest import BenchDriver, task_numbers
 
 HIDDEN = (Lag(fill_s=0.137, vent_s=0.219), Viscoelasticity(0.313, 0.71, 0.0, 1.0))
 
@@ -239,4 +239,18 @@ def test_what_would_be_found_out_late_is_refused_before_the_robot_moves(everythi
     for told, faulty in faults.items():
         with pytest.raises(ConfigError, match=told):
             run(faulty, everything.robot, *everything.inputs, *plant, driver, tracker=NullTracker())
+    assert driver.entries == 0
+
+
+def test_a_robot_that_is_weaker_or_hangs_otherwise_than_its_policy_is_refused(everything: Stage, config: Config) -> None:
+    policy, *rest = everything.inputs
+    pressing = replace(policy, task_name="hybrid", task=task_numbers("hybrid"))
+    driver = BenchDriver(everything.robot, everything.body, everything.noise)
+    for given, changes, error, told in (
+        (pressing, {"tip_force_max_n": 0.5}, ConfigError, "task.force_max_n=2 is more than the tip is made for"),
+        (policy, {"gravity_m_s2": (0.0, 0.0, 9.81)}, ArtifactError, "hangs in gravity .*rerun stage=surrogate"),
+    ):
+        other = replace(everything.robot, **changes)
+        with pytest.raises(error, match=told):
+            run(config, other, given, *rest, everything.body, chain_of(other, []), driver, tracker=NullTracker())
     assert driver.entries == 0
