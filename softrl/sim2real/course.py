@@ -55,6 +55,10 @@ class Course:
         along = position @ self.frame[:, :2]
         return np.concatenate([along, self.metres_per_newton * np.asarray(force)[..., None]], axis=-1)
 
+    def is_read(self, position: np.ndarray, tip_force: np.ndarray) -> bool:
+        """Return whether a sample's ``position`` (3,) m, and on a surface its ``tip_force`` (3,) N, were measured."""
+        return bool(np.isfinite(position).all() and (self.frame is None or np.isfinite(tip_force).all()))
+
     def shown(self, reading: np.ndarray) -> np.ndarray:
         """Return what sensors show of a reading (3,) m: no force of a surface that the tip does not touch, however near."""
         return reading if self.frame is None else np.array([*reading[:2], max(reading[2], 0.0)])

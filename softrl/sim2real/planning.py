@@ -49,7 +49,8 @@ class PlannedController:
 
     The simulation goes along with the robot, under the commands that were sent. What it says of the commands to come, moved
     by the misfit, is led back to the plan by the plan's response; that is sent only as far as the simulation says that it
-    helps, since a surface may hold the tip back or let it go on the way.
+    helps, since a surface may hold the tip back or let it go on the way. Nothing is learnt from a reading that is older than the
+    period: the simulation has gone on since.
 
     While an air line is broken, and until the tip has forgotten it, the misfit learnt before is kept: commands that make up
     for a line that is off would throw the tip far out once it is back on. The simulation goes on with what the pressure
@@ -73,13 +74,14 @@ class PlannedController:
         self._change = np.zeros(prepared.request.shape[1])
         self._lasting = np.zeros(3)
         self._lines, self._simulated = LineWatch(settings.watch), simulated
-        self._off = np.zeros(prepared.request.shape[1], dtype=bool)
+        self._off, self._fresh = np.zeros(prepared.request.shape[1], dtype=bool), True
         self._afresh = 0
 
     def watch(self, arrived: Sequence[Sample], step: int) -> None:
         """Take in the samples of the period before the command of ``step``; in the approach the robot counts as whole."""
         trusted = self._lines.trusted
         self._lines.advance(arrived, healthy=step <= 0)
+        self._fresh = any(self._course.is_read(sample.position, sample.tip_force) for sample in arrived)
         if trusted and not self._lines.trusted:
             log.info("step %d: an air line is off", step)
         if self._lines.trusted and not trusted:
@@ -96,7 +98,7 @@ class PlannedController:
         if self._shadow is None:
             return planned
         if at > 0:
-            if self._lines.trusted:
+            if self._lines.trusted and self._fresh:
                 self._observe(self._course.readings(position, self._course.pressed(tip_force)), self._shadow)
             self._change = self._corrected(at, self._shadow)
         self._shadow.advance(planned + self._change)

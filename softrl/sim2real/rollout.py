@@ -94,16 +94,15 @@ def follow(
     average = MovingAverage(pace.average_window)
     last: list[Sample] = []
     decision_s = []
-    pressing = course.frame is not None
     with driver:
         arrived = _wait(driver, pace.period_s)
-        if pressing and not any(np.isfinite(sample.tip_force).all() for sample in arrived):
+        if course.frame is not None and not any(np.isfinite(sample.tip_force).all() for sample in arrived):
             raise DriverError(
                 f"course {course.name} presses on a surface, but the driver reports no force; connect a force sensor, "
                 "or take a policy of task=track with inputs.policy=run:<id>"
             )
         samples = [*arrived]
-        while (seen := _seen(samples, pressing, driver.stale_s)) is None:
+        while (seen := _seen(samples, course, driver.stale_s)) is None:
             arrived = _wait(driver, pace.period_s)
             samples += arrived
         for step in range(-pace.approach_steps, len(course.position)):
@@ -117,7 +116,7 @@ def follow(
             driver.command(average.advance(pressure))
             arrived = _wait(driver, pace.period_s)
             samples += arrived
-            seen = _seen(samples, pressing, driver.stale_s) or seen
+            seen = _seen(samples, course, driver.stale_s) or seen
             last.append(seen)
     counted = last[pace.approach_steps :]
     recording = recording_of(samples, robot, name, session)
@@ -134,8 +133,8 @@ def _wait(driver: Driver, period_s: float) -> list[Sample]:
     return arrived
 
 
-def _seen(samples: Sequence[Sample], pressing: bool, stale_s: float) -> Sample | None:
-    """Return the last sample with a position, and with a force if ``pressing``; None if there was none yet.
+def _seen(samples: Sequence[Sample], course: Course, stale_s: float) -> Sample | None:
+    """Return the last sample with a position, and on a surface with a force; None if there was none yet.
 
     Raises
     ------
@@ -144,12 +143,12 @@ def _seen(samples: Sequence[Sample], pressing: bool, stale_s: float) -> Sample |
     """
     found = None
     for sample in reversed(samples):
-        if np.isfinite(sample.position).all() and (not pressing or np.isfinite(sample.tip_force).all()):
+        if course.is_read(sample.position, sample.tip_force):
             found = sample
             break
     since = samples[0] if found is None else found
     if samples[-1].time_s - since.time_s > stale_s:
-        what = "position and force" if pressing else "position"
+        what = "position" if course.frame is None else "position and force"
         raise DriverError(
             f"lost sight of the tip: no {what} for more than {stale_s:g} s, so there is nothing to decide on; what had "
             "arrived is kept: does the camera see the tip?"

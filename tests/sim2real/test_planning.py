@@ -25,6 +25,7 @@ from softrl.sim2real.planning import PlannedController, Planning
 from softrl.sim2real.rollout import Pace, follow
 from softrl.sim2real.watch import Watch
 from tests.sim2real.conftest import BenchDriver
+from tests.sim2real.test_missing import Blinking
 
 PERIOD_S, APPROACH, STEPS = 0.5, 2, 14
 SETTINGS = Planning(
@@ -115,6 +116,17 @@ def test_the_prediction_is_what_the_rig_does(
     driver = BenchDriver(tripod, body, silence)
     rollout = follow(driver, tripod, Playing(), Course.free("play", target), Pace(PERIOD_S, 2, 1), "play", "play")
     np.testing.assert_allclose(rollout.reached, predicted[1:], atol=5e-5)
+
+
+def test_a_reading_from_before_is_not_learnt_from(
+    tripod: Robot, body: Simulator, silence: Noise, target: np.ndarray, guess: np.ndarray
+) -> None:
+    known, driver = route(tripod, body), Blinking(tripod, body, silence)
+    driver.blind, driver.stale_s = (lambda time_s: 4.0 < time_s < 5.2), 2.0
+    controller = controller_of(planned(known, target, guess), known)
+    rollout = follow(driver, tripod, controller, Course.free("loop", target), Pace(PERIOD_S, 2, APPROACH), "loop", "loop")
+    error = np.linalg.norm(rollout.reached - target, axis=1)
+    assert 1e3 * error[-6:].max() < 0.1, "seen again"
 
 
 def test_probes_together_tell_what_each_would_tell_alone(tripod: Robot, body: Simulator, guess: np.ndarray) -> None:
