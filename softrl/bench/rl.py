@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from softrl.artifacts.surrogate import Surrogate
-from softrl.bench.watch import Watch
+from softrl.bench.watch import Timing, Watch
 from softrl.core.errors import ConfigError
 from softrl.core.tracking import Tracker
 from softrl.rl.agents.agent import Practice
@@ -47,11 +47,25 @@ class RlBench:
             replace(self.agent, steps=steps, judge_every=10 * (first + self.steps)).train(practice, seed)
 
         short, long = watch.time(lambda: train(first), lambda: train(first + self.steps))
-        rate = self.steps / max(long.median - short.median, 1e-9)
-        updates = rate / self.agent.envs * self.agent.gradient_steps
-        return {
-            "sac_steps_per_s": rate,
-            "sac_min_steps_per_s": self.steps / max(long.maximum - short.minimum, 1e-9),
-            "sac_max_steps_per_s": self.steps / max(long.minimum - short.maximum, 1e-9),
-            "sac_updates_per_s": updates,
-        }
+        found = rates(self.steps, short, long)
+        return found | {"sac_updates_per_s": found["sac_steps_per_s"] / self.agent.envs * self.agent.gradient_steps}
+
+
+def rates(steps: int, short: Timing, long: Timing) -> dict[str, float]:
+    """Return the rates at which ``steps`` more took from ``short`` to ``long``; the highest only if no repeats overlap.
+
+    Raises
+    ------
+    ConfigError
+        If they took no longer: other work of the machine is all that was timed.
+    """
+    if long.median <= short.median:
+        raise ConfigError(
+            f"bench.rl.steps={steps} more took {long.median:.2f} s for {short.median:.2f} s without them; expected longer: "
+            "raise it, or stage.repeats"
+        )
+    spans_s = {
+        "sac_steps_per_s": long.median - short.median, "sac_min_steps_per_s": long.maximum - short.minimum,
+        "sac_max_steps_per_s": long.minimum - short.maximum,
+    }  # fmt: skip
+    return {name: steps / span_s for name, span_s in spans_s.items() if span_s > 0.0}

@@ -10,15 +10,25 @@ from softrl.artifacts.calibration import Calibration
 from softrl.artifacts.policy import Policy
 from softrl.artifacts.surrogate import Surrogate
 from softrl.bench.policy import PolicyBench
-from softrl.bench.rl import RlBench
+from softrl.bench.rl import RlBench, rates
 from softrl.bench.stage import Bench, Config, run
 from softrl.bench.surrogate import SurrogateBench
+from softrl.bench.watch import Timing
 from softrl.core.config import build_target
+from softrl.core.errors import ConfigError
 from softrl.core.tracking import NullTracker
 from softrl.robots.robot import Robot
 from softrl.surrogate.simulator import SurrogateSimulator
 
 CONF = Path(__file__).parents[2] / "conf"
+
+
+def test_a_rate_that_was_not_seen_is_not_told() -> None:
+    short, long = Timing(1.0, 2.0, 4.0), Timing(3.0, 6.0, 7.0)
+    assert rates(100, short, long) == pytest.approx({"sac_steps_per_s": 25.0, "sac_min_steps_per_s": 100.0 / 6.0})
+    assert rates(100, short, Timing(5.0, 6.0, 7.0))["sac_max_steps_per_s"] == pytest.approx(100.0)
+    with pytest.raises(ConfigError, match=r"bench.rl.steps=100 more took 2.00 s for 2.00 s without them"):
+        rates(100, short, short)
 
 
 @pytest.mark.slow
