@@ -129,8 +129,10 @@ def _left(pairs: Sequence[tuple[np.ndarray, np.ndarray]], shift: int) -> float:
         return 1.0
     x = np.concatenate([c - c.mean(axis=0) for c in causes])
     y = np.concatenate(effects)
+    if not y.any():  # of what stands still nothing comes early
+        return 1.0
     rest = y - x @ np.linalg.lstsq(x, y, rcond=1e-6)[0]
-    return float(np.sum(rest**2) / max(np.sum(y**2), 1e-300))
+    return float(np.sum(rest**2) / np.sum(y**2))
 
 
 def _mirrored(runs: Sequence[Recording], simulated: Sequence[Recording], robot: Robot) -> str | None:

@@ -140,6 +140,14 @@ def test_another_frame_or_another_body_is_no_mistake(
     assert told(body, tuple(change(run) for run in recorded)) is None
 
 
+def test_nothing_comes_early_in_a_run_in_which_all_stands_still(body: PccSimulator) -> None:
+    """A gauge's last digit is coarser than its noise: at rest it reads zero throughout. Other runs are too short to tell."""
+    short = [replace(run, **run.part(run.time < 7.0)) for run in made(body, sessions=3, measured=True).recordings]
+    still = np.zeros((1000, body.robot.chambers))
+    rest = Recording("rest", "s", 0.02 * np.arange(1000), still, still, np.tile([0.0, 0.0, body.robot.length_m], (1000, 1)))
+    assert told(body, (rest,)) is None and told(body, (rest, *short)) is None
+
+
 def test_motion_in_one_plane_is_no_mirror_image(body: PccSimulator, recorded: tuple[Recording, ...]) -> None:
     plant = Plant(body, chain_of(body.robot, HIDDEN))
     alone = [replay(plant, replace(r, pressure_cmd=r.pressure_cmd * [1.0, 0.0, 0.0]), 0.01) for r in recorded]
