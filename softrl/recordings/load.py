@@ -233,7 +233,7 @@ def _values(path: Path, header: list[str], lines: list[str], columns: Columns) -
 
 def _with_nan(line: str, moved: list[int]) -> str:
     """Return a ``line`` with nan in the empty ones of its cells ``moved``."""
-    if ",," not in line.replace(" ", "") and not line.rstrip().endswith(","):
+    if ",," not in f",{line.replace(' ', '').rstrip()},":
         return line
     cells = line.split(",")
     return ",".join("nan" if k in moved and not cell.strip() else cell for k, cell in enumerate(cells))

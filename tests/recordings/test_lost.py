@@ -40,6 +40,18 @@ def test_lost_motion_is_bridged_and_marked(tmp_path: Path, lost_as: str) -> None
     np.testing.assert_allclose(run.pressure_cmd[:, 0], 1e3 * np.arange(10))
 
 
+@pytest.mark.parametrize("order", [(4, 5, 6, 0, 1, 2, 3), (4, 0, 1, 2, 3, 5, 6), (0, 1, 2, 3, 4, 5, 6)])
+def test_columns_of_motion_may_be_empty_wherever_they_stand(tmp_path: Path, order: tuple[int, ...]) -> None:
+    """One empty cell at the begin of a line stands between no two commas."""
+    rows = [f"{0.1 * k:.1f},{k},0,0,{'' if k in (2, 3) else 2 * k},0,{176 + k}" for k in range(10)]
+    folder_with(tmp_path, rows)
+    lines = [line.split(",") for line in (tmp_path / "run.csv").read_text().splitlines()]
+    (tmp_path / "run.csv").write_text("\n".join(",".join(cells[k] for k in order) for cells in lines) + "\n")
+    (run,) = read(tmp_path, robot_named("tripod")).recordings
+    assert run.unseen is not None
+    np.testing.assert_array_equal(np.flatnonzero(run.unseen), [2, 3])
+
+
 def test_lost_motion_is_written_as_such_and_read_back(tmp_path: Path) -> None:
     found = read(folder_with(tmp_path / "a", rows_of("nan,nan,nan")), robot_named("tripod"))
     write(tmp_path / "b", found, robot_named("tripod"))
