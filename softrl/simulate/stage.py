@@ -220,7 +220,7 @@ def _thinned(recording: Recording, share: float, rng: np.random.Generator) -> Re
 
 
 def _report(recorded: RecordingSet, simulated: RecordingSet, seconds: float, tracker: Tracker) -> None:
-    """Log the speed, and the difference to what was recorded, where motion was recorded."""
+    """Log the speed, and the difference to what was recorded, where motion was seen."""
     span = sum(float(np.ptp(r.time)) for r in recorded.recordings)
     tracker.metric("replay_speed_times_real_time", span / max(seconds, 1e-9))
     pairs = list(zip(recorded.recordings, simulated.recordings, strict=True))
@@ -229,7 +229,7 @@ def _report(recorded: RecordingSet, simulated: RecordingSet, seconds: float, tra
         ("bend_angle", "bend_difference_deg", 180 / np.pi),
     ):
         squares = [
-            ((getattr(ours, channel) - getattr(theirs, channel)) ** 2).reshape(len(theirs.time), -1).sum(axis=1)
+            ((getattr(ours, channel) - getattr(theirs, channel)) ** 2).reshape(len(theirs.time), -1).sum(axis=1)[theirs.seen]
             for theirs, ours in pairs
             if len(ours.time) == len(theirs.time)  # none was dropped
             and getattr(theirs, channel) is not None

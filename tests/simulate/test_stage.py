@@ -16,6 +16,7 @@ from softrl.effects.lag import Lag
 from softrl.effects.pressure_sensor import PressureSensor
 from softrl.effects.replay import bend_angle, replay
 from softrl.pcc.simulator import PccSimulator
+from softrl.recordings.lost import lost
 from softrl.recordings.program import random_steps
 from softrl.recordings.read import read
 from softrl.recordings.recording import Recording, RecordingSet
@@ -157,6 +158,16 @@ def test_stage_writes_a_dataset_like_its_input(tmp_path: Path) -> None:
     assert tracker.metrics["recorded/tip_difference_mm"] < 1e-4
     run(config(), body.robot, body, EffectChain(body.robot), read_back, tracker=tracker)
     assert tracker.metrics["recorded/tip_difference_mm"] > 1.0
+
+
+def test_where_frames_were_lost_nothing_is_compared() -> None:
+    body = simulator("tripod")
+    chain = EffectChain(body.robot)
+    made = run(config(), body.robot, body, chain, commands(body.robot), tracker=NullTracker())
+    torn = replace(made, recordings=tuple(lost(r, r.time % 1.0 < 0.4) for r in made.recordings))
+    tracker = NullTracker()
+    run(config(), body.robot, body, chain, torn, tracker=tracker)
+    assert tracker.metrics["recorded/tip_difference_mm"] < 1e-4, "the simulator that made what was seen"
 
 
 def test_a_temperature_that_drove_an_effect_is_written(tmp_path: Path) -> None:
