@@ -1,5 +1,7 @@
 """Tests of where simulation and measurement part."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from softrl.diagnosis.fitting.hypothesis import Hypothesis
@@ -18,3 +20,16 @@ def test_where_nothing_is_left_nothing_is_told_and_every_number_is_one(body: Pcc
     found = locate(problem, residual, 0.0, "command to motion")
     assert all(np.isfinite(row.effect_size) and row.p_value == 1.0 for row in found)
     assert any(row.region == "band" for row in found)
+
+
+def test_a_run_of_one_bin_takes_no_part_in_what_needs_a_course(body: PccSimulator) -> None:
+    """A table of poses may hold a run of two rows, of which the first is not judged where it does not begin at rest."""
+    runs = made(body, sessions=3).recordings
+    short = replace(runs[0], **runs[0].part([300, 400]))
+    found = []
+    for some in (runs, (*runs, replace(short, name="short"))):
+        problem = Problem(body.robot, body, tuple(some), configured().numerics, "motion", "command", False, False)
+        found.append(locate(problem, problem.residual(Hypothesis((), ()), np.zeros(0)), 0.0, "command to motion"))
+    assert len(problem.bins[-1]) == 1
+    whole, beside = ({(row.chamber, row.region) for row in rows if row.region != "band"} for rows in found)
+    assert whole == beside

@@ -98,7 +98,7 @@ def _regressors(problem: Problem) -> dict[tuple[int | None, str], list[np.ndarra
             (p < BELOW_MAXIMUM * t).astype(float) * p for p, t in zip(own, top, strict=True)
         ]
         found[i + 1, "after a new maximum"] = top
-        found[i + 1, "while pressure changes"] = [np.gradient(p) for p in own]
+        found[i + 1, "while pressure changes"] = [_change(p) for p in own]
         for name in sessions if len(sessions) > 1 else ():
             found[i + 1, f"in session {name}"] = [
                 p * (run.session == name) for p, run in zip(own, problem.runs, strict=True)
@@ -110,7 +110,7 @@ def _regressors(problem: Problem) -> dict[tuple[int | None, str], list[np.ndarra
     found[None, "grows with time"] = clocks
     for share in LATE:
         found[None, f"after {share:.0%} of a run"] = [(clock > share).astype(float) for clock in clocks]
-    found[None, "while any pressure changes"] = [np.abs(np.gradient(run, axis=0)).sum(axis=1) for run in runs]
+    found[None, "while any pressure changes"] = [np.abs(_change(run)).sum(axis=1) for run in runs]
     return {key: series for key, series in found.items() if any(np.ptp(s) > 1e-6 for s in series)}
 
 
@@ -127,6 +127,11 @@ def _with_temperature(problem: Problem, runs: list[np.ndarray]) -> dict[tuple[in
             run[:, i] * series for run, series in zip(runs, warmer, strict=True)
         ]
     return found
+
+
+def _change(pressure: np.ndarray) -> np.ndarray:
+    """Return how ``pressure`` (bins, ...) changes from bin to bin; of one bin alone nothing is known."""
+    return np.asarray(np.gradient(pressure, axis=0)) if len(pressure) > 1 else np.zeros_like(pressure)
 
 
 def _direction(pressure: np.ndarray) -> np.ndarray:
