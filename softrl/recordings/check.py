@@ -23,7 +23,8 @@ EXCITED_SHARE = 0.02  # a chamber that moves less than this share of the pressur
 CLIPPED_SHARE, CLIPPED_ROWS = 0.02, 3  # so many samples at one extreme value are clipping, unless the command holds there
 WHOLE = 0.01  # of a digit, by which what is a multiple of it may be off
 REST_SHARE = 0.3  # a tip at rest this share of a length away from its place is told in another frame
-JUMP_RAD = 0.5  # an orientation that turns farther than this between samples has jumped
+JUMP_RAD = 0.5  # an orientation that turns farther than this between samples has jumped, unless the tip has moved with it:
+SWUNG = 0.2  # lengths a rad, at least: so far apart are the tips of any two arcs of constant curvature bent by up to 4 rad
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,7 @@ def check_run(recording: Recording, robot: Robot) -> RunCheck:
     told = sensed(recording) if len(step) >= 2 else ()  # of two samples nobody knows what is noise
     noise = {channel: _noise(values, windows) for channel, values in told}
     held = {channel: _held_share(recording, values) for channel, values in sensed(recording)}
-    jumped, rest = tuple(_jump_warnings(recording)), tip_at_rest(recording, robot)
+    jumped, rest = tuple(_jump_warnings(recording, robot)), tip_at_rest(recording, robot)
     misplaced = "" if rest is None else _misplaced(rest, robot)
     warnings = (
         *_sampling_warnings(gaps, period, float(np.ptp(recording.time))),
@@ -262,11 +263,14 @@ def is_clipping(there: np.ndarray) -> bool:
     return bool(there.mean() > CLIPPED_SHARE and there.sum() >= CLIPPED_ROWS)
 
 
-def _jump_warnings(recording: Recording) -> Iterator[str]:
+def _jump_warnings(recording: Recording, robot: Robot) -> Iterator[str]:
     if recording.quaternion is None:
         return
     cosine = np.abs(np.sum(recording.quaternion[1:] * recording.quaternion[:-1], axis=1)).clip(0.0, 1.0)
-    jumps = np.flatnonzero(2.0 * np.arccos(cosine) > JUMP_RAD)
+    turned, swung = 2.0 * np.arccos(cosine), 0.0
+    if recording.position is not None:
+        swung = np.linalg.norm(np.diff(recording.position, axis=0), axis=1) / robot.length_m
+    jumps = np.flatnonzero((turned > JUMP_RAD) & (swung < SWUNG * turned))
     if len(jumps):
         yield (
             f"the orientation jumps {len(jumps)} times, first at t = {recording.time[jumps[0] + 1]:.2f} s: "

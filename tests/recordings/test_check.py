@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 import yaml
 
 from softrl.recordings.check import check, check_run, resolution
@@ -97,6 +98,20 @@ def test_a_tip_told_in_another_frame_is_noticed() -> None:
 def test_a_run_that_was_broken_off_while_the_robot_came_back_measures_no_noise() -> None:
     whole, other = (run_with_noise(3e-4, seed) for seed in (1, 2))
     back = [0.0, 0.0, 0.1765] + 0.02 * np.exp(-other.time[:220] / 0.3)[:, None]
+@pytest.mark.parametrize("period_s", [0.1, 30.0])
+def test_a_robot_that_moves_far_between_slow_rows_has_no_orientation_that_jumps(period_s: float) -> None:
+    """Poses along an arc, up to half a turn apart; a marker body that is taken for its mirror turns where it is."""
+    bend = np.random.default_rng(0).uniform(-1.5, 1.5, 200)
+    tip = 0.1765 * np.stack([(1.0 - np.cos(bend)) / bend, 0.0 * bend, np.sin(bend) / bend], axis=1)
+    pose = np.stack([np.cos(0.5 * bend), 0.0 * bend, np.sin(0.5 * bend), 0.0 * bend], axis=1)
+    run = Recording("poses", "s", period_s * np.arange(200), np.outer(bend, [0.0, 1e4, 1e4]), position=tip, quaternion=pose)
+    found = check_run(run, TRIPOD)
+    assert not found.turns_jump and not any("jumps" in warning for warning in found.warnings)
+    about_its_axis = pose[:, [3, 2, 1, 0]] * [-1.0, 1.0, -1.0, 1.0]  # by half a turn
+    mirrored = np.where((np.arange(200) == 100)[:, None], about_its_axis, pose)
+    assert check_run(replace(run, quaternion=mirrored), TRIPOD).turns_jump
+
+
     aborted = replace(other, name="aborted", time=other.time[:220], pressure_cmd=other.pressure_cmd[:220], position=back)
     at_rest = replace(whole, name="at rest", pressure_cmd=np.zeros_like(whole.pressure_cmd))
     for runs in ((whole, aborted), (at_rest, replace(aborted, pressure_cmd=aborted.pressure_cmd * 0.0))):
