@@ -1,12 +1,13 @@
 """How good the data are before anything is concluded: sampling, clipping, excitation, noise floor."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
 
 from softrl.recordings.frame import axis_vector
+from softrl.recordings.lost import MOTION
 from softrl.recordings.marked import DISTURBED, OUTSIDE, without
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.recordings.repeatability import repeatability, sensed
@@ -102,9 +103,7 @@ def check_run(recording: Recording, robot: Robot) -> RunCheck:
     pauses = np.flatnonzero(step > GAP_PERIODS * periods(step))
     gaps = tuple((float(recording.time[k]), float(step[k])) for k in pauses)
     excited = driven([recording], robot)
-    windows = _hold_windows(recording)
-    told = sensed(recording) if len(step) >= 2 else ()  # of two samples nobody knows what is noise
-    noise = {channel: _noise(values, windows) for channel, values in told}
+    noise = _noise_by_channel(recording)
     held = {channel: _held_share(recording, values) for channel, values in sensed(recording)}
     jumped, rest = tuple(_jump_warnings(recording, robot)), tip_at_rest(recording, robot)
     misplaced = "" if rest is None else _misplaced(rest, robot)
@@ -126,7 +125,7 @@ def check_run(recording: Recording, robot: Robot) -> RunCheck:
         gaps,
         excited,
         noise,
-        "holds" if windows else "differences",
+        "holds" if _hold_windows(recording) else "differences",
         held,
         rest,
         misplaced,
@@ -176,6 +175,17 @@ def _freedom(window: slice) -> int:
     """Return the degrees of freedom of a window about its line, of less than four rows about their mean."""
     rows = window.stop - window.start
     return rows - 2 if rows >= 4 else rows - 1
+
+
+def _noise_by_channel(recording: Recording) -> dict[str, float]:
+    """Return the noise of every channel, of the motion where it was seen: what bridges lost frames has less, or none."""
+    seen = replace(recording, **recording.part(recording.seen))
+    found = {}
+    for run, of_motion in ((recording, False), (seen, True)):
+        if len(run.time) > 2:  # of two samples nobody knows what is noise
+            windows, motion = _hold_windows(run), (*MOTION, *run.markers)
+            found |= {name: _noise(values, windows) for name, values in sensed(run) if (name in motion) == of_motion}
+    return found
 
 
 def _noise(values: np.ndarray, windows: list[slice]) -> float:

@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 from softrl.recordings.check import check, check_run, resolution
+from softrl.recordings.lost import lost
 from softrl.recordings.recording import Recording, RecordingSet
 from softrl.robots.robot import Robot
 
@@ -35,6 +36,16 @@ def test_noise_is_recovered_from_holds_and_from_differences() -> None:
     for hold, source in ((True, "holds"), (False, "differences")):
         found = check_run(run_with_noise(2e-4, 1, hold), TRIPOD)
         assert found.noise_from == source
+        assert abs(found.noise["position"] / 2e-4 - 1.0) < 0.15, found.noise
+
+
+@pytest.mark.parametrize("hold", [True, False])
+def test_what_bridges_lost_frames_is_no_quiet_sensor(hold: bool) -> None:
+    """Neither where frames are lost at random, nor where the camera loses the tip at the end of every hold."""
+    clean = run_with_noise(2e-4, 1, hold)
+    at_random = np.random.default_rng(0).random(3000) < 0.45
+    for unseen in (at_random, clean.time % 5.0 > 3.9):
+        found = check_run(lost(clean, unseen), TRIPOD)
         assert abs(found.noise["position"] / 2e-4 - 1.0) < 0.15, found.noise
 
 
@@ -87,17 +98,6 @@ def test_jump_of_orientation_is_reported() -> None:
     assert any("jumps 1 times" in w for w in check_run(replace(clean, quaternion=pose), TRIPOD).warnings)
 
 
-def test_a_tip_told_in_another_frame_is_noticed() -> None:
-    right = run_with_noise(1e-4, 1)
-    assert not [w for w in check_run(right, TRIPOD).warnings if "expected about (0, 0, 176) mm" in w]
-    for frame in ([0.0, 0.0, -0.1765], [0.3, 0.0, 0.0]):  # the origin at the tip, or beside the robot
-        moved = replace(right, position=right.position + frame)
-        assert any("expected about (0, 0, 176) mm" in w for w in check_run(moved, TRIPOD).warnings)
-
-
-def test_a_run_that_was_broken_off_while_the_robot_came_back_measures_no_noise() -> None:
-    whole, other = (run_with_noise(3e-4, seed) for seed in (1, 2))
-    back = [0.0, 0.0, 0.1765] + 0.02 * np.exp(-other.time[:220] / 0.3)[:, None]
 @pytest.mark.parametrize("period_s", [0.1, 30.0])
 def test_a_robot_that_moves_far_between_slow_rows_has_no_orientation_that_jumps(period_s: float) -> None:
     """Poses along an arc, up to half a turn apart; a marker body that is taken for its mirror turns where it is."""
@@ -112,6 +112,17 @@ def test_a_robot_that_moves_far_between_slow_rows_has_no_orientation_that_jumps(
     assert check_run(replace(run, quaternion=mirrored), TRIPOD).turns_jump
 
 
+def test_a_tip_told_in_another_frame_is_noticed() -> None:
+    right = run_with_noise(1e-4, 1)
+    assert not [w for w in check_run(right, TRIPOD).warnings if "expected about (0, 0, 176) mm" in w]
+    for frame in ([0.0, 0.0, -0.1765], [0.3, 0.0, 0.0]):  # the origin at the tip, or beside the robot
+        moved = replace(right, position=right.position + frame)
+        assert any("expected about (0, 0, 176) mm" in w for w in check_run(moved, TRIPOD).warnings)
+
+
+def test_a_run_that_was_broken_off_while_the_robot_came_back_measures_no_noise() -> None:
+    whole, other = (run_with_noise(3e-4, seed) for seed in (1, 2))
+    back = [0.0, 0.0, 0.1765] + 0.02 * np.exp(-other.time[:220] / 0.3)[:, None]
     aborted = replace(other, name="aborted", time=other.time[:220], pressure_cmd=other.pressure_cmd[:220], position=back)
     at_rest = replace(whole, name="at rest", pressure_cmd=np.zeros_like(whole.pressure_cmd))
     for runs in ((whole, aborted), (at_rest, replace(aborted, pressure_cmd=aborted.pressure_cmd * 0.0))):
