@@ -114,7 +114,7 @@ def score(separations: Sequence[float]) -> float:
 def plan(
     pairs: Sequence[Pair], candidates: Sequence[Block], sensing: Sensing, budget_s: float, effort: Effort
 ) -> list[Block]:
-    """Return the blocks, in order, that together last at most ``budget_s`` and tell the pairs apart best.
+    """Return the blocks, in order, that together last at most ``budget_s``, to half a step, and tell the pairs apart best.
 
     Notes
     -----
@@ -123,12 +123,13 @@ def plan(
     the best stays; then the rivals search anew under the longer program, and so on. At last each block is exchanged for
     another as long as that helps. No random numbers.
     """
-    lengths = [sensing.dt_s * len(block.pressure) for block in candidates]
+    lengths = [len(block.pressure) for block in candidates]
+    rows = round(budget_s / sensing.dt_s)
     alone = [[sums(pair, block.pressure, sensing) for pair in pairs] for block in candidates]
     chosen: list[int] = []
 
     def allowed(others: Sequence[int]) -> list[int]:
-        free = budget_s - sum(lengths[k] for k in others)
+        free = rows - sum(lengths[k] for k in others)
         return [k for k in range(len(candidates)) if lengths[k] <= free and others.count(k) < effort.repeats]
 
     while ranked := _ranked(chosen, allowed(chosen), alone, lengths)[: effort.shortlist]:

@@ -176,6 +176,15 @@ def test_the_plan_keeps_the_budget_and_beats_each_single_block() -> None:
     assert together > max(alone)
 
 
+@pytest.mark.parametrize("less", [-0.4, 0.0, 0.4])
+def test_a_budget_of_as_many_steps_as_a_block_holds_it(less: float) -> None:
+    pair = pairs_of([rival("lag"), rival("nothing")], wave(), SENSING, EFFORT)
+    shortest = min(blocks(robot(), SENSING.dt_s, 1.0, 0), key=lambda block: len(block.pressure))
+    budget_s = SENSING.dt_s * (3 * len(shortest.pressure) - less)
+    chosen = plan(pair, [shortest], SENSING, budget_s, replace(EFFORT, repeats=5))
+    assert len(chosen) == 3
+
+
 def test_the_stage_writes_a_program_that_reads_back(tmp_path: Path) -> None:
     tracker = NullTracker()
     settings = config(hypotheses=["lag", "dead_time"], out=str(tmp_path / "plan"))
