@@ -128,7 +128,7 @@ def parse(text: str, robot: Robot, size: float = 1.0) -> tuple[Effect, ...]:
     Raises
     ------
     ConfigError
-        If an effect is unknown, has no such chamber, or is not to be had in such a size.
+        If an effect is unknown, makes no sense for the robot, has no such chamber, or is not to be had in such a size.
     """
     return tuple(typical(name, robot, size) for name in text.split("+") if name.strip() != NOTHING)
 
@@ -142,6 +142,9 @@ def typical(name: str, robot: Robot, size: float = 1.0) -> Effect:
             "it acts in one alone, and + between effects that act together"
         )
     cls, number = effect_class(match[1]), match[2] or match[3]
+    if not cls.suits(robot) or cls.needs:
+        why = f"it follows the {cls.needs}, which no program moves" if cls.needs else f"it makes no sense for robot {robot.name}"
+        raise ConfigError(f"stage.hypotheses: '{name}' would do nothing here: {why}; leave it out")
     values: dict[str, Any] = {f.name: _sized(match[1], f, size) for f in cls.parameter_fields()}
     if number is not None:
         if not any(field.name == "chamber" for field in fields(cls)) or not 1 <= int(number) <= robot.chambers:

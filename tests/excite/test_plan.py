@@ -269,6 +269,10 @@ def test_hypotheses_are_read_as_people_write_them() -> None:
     ):
         with pytest.raises(ConfigError, match=said):
             parse(wrong, robot())
+    finger = robot("single_chamber_finger")
+    for idle, said in (("crosstalk", f"no sense for robot {finger.name}"), ("thermal_softening", "follows the temperature")):
+        with pytest.raises(ConfigError, match=rf"stage.hypotheses: '{idle}' would do nothing here: it .*{said}"):
+            parse(f"lag+{idle}", finger)
     for listed, said in ((["lag"], "two or more"), (["lag", "lag"], "two or more"), ([], "no diagnosis")):
         with pytest.raises(ConfigError, match=said):
             run(config(hypotheses=listed), robot(), body(), None, tracker=NullTracker())
