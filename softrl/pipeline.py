@@ -155,8 +155,16 @@ def _prepare(stage: str, cfg: Mapping[str, Any], made: Mapping[str, str] | None)
     mark = _fingerprint(stage, assembly)
     # what a robot or this machine does is in no fingerprint; of several stages those that are finished are gone on from
     again = cfg["force"] or (made is None and (assembly.at_device or stage == TIMED))
-    before = None if again else store.find({"stage": stage, "fingerprint": mark})
+    before = None if again else _whole(store, store.find({"stage": stage, "fingerprint": mark}), stage)
     return _Prepared(store, assembly, module.run, config, arguments, mark, before, out, write_out)
+
+
+def _whole(store: Store, run: Any, stage: str) -> Any:
+    """Return a finished ``run`` with all that it left, else None: its files may have been removed since."""
+    if run is None or store.holds(run, {RESULT, *outputs(stage)}):
+        return run
+    log.warning("%s: run %s did the same already, but its files are gone; it is run again", stage, run.info.run_id[:8])
+    return None
 
 
 def _own_folder(out: str) -> Path:

@@ -8,7 +8,7 @@ import socket
 import sqlite3
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -133,8 +133,11 @@ class Store:
 
     def file(self, run: Run, name: str) -> Path | None:
         """Return a local copy of a run's file ``name``, or None if it has none."""
-        named = any(file.path == name for file in self.client.list_artifacts(run.info.run_id))
-        return self.folder(run, name) if named else None
+        return self.folder(run, name) if self.holds(run, {name}) else None
+
+    def holds(self, run: Run, names: Set[str]) -> bool:
+        """Return whether a run has the files and folders ``names``."""
+        return names <= {file.path for file in self.client.list_artifacts(run.info.run_id)}
 
     def _download(self, run_id: str, name: str, place: Path) -> None:
         """Download the artifact ``name`` to ``place`` through a sibling, so that what is broken off is never taken for whole."""

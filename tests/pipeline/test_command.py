@@ -98,6 +98,13 @@ def test_a_finished_run_is_reused_until_forced(tmp_path: Path) -> None:
     assert "reused" in second.stderr
 
 
+def test_a_run_whose_files_are_gone_is_made_again(tmp_path: Path) -> None:
+    first = softrl(tmp_path, "stage=mesh", "profile=tiny")
+    shutil.rmtree(tmp_path / "mlartifacts")
+    again = softrl(tmp_path, "stage=mesh", "profile=tiny")
+    assert (first.returncode, again.returncode) == (0, 0) and "its files are gone; it is run again" in again.stderr, again.stderr
+
+
 def test_a_reused_run_writes_its_dataset_again(tmp_path: Path) -> None:
     rows = [f"{0.1 * k:.1f},{k % 20},0,0" for k in range(40)]
     (tmp_path / "given").mkdir()

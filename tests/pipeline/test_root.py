@@ -17,9 +17,10 @@ from softrl.artifacts.policy import Policy
 from softrl.assembly import NOMINAL, Assembly, _corrected_by
 from softrl.core.errors import ArtifactError, ConfigError
 from softrl.core.simulator import Simulator
+from softrl.core.store import Store
 from softrl.effects.chain import EffectChain
 from softrl.loop import _compose
-from softrl.pipeline import EXTRA, STAGES, _copy, _own_folder, _Prepared, run_stage
+from softrl.pipeline import EXTRA, STAGES, _copy, _own_folder, _Prepared, _whole, run_stage
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
 
@@ -106,6 +107,14 @@ def test_a_run_that_is_reused_tells_which_newer_one_is_taken(
     monkeypatch.setattr(pipeline, "_reused", lambda *_: None)
     run_stage(stage, {}, tmp_path, made)
     assert told in caplog.text if told else "newer" not in caplog.text
+
+
+@pytest.mark.parametrize(("left", "whole"), [(["mesh", "a", "result.json"], True), (["mesh"], False), (["result.json"], False)])
+def test_a_run_is_reused_with_all_that_it_left(left: list[str], whole: bool) -> None:
+    store, run = object.__new__(Store), SimpleNamespace(info=SimpleNamespace(run_id="before"))
+    files = [SimpleNamespace(path=name) for name in left]
+    store.client = SimpleNamespace(list_artifacts=lambda run_id: files)  # type: ignore[assignment]
+    assert _whole(store, run, "mesh") is (run if whole else None) and _whole(store, None, "mesh") is None
 
 
 def test_a_correction_of_another_body_is_refused() -> None:
