@@ -1,6 +1,7 @@
 """One progress bar a long step: a bar on a terminal, a line a minute in a file, nothing in tests."""
 
 import logging
+import re
 import sys
 import time
 from collections import Counter
@@ -56,9 +57,14 @@ class TqdmHandler(logging.Handler):
         """Write one line, unless it warns of what was told before."""
         line = self.format(record)
         if record.levelno == logging.WARNING:
-            kind = record.name, record.msg
+            kind = record.name, _kind_of(record)
             self._alike[kind] += 1
             if self._alike[kind] > MOST_ALIKE:
                 return
             line += " (further warnings of this kind: softrl.log)" if self._alike[kind] == MOST_ALIKE else ""
         tqdm.write(line, file=sys.stderr)
+
+
+def _kind_of(record: logging.LogRecord) -> object:
+    """Return what warnings that are alike have in common: their form, or of sentences without one, what is told of any run."""
+    return re.sub(r"^[^:]*: |[\d.]+", "", record.getMessage()) if record.msg == "%s" else record.msg
