@@ -72,10 +72,15 @@ def triangles(
 
 
 def staircase(robot: Robot, chamber: int, levels: int, repeats: int, period_s: float, dt_s: float) -> Program:
-    """Return one chamber's triangles of rising maxima, each repeated: softening shows after a new maximum."""
-    peaks = np.repeat(np.arange(1, levels + 1) / levels, repeats) * robot.pressure_max_pa
+    """Return one chamber's triangles of rising maxima, in size, each repeated: softening shows after a new maximum."""
+    peaks = np.repeat(np.arange(1, levels + 1) / levels, repeats) * farthest_pa(robot)
     wave = _triangle(round(period_s / dt_s))
     return _program(robot, _one_chamber(robot, chamber, (peaks[:, None] * wave).ravel()), dt_s)
+
+
+def farthest_pa(robot: Robot) -> float:
+    """Return the limit that is farther from rest, Pa: where both are as far that above the room's pressure."""
+    return max(robot.pressure_max_pa, robot.pressure_min_pa, key=abs)
 
 
 def limited(robot: Robot, pressure: np.ndarray, dt_s: float) -> np.ndarray:

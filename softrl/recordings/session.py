@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.errors import ConfigError
-from softrl.recordings.program import Program, limited, multisine, random_steps, staircase, triangles
+from softrl.recordings.program import Program, farthest_pa, limited, multisine, random_steps, staircase, triangles
 from softrl.robots.robot import Robot
 
 
@@ -102,7 +102,7 @@ def session_program(robot: Robot, settings: Identification, number: int, rng: np
     parts = [
         random_steps(robot, s.step_count, s.step_hold_s, dt_s, rng),
         multisine(robot, s.multisine_s, s.multisine_band_hz, s.multisine_share, dt_s, rng),
-        triangles(robot, chamber, robot.pressure_max_pa, s.triangle_periods_s, s.triangle_cycles, dt_s),
+        triangles(robot, chamber, farthest_pa(robot), s.triangle_periods_s, s.triangle_cycles, dt_s),
         staircase(robot, next_one, s.staircase_levels, s.staircase_repeats, s.staircase_period_s, dt_s),
     ]
     rest = np.zeros((round(s.rest_s / dt_s), robot.chambers))

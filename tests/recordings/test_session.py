@@ -37,6 +37,21 @@ def test_every_profile_has_a_program_for_every_robot(name: str, profile: str | N
         assert np.isfinite(pressure).all() and pressure.shape == (len(time), robot.chambers)
 
 
+@pytest.mark.parametrize("limits_pa", [(-2e4, 3.5e4), (-3e4, 3e4), (-8e4, 5e3), (-8e4, 0.0)])
+def test_each_part_of_a_session_goes_as_far_as_the_robot_may(limits_pa: tuple[float, float]) -> None:
+    """The last two, of one chamber each, to the farther limit, of suction or above the room's pressure."""
+    low, high = limits_pa
+    robot = replace(build(plain("robot/tripod.yaml"), Robot, "robot"), pressure_min_pa=low, pressure_max_pa=high)
+    mine = settings()
+    time, pressure = session_program(robot, mine, 0, np.random.default_rng(0))
+    begin = mine.step_count * mine.step_hold_s + mine.multisine_s + 3.0 * mine.rest_s
+    end = begin + mine.triangle_cycles * sum(mine.triangle_periods_s)
+    alone = {0: (time > begin) & (time <= end), 1: time > end}
+    for chamber, there in alone.items():
+        extreme = pressure[there, chamber][np.argmax(np.abs(pressure[there, chamber]))]
+        assert extreme == pytest.approx(high if high >= -low else low) and not np.delete(pressure[there], chamber, axis=1).any()
+
+
 @pytest.mark.parametrize(
     ("changed", "told"),
     [
