@@ -6,7 +6,7 @@ import numpy as np
 
 from softrl.diagnosis.fitting.hypothesis import Hypothesis
 from softrl.diagnosis.fitting.problem import Problem
-from softrl.diagnosis.judging.locate import locate
+from softrl.diagnosis.judging.locate import _regressors, locate
 from softrl.pcc.simulator import PccSimulator
 from tests.diagnosis.conftest import configured, made
 
@@ -33,3 +33,17 @@ def test_a_run_of_one_bin_takes_no_part_in_what_needs_a_course(body: PccSimulato
     assert len(problem.bins[-1]) == 1
     whole, beside = ({(row.chamber, row.region) for row in rows if row.region != "band"} for rows in found)
     assert whole == beside
+
+
+def test_suction_is_looked_at_as_pressure_is(body: PccSimulator) -> None:
+    """Its largest values, new ones of them, and what is above most: of a robot that sucks they are the least pressures."""
+    found, recorded = [], made(body, sessions=2).recordings
+    for way in (1.0, -1.0):
+        runs = tuple(replace(run, pressure_cmd=way * np.maximum(run.pressure_cmd, 0.0)) for run in recorded)
+        problem = Problem(body.robot, body, runs, configured().numerics, "motion", "command", False, False)
+        found.append({key: series for key, series in _regressors(problem).items() if key[0] is not None})
+    pressed, sucked = found
+    assert pressed.keys() == sucked.keys() and any(region == "above high pressure" for _, region in pressed)
+    for key, series in pressed.items():
+        for one, other in zip(series, sucked[key], strict=True):
+            np.testing.assert_allclose(one, other, atol=1e-12, err_msg=str(key))

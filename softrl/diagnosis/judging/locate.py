@@ -85,11 +85,12 @@ def channel_names(problem: Problem) -> list[str]:
 def _regressors(problem: Problem) -> dict[tuple[int | None, str], list[np.ndarray]]:
     """Return (chamber from 1, or None; region in words) -> one series (bins,) a run; those that never move are left out."""
     runs = [pressures(problem, k) for k in range(len(problem.runs))]
-    largest = np.max([run.max(axis=0) for run in runs], axis=0)
+    most, least = (np.max([(way * run).max(axis=0) for run in runs], axis=0) for way in (1.0, -1.0))
+    ways, largest = np.where(most >= least, 1.0, -1.0), np.maximum(most, least)  # a chamber of suction is loaded by less
     sessions = list(dict.fromkeys(run.session for run in problem.runs))
     found: dict[tuple[int | None, str], list[np.ndarray]] = {}
     for i in range(problem.robot.chambers):
-        own = [run[:, i] for run in runs]
+        own = [ways[i] * run[:, i] for run in runs]
         top = [np.maximum.accumulate(p) for p in own]
         found[i + 1, "in step with pressure"] = own
         found[i + 1, "above high pressure"] = [np.maximum(p - HIGH * largest[i], 0.0) for p in own]
