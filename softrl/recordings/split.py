@@ -46,14 +46,5 @@ def split(
     )
 
 
-def select(recordings: RecordingSet, names: list[str]) -> RecordingSet:
-    """Return the runs named in ``names``, a session's name standing for all its runs."""
-    known = {r.name for r in recordings.recordings} | set(recordings.sessions())
-    for name in names:
-        if name not in known:
-            raise RecordingError(f"no run or session '{name}'; found {', '.join(sorted(known))}")
-    return _where(recordings, lambda r: r.name in names or r.session in names)
-
-
 def _where(recordings: RecordingSet, keep: Callable[[Recording], bool]) -> RecordingSet:
     return replace(recordings, recordings=tuple(r for r in recordings.recordings if keep(r)))

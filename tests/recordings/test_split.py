@@ -5,7 +5,7 @@ import pytest
 
 from softrl.core.errors import RecordingError
 from softrl.recordings.recording import Recording, RecordingSet
-from softrl.recordings.split import select, split
+from softrl.recordings.split import split
 
 
 def example(sessions: list[str]) -> RecordingSet:
@@ -36,13 +36,3 @@ def test_same_seed_same_split() -> None:
 def test_one_run_cannot_be_split() -> None:
     with pytest.raises(RecordingError, match="one run"):
         split(example(["a"]), 0.5, seed=1)
-
-
-def test_select_takes_sessions_and_runs() -> None:
-    assert [r.name for r in select(example(["a", "a", "b", "c"]), ["a", "run3"]).recordings] == [
-        "run0",
-        "run1",
-        "run3",
-    ]
-    with pytest.raises(RecordingError, match="no run or session 'z'"):
-        select(example(["a"]), ["z"])
