@@ -70,6 +70,15 @@ def test_repeats_measure_the_noise_too() -> None:
     assert any("chamber 3 is not driven" in warning for warning in found.warnings)
 
 
+def test_repeats_of_slow_rows_measure_the_noise_by_degrees_of_freedom() -> None:
+    """Five rows share a mean, which takes a tenth of the noise along."""
+    time, command = np.arange(600.0), np.random.default_rng(0).uniform(0.0, 3e4, (600, 3))
+    pose = 1e-6 * command + [0.0, 0.0, 0.1765]
+    noisy = [pose + np.random.default_rng(seed).normal(0.0, 3e-4, pose.shape) for seed in (1, 2)]
+    runs = tuple(Recording(f"run{k}", "s", time, command, position=position) for k, position in enumerate(noisy))
+    assert check(RecordingSet("tripod", runs), TRIPOD).repeatability["position"] == pytest.approx(3e-4, rel=0.05)
+
+
 def test_gap_hold_and_clipping_are_reported() -> None:
     clean = run_with_noise(1e-4, 1, hold=False)
     assert not check_run(clean, TRIPOD).gaps
