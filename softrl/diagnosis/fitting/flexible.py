@@ -65,13 +65,13 @@ def static_features(problem: Problem) -> Features:
 
 
 def memory_features(problem: Problem) -> Features:
-    """Return driving pressures, their lagged values, their largest values so far, and the time since the start."""
+    """Return driving pressures, their lagged values, their largest sizes so far, and the time since the start."""
     found = []
     for k in range(len(problem.runs)):
         bins, p = _in_time(problem, k)
         clock = problem.numerics.bin_s * np.arange(len(p))[:, None]
         lagged = [_lagged(p, problem.numerics.bin_s, tau) for tau in MEMORY_S]
-        found.append(np.hstack([p, *lagged, np.maximum.accumulate(p, axis=0), clock])[bins])
+        found.append(np.hstack([p, *lagged, np.maximum.accumulate(np.abs(p), axis=0), clock])[bins])
     return Features(found)
 
 

@@ -142,7 +142,7 @@ def _fit_trial(
     if fit is None:
         return None
     try:
-        placed = fitting.residual(hypothesis, fit.point).registrations if fitting.register else {}
+        placed = fitting.residual(hypothesis, fit.point).registrations if fitting.register or fitting.mounted else {}
         squares = inside = squares_left_out(fitting, hypothesis, fit, low, high)
         if unseen is not None:
             squares = unseen.residual(hypothesis, fit.point, placed).squares
