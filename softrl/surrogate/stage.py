@@ -154,10 +154,10 @@ def _refitted(config: Config, surrogate: Surrogate, pose_of: Statics) -> Surroga
     free = pose_of(np.hstack([pressure, np.zeros((len(pressure), 3))]))
     known = np.ones(len(pressure), dtype=bool) if free.sampled is None else free.sampled
     twin = Twin(surrogate)
+    compliance = body_compliance(pose_of, pressure[known], config.compliance_force_n)
     springs = fit_springs(
-        twin.joints_for_tip(free.tip[known]), twin.chain,
-        body_compliance(pose_of, pressure[known], config.compliance_force_n), surrogate.joint_low,
-        surrogate.joint_high, config.spring_iterations, config.spring_ridge,
+        twin.joints_for_tip(free.tip[known][compliance.told]), twin.chain, compliance.where(compliance.told),
+        surrogate.joint_low, surrogate.joint_high, config.spring_iterations, config.spring_ridge,
     )  # fmt: skip
     return replace(surrogate, softness_coefficients=springs.coefficients, gap_share=springs.share)
 
@@ -265,21 +265,38 @@ def _springs(
             "its samples do not cover the robot's pressures, rerun stage=fem and stage=pod"
         )
     chosen = known[np.linspace(0, len(known) - 1, min(config.compliance_samples, len(known))).astype(int)]
-    compliance = body_compliance(pose_of, samples.pressure[chosen], config.compliance_force_n)
-    joints = samples.joints[chosen]
-
-    def every_second(first: int) -> Compliance:
-        turn = None if compliance.turn is None else compliance.turn[first::2]
-        return Compliance(compliance.tip[first::2], turn)
-
+    joints, compliance = _yielding(config, pose_of, samples.pressure[chosen], samples.joints[chosen])
+    fitted, judging = slice(0, None, 2), slice(1, None, 2)
     fit = partial(
-        fit_springs, joints[::2], chain, every_second(0), low, high, config.spring_iterations, config.spring_ridge
-    )
+        fit_springs, joints[fitted], chain, compliance.where(fitted), low, high, config.spring_iterations,
+        config.spring_ridge,
+    )  # fmt: skip
     couple = None
     if rest_turn is not None:
         rest_tip = pose_of(np.zeros((1, samples.pressure.shape[1] + 3))).tip
         couple = Couple(fit_joints(chain, rest_tip, low, high).theta[0], rest_turn)
-    return fit(couple=couple), Judged(samples.residual, samples.quaternion, joints[1::2], every_second(1), fit(alike=True))
+    judged = Judged(samples.residual, samples.quaternion, joints[judging], compliance.where(judging), fit(alike=True))
+    return fit(couple=couple), judged
+
+
+def _yielding(
+    config: Config, pose_of: Statics, pressure: np.ndarray, joints: np.ndarray
+) -> tuple[np.ndarray, Compliance]:
+    """Return the commands (S, 3), of ``joints`` at ``pressure`` (., n) Pa, where the body tells its compliance, and that."""
+    compliance = body_compliance(pose_of, pressure, config.compliance_force_n)
+    told = compliance.told
+    if told.sum() < 2:
+        raise SolverError(
+            f"under {config.compliance_force_n:g} N the body goes over to another rest, or to none, in {(~told).sum()} of "
+            f"{len(told)} poses; expected 2 or more in which it stands fast: lower stage.compliance_force_n, or check the "
+            "reduced model's statics under tip forces"
+        )
+    if not told.all():
+        log.warning(
+            "in %d of %d poses the body goes over to another rest under %g N; springs are neither fitted nor judged there",
+            (~told).sum(), len(told), config.compliance_force_n,
+        )  # fmt: skip
+    return joints[told], compliance.where(told)
 
 
 def _assemble(

@@ -33,6 +33,20 @@ class Compliance(NamedTuple):
     tip: np.ndarray
     turn: np.ndarray | None
 
+    def where(self, keep: np.ndarray | slice) -> "Compliance":
+        """Return that of the poses ``keep`` (S,) bool, or of a slice of them."""
+        return Compliance(self.tip[keep], None if self.turn is None else self.turn[keep])
+
+    @property
+    def told(self) -> np.ndarray:
+        """In which poses (S,) bool it is one: every force moves the tip along, as where a body stands fast.
+
+        Near where a body falls over, a small push takes it to another rest: what its ends differ by is no compliance.
+        """
+        known = np.isfinite(self.tip).all(axis=(1, 2))
+        known[known] = np.linalg.eigvalsh(self.tip[known])[:, 0] > 0.0
+        return known
+
 
 class Couple(NamedTuple):
     """What a body's tip turns under moments, which a body that is known by loads alone does not tell, in one pose.

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from softrl.artifacts.surrogate import Surrogate
-from softrl.core.errors import ConfigError
+from softrl.core.errors import ConfigError, SolverError
 from softrl.core.tracking import NullTracker
 from softrl.robots.robot import Robot
 from softrl.surrogate import motion
 from softrl.surrogate.simulator import SurrogateSimulator
 from softrl.surrogate.stage import build_surrogate, model_poses
+from softrl.surrogate.stiffness import Poses
 from tests.pod.conftest import fitted
 from tests.surrogate.conftest import lumped_body, tiny_config
 
@@ -25,6 +26,27 @@ def test_a_tip_in_a_plane_is_refused_by_the_joint_that_stands_still(
     flat = replace(robot, name="flat", chamber_angle_deg=angles)
     with pytest.raises(ConfigError, match=f"robot flat: .* joint {joint} moves the tip by .*three directions"):
         build_surrogate(tiny_config(), flat, None, lumped_body(flat), flat.length_m, NullTracker())
+
+
+@pytest.mark.parametrize("there", [(4e-3, 3e-3, -1e-3), (np.nan, np.nan, np.nan)])
+def test_poses_in_which_a_push_takes_the_body_to_another_rest_are_left_out(
+    robot: Robot, surrogate: Surrogate, there: tuple[float, ...], caplog: pytest.LogCaptureFixture
+) -> None:
+    """As near where a body falls over: what the ends of a push differ by there is no compliance, nor positive definite."""
+    plain = lumped_body(robot)
+
+    def leaning(loads: np.ndarray) -> Poses:
+        over = (loads[:, :3].min(axis=1) > 2e4) & (loads[:, 3] > 0.0)
+        return Poses(plain(loads).tip + np.where(over[:, None], there, 0.0), None)
+
+    config = replace(tiny_config(), compliance_samples=192)
+    made = build_surrogate(config, robot, None, leaning, robot.length_m, NullTracker())
+    assert "in 6 of 192 poses the body goes over to another rest under 0.1 N" in caplog.text
+    found, usual = ({a: one.metrics[f"heldout/tip_stiffness_{a}_pct"] for a in "xyz"} for one in (made, surrogate))
+    assert all(found[a] < 1.5 * usual[a] for a in "xyz"), f"{found} beside {usual} per cent"
+    with pytest.raises(SolverError, match=r"in 16 of 16 poses; expected 2 or more .* lower stage\.compliance_force_n"):
+        falling = lambda loads: Poses(plain(loads).tip + np.where(loads[:, 3:4] > 0.0, there, 0.0), None)  # noqa: E731
+        build_surrogate(tiny_config(), robot, None, falling, robot.length_m, NullTracker())
 
 
 def test_poses_without_weight_are_those_of_a_model_without() -> None:
