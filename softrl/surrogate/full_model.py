@@ -23,7 +23,8 @@ from softrl.surrogate.stiffness import turn_between
 log = logging.getLogger(__name__)
 NEWTON = NewtonSettings(tolerance_m=1e-7, max_iterations=40, reuse_below=0.5)
 LARGEST_LOAD_STEP = 0.8  # in units of ``sampling.load_scale``
-SMALL_N, SMALL_NM = 0.1, 0.005  # loads of the differences in PyBullet: tenths of a millimetre, of a degree
+SMALL_SHARE = 0.05  # of the largest force that the tip is made for: the force of the differences in PyBullet
+ARM_SHARE = 0.3  # of the tip's height: the arm of their moment
 
 
 class Yielding(NamedTuple):
@@ -73,14 +74,17 @@ def full_yielding(model: FemModel, robot: Robot, pressure: np.ndarray) -> Yieldi
     return Yielding(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
-def bullet_yielding(surrogate: Surrogate, pressure: np.ndarray) -> Yielding:
-    """Return how the surrogate yields in PyBullet at ``pressure`` (S, n) Pa, by differences of small forces and couples."""
+def bullet_yielding(surrogate: Surrogate, pressure: np.ndarray, tip_force_max_n: float) -> Yielding:
+    """Return how the surrogate yields in PyBullet at ``pressure`` (S, n) Pa, by differences of small forces and couples.
+
+    They are small beside ``tip_force_max_n``, which the tip is made for.
+    """
     from softrl.surrogate.parity import SETTLING, World, settle  # PyBullet starts slowly
 
     theta = PressureToJoints(surrogate).joints(pressure)
     world = World(surrogate, 1.0, SETTLING, 1.0)
     yields, tips = np.empty((len(theta), 6, 6)), np.empty((len(theta), 3))
-    size = np.repeat([SMALL_N, SMALL_NM], 3)
+    size = SMALL_SHARE * tip_force_max_n * np.repeat([1.0, ARM_SHARE * surrogate.tip_height], 3)
     for row, tip, command in zip(yields, tips, theta, strict=True):
         tip[:] = world.pose(settle(world, command, seconds=0.1))[0]
         for k, load in enumerate(np.diag(size)):
@@ -111,10 +115,10 @@ def stiffness_errors(chain: Yielding, full: Yielding, axis: np.ndarray) -> dict[
     return found | {"bending": bending[np.arange(len(bending)), worst], "turn": along[0] / along[1] - 1.0}
 
 
-def report_yielding(s: Surrogate, full: Yielding, tracker: Tracker) -> None:
+def report_yielding(s: Surrogate, full: Yielding, tip_force_max_n: float, tracker: Tracker) -> None:
     """Log how much stiffer or softer than the full model the surrogate is in PyBullet: at rest, the first row, and in all rms."""
     theta = np.ascontiguousarray(PressureToJoints(s).joints(full.pressure))
-    errors = stiffness_errors(bullet_yielding(s, full.pressure), full, joint_axes(theta, chain_of(s))[1])
+    errors = stiffness_errors(bullet_yielding(s, full.pressure, tip_force_max_n), full, joint_axes(theta, chain_of(s))[1])
     tracker.metric("full_model/pressures_count", len(theta))
     for name, error in errors.items():
         key = f"tip_stiffness_{name}" if len(name) == 1 else f"{name}_stiffness"

@@ -27,7 +27,7 @@ from softrl.surrogate.mlp import train_network
 from softrl.surrogate.motion import report_motion
 from softrl.surrogate.report import Judged, report, report_full_model, report_workspace
 from softrl.surrogate.springs import Springs, softness_at
-from softrl.surrogate.stiffness import Compliance, Couple, Poses, Statics, body_compliance, fit_springs
+from softrl.surrogate.stiffness import Couple, Poses, Statics, fit_springs, told_compliance
 from softrl.surrogate.twin import Twin
 from softrl.surrogate.urdf import write_urdf
 
@@ -50,7 +50,7 @@ class Config:
     slide_max_share : and whose slide in a gap is below this share of the mean pitch
     limit_margin_share : joint limits lie this share of the range of motion beyond it
     compliance_samples : pressures at which the body's compliance is taken, every second one held out
-    compliance_force_n : force of the differences
+    compliance_force_n : force of the differences, a small part of what the robot's tip is made for
     spring_iterations, spring_ridge : fit of the springs to them: iterations, and weight that keeps them alike over poses
     hidden, iterations : width of the networks, iterations of their training
     tip_radius_m : sphere with which the tip touches surfaces
@@ -135,7 +135,7 @@ def run(
     )  # fmt: skip
     report_motion(surrogate, robot, reduced_model, tracker)
     if full is not None:
-        report_yielding(surrogate, full, tracker)
+        report_yielding(surrogate, full, robot.tip_force_max_n, tracker)
     # the full model's equilibria are without weight: the chain that is compared with them is one without as well
     weightless = partial(model_poses, reduced_model, gravity_m_s2=np.zeros(3))
     report_full_model(
@@ -154,10 +154,10 @@ def _refitted(config: Config, surrogate: Surrogate, pose_of: Statics) -> Surroga
     free = pose_of(np.hstack([pressure, np.zeros((len(pressure), 3))]))
     known = np.ones(len(pressure), dtype=bool) if free.sampled is None else free.sampled
     twin = Twin(surrogate)
-    compliance = body_compliance(pose_of, pressure[known], config.compliance_force_n)
+    told, compliance = told_compliance(pose_of, pressure[known], config.compliance_force_n)
     springs = fit_springs(
-        twin.joints_for_tip(free.tip[known][compliance.told]), twin.chain, compliance.where(compliance.told),
-        surrogate.joint_low, surrogate.joint_high, config.spring_iterations, config.spring_ridge,
+        twin.joints_for_tip(free.tip[known][told]), twin.chain, compliance, surrogate.joint_low, surrogate.joint_high,
+        config.spring_iterations, config.spring_ridge,
     )  # fmt: skip
     return replace(surrogate, softness_coefficients=springs.coefficients, gap_share=springs.share)
 
@@ -178,6 +178,11 @@ def build_surrogate(
     ``rest_turn`` (3, 3) rad per N m is what moments on the tip turn at rest, where that is known; ``rayleigh`` is the body's
     damping by its inertia, 1/s, and by its stiffness, s.
     """
+    if config.compliance_force_n > robot.tip_force_max_n:
+        raise ConfigError(
+            f"stage.compliance_force_n={config.compliance_force_n:g} is more than the tip of {robot.name} is made for, "
+            f"robot.tip_force_max_n={robot.tip_force_max_n:g}; expected a small part of it, as 0.05 times"
+        )
     rng = np.random.default_rng(config.seed)
     dimensions = dimensions_of(robot, mesh, tip_height, config.links)
     chain = chain_from(dimensions.joint_height, dimensions.plane_height, dimensions.tip_height)
@@ -185,7 +190,7 @@ def build_surrogate(
     low, high = _limits(config, robot, dimensions, samples)
     springs, judged = _springs(config, samples, chain, pose_of, low, high, rest_turn)
     surrogate = _assemble(config, robot, dimensions, samples, springs, rayleigh)
-    return report(surrogate, judged, config.compared_fits, config.parity_samples, tracker)
+    return report(surrogate, judged, config.compared_fits, config.parity_samples, robot.tip_force_max_n, tracker)
 
 
 def _sample(
@@ -265,8 +270,8 @@ def _springs(
             "its samples do not cover the robot's pressures, rerun stage=fem and stage=pod"
         )
     chosen = known[np.linspace(0, len(known) - 1, min(config.compliance_samples, len(known))).astype(int)]
-    joints, compliance = _yielding(config, pose_of, samples.pressure[chosen], samples.joints[chosen])
-    fitted, judging = slice(0, None, 2), slice(1, None, 2)
+    told, compliance = told_compliance(pose_of, samples.pressure[chosen], config.compliance_force_n)
+    joints, fitted, judging = samples.joints[chosen][told], slice(0, None, 2), slice(1, None, 2)
     fit = partial(
         fit_springs, joints[fitted], chain, compliance.where(fitted), low, high, config.spring_iterations,
         config.spring_ridge,
@@ -277,26 +282,6 @@ def _springs(
         couple = Couple(fit_joints(chain, rest_tip, low, high).theta[0], rest_turn)
     judged = Judged(samples.residual, samples.quaternion, joints[judging], compliance.where(judging), fit(alike=True))
     return fit(couple=couple), judged
-
-
-def _yielding(
-    config: Config, pose_of: Statics, pressure: np.ndarray, joints: np.ndarray
-) -> tuple[np.ndarray, Compliance]:
-    """Return the commands (S, 3), of ``joints`` at ``pressure`` (., n) Pa, where the body tells its compliance, and that."""
-    compliance = body_compliance(pose_of, pressure, config.compliance_force_n)
-    told = compliance.told
-    if told.sum() < 2:
-        raise SolverError(
-            f"under {config.compliance_force_n:g} N the body goes over to another rest, or to none, in {(~told).sum()} of "
-            f"{len(told)} poses; expected 2 or more in which it stands fast: lower stage.compliance_force_n, or check the "
-            "reduced model's statics under tip forces"
-        )
-    if not told.all():
-        log.warning(
-            "in %d of %d poses the body goes over to another rest under %g N; springs are neither fitted nor judged there",
-            (~told).sum(), len(told), config.compliance_force_n,
-        )  # fmt: skip
-    return joints[told], compliance.where(told)
 
 
 def _assemble(

@@ -1,5 +1,6 @@
 """Springs of the chain's joints from the body's own compliance: how tip and orientation yield to forces."""
 
+import logging
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -11,6 +12,7 @@ from softrl.core.errors import SolverError
 from softrl.surrogate.kinematics import Chain, joint_axes, joint_jacobians
 from softrl.surrogate.springs import QUADRATIC, TERMS, Springs, monomials, softness_at
 
+log = logging.getLogger(__name__)
 POSES_PER_TERM = 4  # fewer do not tell the terms of a cubic apart
 WIDEST, STEEPEST = 5.0, 3.0  # a factor of 150 about the mean softness; of 20 from a gap to the middle one
 BENDING = 3.0  # weight of bending, of which there is one number where the tip's compliance has nine
@@ -36,16 +38,6 @@ class Compliance(NamedTuple):
     def where(self, keep: np.ndarray | slice) -> "Compliance":
         """Return that of the poses ``keep`` (S,) bool, or of a slice of them."""
         return Compliance(self.tip[keep], None if self.turn is None else self.turn[keep])
-
-    @property
-    def told(self) -> np.ndarray:
-        """In which poses (S,) bool it is one: every force moves the tip along, as where a body stands fast.
-
-        Near where a body falls over, a small push takes it to another rest: what its ends differ by is no compliance.
-        """
-        known = np.isfinite(self.tip).all(axis=(1, 2))
-        known[known] = np.linalg.eigvalsh(self.tip[known])[:, 0] > 0.0
-        return known
 
 
 class Couple(NamedTuple):
@@ -74,6 +66,34 @@ def body_compliance(pose_of: Statics, pressure: np.ndarray, force: float) -> Com
     tip = np.stack(moved, axis=2)
     # a conservative body yields symmetrically; what differs is the differences' own error
     return Compliance(0.5 * (tip + np.swapaxes(tip, 1, 2)), np.stack(turned, axis=2) if turned else None)
+
+
+def told_compliance(pose_of: Statics, pressure: np.ndarray, force: float) -> tuple[np.ndarray, Compliance]:
+    """Return in which of the poses at ``pressure`` (S, n) Pa the body tells its compliance (S,) bool, and that of these.
+
+    It does where every force moves the tip along. Near where a body falls over a small push takes it to another rest, and what
+    the ends of the push differ by is no compliance.
+
+    Raises
+    ------
+    SolverError
+        If fewer than two poses tell it.
+    """
+    compliance = body_compliance(pose_of, pressure, force)
+    told = np.isfinite(compliance.tip).all(axis=(1, 2))
+    told[told] = np.linalg.eigvalsh(compliance.tip[told])[:, 0] > 0.0
+    lost = int((~told).sum())
+    if len(told) - lost < 2:
+        raise SolverError(
+            f"under {force:g} N the body goes over to another rest, or to none, in {lost} of {len(told)} poses; expected 2 or "
+            "more in which it stands fast: lower stage.compliance_force_n, or check the reduced model's statics under tip forces"
+        )
+    if lost:
+        log.warning(
+            "in %d of %d poses the body goes over to another rest under %g N; springs are neither fitted nor judged there",
+            lost, len(told), force,
+        )  # fmt: skip
+    return told, compliance.where(told)
 
 
 def turn_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:

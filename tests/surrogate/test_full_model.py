@@ -54,7 +54,7 @@ def chain_yields(theta: np.ndarray, surrogate: Surrogate) -> np.ndarray:
 
 def test_pybullet_yields_to_forces_and_moments_as_the_joints_say(surrogate: Surrogate) -> None:
     pressure = surrogate.sample_pressure[:2]
-    found = bullet_yielding(surrogate, pressure).yields
+    found = bullet_yielding(surrogate, pressure, 2.0).yields
     for row, theta in zip(found, PressureToJoints(surrogate).joints(pressure), strict=True):
         expected = chain_yields(theta, surrogate)
         size = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
@@ -82,16 +82,16 @@ def test_moments_tell_how_the_give_is_spread(surrogate: Surrogate) -> None:
 
 def errors_at_rest(surrogate: Surrogate, full: Yielding) -> dict[str, float]:
     theta = np.ascontiguousarray(PressureToJoints(surrogate).joints(full.pressure))
-    found = stiffness_errors(bullet_yielding(surrogate, full.pressure), full, joint_axes(theta, chain_of(surrogate))[1])
+    found = stiffness_errors(bullet_yielding(surrogate, full.pressure, 2.0), full, joint_axes(theta, chain_of(surrogate))[1])
     return {name: float(error[0]) for name, error in found.items()}
 
 
 def test_one_that_yields_as_the_other_does_not_differ(surrogate: Surrogate) -> None:
-    found = errors_at_rest(surrogate, bullet_yielding(surrogate, np.zeros((1, surrogate.chambers))))
+    found = errors_at_rest(surrogate, bullet_yielding(surrogate, np.zeros((1, surrogate.chambers)), 2.0))
     assert max(map(abs, found.values())) < 1e-6
 
 
 def test_the_tip_is_as_stiff_in_pybullet_as_the_body_within_5_percent(surrogate: Surrogate) -> None:
     pressure = np.vstack([np.zeros((1, surrogate.chambers)), surrogate.sample_pressure[surrogate.heldout][:3]])
-    found = np.einsum("sii->si", bullet_yielding(surrogate, pressure).yields[:, :3, :3])
+    found = np.einsum("sii->si", bullet_yielding(surrogate, pressure, 2.0).yields[:, :3, :3])
     np.testing.assert_allclose(1.0 / found, np.tile(1.0 / SOFTNESS_M_PER_N, (len(pressure), 1)), rtol=0.05)

@@ -10,11 +10,12 @@ from softrl.core.errors import ConfigError, SolverError
 from softrl.core.tracking import NullTracker
 from softrl.robots.robot import Robot
 from softrl.surrogate import motion
+from softrl.surrogate.full_model import bullet_yielding
 from softrl.surrogate.simulator import SurrogateSimulator
 from softrl.surrogate.stage import build_surrogate, model_poses
 from softrl.surrogate.stiffness import Poses
 from tests.pod.conftest import fitted
-from tests.surrogate.conftest import lumped_body, tiny_config
+from tests.surrogate.conftest import SOFTNESS_M_PER_N, lumped_body, tiny_config
 
 
 @pytest.mark.parametrize(
@@ -47,6 +48,24 @@ def test_poses_in_which_a_push_takes_the_body_to_another_rest_are_left_out(
     with pytest.raises(SolverError, match=r"in 16 of 16 poses; expected 2 or more .* lower stage\.compliance_force_n"):
         falling = lambda loads: Poses(plain(loads).tip + np.where(loads[:, 3:4] > 0.0, there, 0.0), None)  # noqa: E731
         build_surrogate(tiny_config(), robot, None, falling, robot.length_m, NullTracker())
+
+
+def test_a_robot_of_a_quarter_the_size_is_loaded_with_what_its_tip_is_made_for(robot: Robot) -> None:
+    """One that yields by 60 mm/N, and whose tip is made for 0.02 N, does not hold half of what others are made for."""
+    small = replace(robot, name="small", length_m=0.04, chamber_radius_m=0.01, mass_kg=0.005, tip_force_max_n=0.02)
+    plain = lumped_body(small)
+
+    def soft(loads: np.ndarray) -> Poses:
+        return plain(loads * np.repeat([1.0, 25.0], [small.chambers, 3]))
+
+    with pytest.raises(ConfigError, match=r"compliance_force_n=0.1 is more than .* robot.tip_force_max_n=0.02"):
+        build_surrogate(tiny_config(), small, None, soft, small.length_m, NullTracker())
+    config = replace(tiny_config(), compliance_force_n=1e-3)
+    made = build_surrogate(config, small, None, soft, small.length_m, NullTracker(), rayleigh=(0.0, 0.02))
+    assert made.metrics["heldout/bullet_parity_loaded_mm"] < 1e-3
+    assert max(made.metrics[f"heldout/tip_stiffness_{a}_pct"] for a in "xyz") < 15.0
+    yields = np.einsum("sii->si", bullet_yielding(made, np.zeros((1, small.chambers)), small.tip_force_max_n).yields[:, :3, :3])
+    np.testing.assert_allclose(yields[0], 25.0 * SOFTNESS_M_PER_N, rtol=0.15)
 
 
 def test_poses_without_weight_are_those_of_a_model_without() -> None:
