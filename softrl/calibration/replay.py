@@ -202,11 +202,19 @@ def _errors(robot: Robot, recording: Recording, motion: Recording) -> dict[str, 
 
 
 def _velocity(time: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Return the slopes (steps, 3) m/s of parabolas through ``position`` (steps, 3) m, also where rows are uneven in time."""
     if len(time) < 3:  # the end of a run of slow rows
         return np.asarray(np.gradient(position, time, axis=0))
     dt_s = float(np.median(np.diff(time)))
-    window = min(max(2 * round(0.5 * VELOCITY_WINDOW_S / dt_s) + 1, 5), len(time) - 1 + len(time) % 2)
-    return np.asarray(savgol_filter(position, window, 2, deriv=1, delta=dt_s, axis=0))
+    even = np.arange(time[0], time[-1] + 0.5 * dt_s, dt_s)  # the filter knows no other
+    window = min(max(2 * round(0.5 * VELOCITY_WINDOW_S / dt_s) + 1, 5), len(even) - 1 + len(even) % 2)
+    slope = savgol_filter(_at(even, time, position), window, 2, deriv=1, delta=dt_s, axis=0)
+    return _at(time, even, slope)
+
+
+def _at(wanted: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the columns of ``values`` (steps, n) at the times ``wanted``, linearly between those of ``time``."""
+    return np.stack([np.interp(wanted, time, column) for column in values.T], axis=1)
 
 
 def _rms(values: np.ndarray) -> float:

@@ -1,17 +1,19 @@
 """What a simulator that is right does under a recording's commands is what was recorded, however it was sampled or began."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from softrl.calibration.replay import Stepping, replay
+from softrl.calibration.holds import Holds
+from softrl.calibration.replay import Stepping, replay, replay_errors
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.effect import Effect
 from softrl.effects.lag import Lag
 from softrl.effects.viscoelasticity import Viscoelasticity
 from softrl.pcc.simulator import PccSimulator
-from softrl.recordings.recording import Recording
+from softrl.recordings.recording import Recording, RecordingSet
 from softrl.robots.robot import Robot
 
 LAG, CREEP = Lag(0.3, 0.5), Viscoelasticity(0.3, 4.0, 0.0, 20.0)
@@ -44,6 +46,19 @@ def test_rows_far_apart_are_no_steps_of_the_simulator(
 ) -> None:
     plant = Plant(body, chain_of(robot, effects))
     assert miss_mm(plant, recorded(plant, row_s, 0.0, np.zeros(3))) < 0.01
+
+
+@pytest.mark.parametrize("lost", [[], list(range(110, 160)), [k for k in range(1, 900, 3) if 5 < k % 100 < 95]])
+def test_a_velocity_is_that_of_the_motion_whatever_rows_were_lost(robot: Robot, body: PccSimulator, lost: list[int]) -> None:
+    """A tip that is seen 5 mm/s too fast is so over a pause and where every third row was dropped, too."""
+    plant = Plant(body, chain_of(robot, ()))
+    whole = recorded(plant, 0.02, 0.0, np.zeros(3))
+    rows = np.delete(np.arange(len(whole.time)), lost)
+    drifting = replace(whole, position=whole.position + np.outer(whole.time, [5e-3, 0.0, 0.0]))
+    seen = replace(drifting, **drifting.part(rows))
+    holds = Holds(seen.pressure_cmd[-1:], seen.position[-1:], np.array([0]), np.array([len(rows) - 1]))
+    found = replay_errors(plant, RecordingSet(robot.name, (seen,)), holds, {0: 0}, lambda p: p, Stepping(0.01, 20.0))
+    assert found["velocity_run_mm_s"] == pytest.approx(5.0, rel=0.02)
 
 
 @pytest.mark.parametrize("stood_s", [0.0, 40.0])
