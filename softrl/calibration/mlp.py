@@ -46,7 +46,8 @@ def fit_ensemble(pressure_real: np.ndarray, pressure_sim: np.ndarray, settings: 
     Notes
     -----
     Member i never trains on every ``members``-th hold from the i-th on; those choose the epoch at which it is kept, and
-    the decay of weights.
+    the decay of weights. Of more members than holds some leave out the same one: with none to judge it, a member would stay
+    the identity.
     The spread of the members so shows both what the start and what the choice of holds leaves open. All weights of the
     last layer and the linear part start at zero and decay towards it: without data the map is the identity.
     """
@@ -77,8 +78,9 @@ def _train(
 ) -> tuple[dict[str, torch.Tensor], float]:
     """Return the weights at each member's best epoch, and the mean squared error on what the members left out."""
     weights = {name: w.requires_grad_() for name, w in _initial(inputs.shape[1], settings).items()}
-    turn = torch.arange(len(inputs)) % max(settings.members, 2)
-    own = turn[None] != torch.arange(settings.members)[:, None]  # (members, holds): what each member trains on
+    parts = min(settings.members, len(inputs))
+    turn, left = torch.arange(len(inputs)) % parts, torch.arange(settings.members) % parts
+    own = turn[None] != left[:, None]  # (members, holds): what each member trains on
     optimiser = torch.optim.Adam(list(weights.values()), lr=settings.learning_rate)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.epochs)
     best = {name: w.detach().clone() for name, w in weights.items()}

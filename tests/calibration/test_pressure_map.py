@@ -91,6 +91,14 @@ def test_identity_is_the_prior(real: np.ndarray) -> None:
     np.testing.assert_allclose(PressureMap(none).real_to_sim(real), real, atol=1e-3)
 
 
+def test_more_members_than_holds_take_nothing_away_from_the_map(real: np.ndarray) -> None:
+    """A regulator that is off by 1 kPa is so whatever the size of the ensemble; that of the identity was mixed in before."""
+    few = real[:8]
+    found = PressureMap(calibration_of(few + 1e3, few, replace(SETTINGS, members=12, epochs=1500, weight_decays=(0.1, 1e-4))))
+    np.testing.assert_allclose(found.real_to_sim(few) - few, 1e3, atol=50.0)
+    assert found.spread(few).max() < 50.0
+
+
 def test_members_disagree_more_where_they_have_no_data(real: np.ndarray) -> None:
     low = real[real.sum(axis=1) < 20e3]
     spread = PressureMap(calibration_of(bent(low), low)).spread
