@@ -155,9 +155,10 @@ def _since_change(recording: Recording) -> np.ndarray:
 def split_holds(holds: Holds, heldout_share: float, rng: np.random.Generator) -> np.ndarray:
     """Return (holds,) bool: whole runs are held out, or (with a single run) a contiguous end of it."""
     runs = np.unique(holds.run)
+    of = len(holds) if len(runs) == 1 else len(runs)
+    count = int(np.clip(round(heldout_share * of), 1, of - 1))
     if len(runs) == 1:
-        return np.arange(len(holds)) >= round((1.0 - heldout_share) * len(holds))
-    count = int(np.clip(round(heldout_share * len(runs)), 1, len(runs) - 1))
+        return np.arange(of) >= of - count
     return np.isin(holds.run, rng.permutation(runs)[:count])
 
 

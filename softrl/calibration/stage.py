@@ -86,6 +86,8 @@ class Config:
         for name in positive:
             if not 0 < getattr(self, name) < np.inf:
                 raise ConfigError(f"stage.{name}={getattr(self, name):g} must be positive")
+        if round(self.settle_s / self.dt_s) < 2:
+            raise ConfigError(f"stage.settle_s={self.settle_s:g} ; expected two steps or more of stage.dt_s={self.dt_s:g}")
         if not 0.0 <= self.stood_s < np.inf:
             raise ConfigError(f"stage.stood_s={self.stood_s:g} must not be negative")
         if not 0.0 < self.heldout_share < 1.0:
@@ -166,6 +168,11 @@ def _calibrated(
     first = holds.run < len(recordings.recordings) - (recordings.recordings[-1].name == AGAIN)
     holds, rest, pressure_sim = holds.where(first), rest.where(first), pressure_sim[first]
     heldout = split_holds(holds, config.heldout_share, rng)
+    if (~heldout).sum() < 2:
+        raise RecordingError(
+            f"{(~heldout).sum()} of {len(heldout)} settled holds trains f_RS, the others are held out; expected 2 or more: "
+            "record more holds in every run, or change stage.heldout_share"
+        )
     ensemble = _train(config, holds.pressure[~heldout], pressure_sim[~heldout])
     calibration = _assemble(plant, ensemble, holds, pressure_sim, heldout, material, inverted_by, every.position)
     for _ in range(REFINEMENTS if plant.chain.effects else 0):

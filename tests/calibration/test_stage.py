@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
+from softrl.calibration import stage
 from softrl.calibration.holds import AGAIN, Holds, moving_rows, record_holds, revisited, settled_holds, split_holds
 from softrl.calibration.inversion import pressure_by_simulator, steady_tip
 from softrl.calibration.kinematics import rotation_vector
@@ -294,12 +295,25 @@ def test_whole_runs_are_held_out_and_the_end_of_a_single_one() -> None:
     assert out.reshape(3, 2).all(axis=1).sum() == 1
     assert out.sum() == 2
     assert split_holds(holds([0] * 10), 0.3, np.random.default_rng(0)).tolist() == [False] * 7 + [True] * 3
+    for made in (holds([0] * 8), holds([0, 1])):
+        for share in (0.01, 0.99):
+            assert 0 < split_holds(made, share, np.random.default_rng(0)).sum() < len(made), "one trains and one judges"
+
+
+def test_a_single_hold_is_no_map(
+    robot: Robot, body: PccSimulator, driver: Driver, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where the other run, of all holds but one, is held out: nothing is left to judge a member by."""
+    whole = record_of(driver, robot, body, config())
+    monkeypatch.setattr(stage, "split_holds", lambda holds, *_: np.arange(len(holds)) > 0)
+    with pytest.raises(RecordingError, match=r"1 of \d+ settled holds trains f_RS, .* expected 2 or more"):
+        run(config(), robot, body, chain_of(robot, ()), driver, whole, tracker=NullTracker())
 
 
 @pytest.mark.parametrize(
     ("key", "value"),
     [("members", 1), ("heldout_share", 1.5), ("hold_min_s", 9.0), ("runs", 0), ("curve_blocks", 1), ("curve_bins", -3),
-     ("curve_bins", 10), ("stretch_max", float("nan")), ("learning_rate", float("inf")), ("stood_s", -1.0),
+     ("curve_bins", 10), ("stretch_max", float("nan")), ("learning_rate", float("inf")), ("stood_s", -1.0), ("settle_s", 0.014),
      ("holds_per_run", 2)],
 )  # fmt: skip
 def test_bad_values_name_the_key(key: str, value: float) -> None:
