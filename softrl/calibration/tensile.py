@@ -37,7 +37,7 @@ def read_tensile(path: Path, bins: int, stretch_max: float) -> TensileCurve:
     ------
     RecordingError
         If the file is missing, has not the columns ``stretch, stress`` (kPa) nor those of the database format,
-        holds a value that is no finite number, or stresses whose unit cannot be the expected one.
+        holds a value that is no finite number, stresses whose unit cannot be the expected one, or no stretch that counts.
     """
     if not path.is_file():
         raise RecordingError(f"tensile curve {path} does not exist; set stage.material_curve to a CSV or to null")
@@ -90,6 +90,11 @@ def _averaged(path: Path, stretch: np.ndarray, stress: np.ndarray, bins: int, st
         )
     # what comes after the highest stress is the rupture
     keep = stretch <= min(stretch[stress.argmax()], stretch_max)
+    if not keep.any():
+        raise RecordingError(
+            f"{path}: stretch begins at {stretch.min():g}, above stage.stretch_max={stretch_max:g}; expected a curve from "
+            "about 1 on, or a larger stage.stretch_max"
+        )
     order = np.argsort(stretch[keep], kind="stable")
     stretch, stress = stretch[keep][order], stress[keep][order]
     edges = np.linspace(stretch[0], stretch[-1], bins + 1)

@@ -94,6 +94,13 @@ def test_bad_files_are_refused_in_one_line(tmp_path: Path, text: str, told: str)
     assert "\n" not in str(caught.value)
 
 
+def test_a_curve_that_begins_beyond_the_range_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "prestretched.csv"
+    path.write_text("stretch,stress\n" + "".join(f"{2 + 0.02 * i},{700 + 8 * i}\n" for i in range(50)))
+    with pytest.raises(RecordingError, match=r"stretch begins at 2, above stage\.stretch_max=1\.5"):
+        read_tensile(path, 40, 1.5)
+
+
 def test_missing_file_and_too_short_range() -> None:
     with pytest.raises(RecordingError, match="does not exist"):
         read_tensile(Path("nowhere.csv"), 50, 3.0)
