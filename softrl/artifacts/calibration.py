@@ -13,12 +13,12 @@ from softrl.core.errors import ArtifactError
 class Calibration(Artifact):
     """f_RS of eq. 1, ``P_S = P_R + net(P_R)``: an ensemble of small networks whose mean is the map.
 
-    Member ``i`` has the arrays ``i/skip``, ``i/bias``, ``i/weight_k`` and ``i/bias_k``; inputs are scaled by
-    ``pressure_mean`` and ``pressure_spread``, outputs by ``correction_spread``.
+    Inputs are scaled by ``pressure_mean`` and ``pressure_spread``, outputs by ``correction_spread``.
 
     Attributes
     ----------
-    weights : name -> array, dimensionless
+    weights : name -> array, dimensionless, the members' along its first axis: ``skip`` (members, n, n) and ``bias`` (members, n)
+        of the linear path, ``weight_k`` and ``bias_k`` of two tanh layers, ``weight_2`` (members, hidden, n) behind them
     members : number of networks
     pressure_mean, pressure_spread : (n,) Pa, scaler of P_R, fitted on training holds only
     correction_spread : (n,) Pa, size of P_S - P_R on training holds
