@@ -14,8 +14,8 @@ class ForwardDynamics(Artifact):
     """f_S of eqs. 5-11: a window of states, rates and loads in, the rate of the state one step later out.
 
     The state X has 8 + n numbers: tip position p (3) m, arc length l (m) and curvature kappa (1/m) of the
-    constant-curvature arc to it, rotation vector q (3) rad of the tip, and the change of the n chamber volumes
-    (m^3). Row k of a window is (X_k, (X_k - X_k-1) / dt, the load that is held until k + 1); a load is (p_1 ..
+    constant-curvature arc to it, rotation vector q (3) rad of the tip, which goes on beyond half a turn, and the change of the
+    n chamber volumes (m^3). Row k of a window is (X_k, (X_k - X_k-1) / dt, the load that is held until k + 1); a load is (p_1 ..
     p_n Pa, F_x, F_y, F_z N).
 
     Attributes

@@ -28,6 +28,21 @@ def rotation_vector(quaternion: np.ndarray) -> np.ndarray:
     return unit[..., 1:] * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0)
 
 
+def continued(turn: np.ndarray) -> np.ndarray:
+    """Return rotation vectors (..., steps, 3) rad that go on from each other, where those of ``turn`` end at half a turn.
+
+    A tip that bends on past pi would else turn back at once by two of them.
+    """
+    found = np.array(turn, dtype=float)
+    for k in range(1, found.shape[-2]):
+        now, before = found[..., k, :], found[..., k - 1, :]
+        size = np.linalg.norm(now, axis=-1, keepdims=True)
+        axis = now / np.maximum(size, 1e-12)
+        around = np.round((np.sum(axis * before, axis=-1, keepdims=True) - size) / (2.0 * np.pi))
+        found[..., k, :] = now + 2.0 * np.pi * around * axis
+    return found
+
+
 def angle_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return the angle (...,) rad that turns one orientation (..., 4) w x y z into the other."""
     cosine = np.abs(np.sum(first * second, axis=-1))

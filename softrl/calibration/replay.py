@@ -8,7 +8,7 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from softrl.calibration.holds import Holds, end_of_hold
-from softrl.calibration.kinematics import angle_between, arc, rotation_vector
+from softrl.calibration.kinematics import angle_between, arc, continued, rotation_vector
 from softrl.effects.chain import Plant
 from softrl.effects.replay import replay as effects_replay
 from softrl.recordings.recording import Recording, RecordingSet
@@ -182,7 +182,7 @@ def _ranges(robot: Robot, recordings: list[Recording]) -> dict[str, float]:
     velocity = np.concatenate([_velocity(recording.time, recording.position) for recording in recordings])
     measured = {"position": position, "arc_length": length, "curvature": curvature, "velocity": velocity}
     if all(recording.quaternion is not None for recording in recordings):
-        measured["orientation"] = rotation_vector(np.concatenate([r.quaternion for r in recordings]))
+        measured["orientation"] = np.concatenate([continued(rotation_vector(r.quaternion)) for r in recordings])
     ranges = {name: float(np.linalg.norm(np.ptp(values, axis=0))) for name, values in measured.items()}
     return {name: ranges.get(name, 0.0) for name in UNITS}
 

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from softrl.artifacts.snapshots import Snapshots
-from softrl.calibration.kinematics import arc, rotation_vector
+from softrl.calibration.kinematics import arc, continued, rotation_vector
 from softrl.robots.robot import Robot
 
 # a state is tip (3), arc length, curvature, rotation vector (3), then the volumes
@@ -91,7 +91,7 @@ def trajectories_from(
     n = z.shape[2] - 3
     tip = rest_tip + z[..., n:]
     length, curvature = arc(tip, axis)
-    turn = rotation_vector(quaternion)
+    turn = continued(rotation_vector(quaternion))
     state = np.concatenate([tip, length[..., None], curvature[..., None], turn, z[..., :n]], axis=2)
     rate = np.diff(state, axis=1, prepend=state[:, :1]) / dt_s
     return Trajectories(load, state, rate, dt_s)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from softrl.calibration.kinematics import angle_between, arc, rotation_vector
+from softrl.calibration.kinematics import angle_between, arc, continued, rotation_vector
 
 
 def tip_of_arc(length: float, curvature: float, direction: float) -> np.ndarray:
@@ -28,3 +28,10 @@ def test_rotation_vector_and_angle_agree_and_ignore_the_sign_of_the_quaternion()
     np.testing.assert_allclose(rotation_vector(-quaternion), angle * axis, atol=1e-12)
     np.testing.assert_allclose(rotation_vector(np.array([1.0, 0.0, 0.0, 0.0])), np.zeros(3))
     assert abs(angle_between(-quaternion, np.array([1.0, 0.0, 0.0, 0.0])) - angle) < 1e-7
+
+
+def test_rotation_vectors_go_on_beyond_half_a_turn_and_a_whole_one() -> None:
+    axis, angle = np.array([0.6, 0.0, -0.8]), np.array([np.linspace(0.0, 8.0, 90), np.linspace(3.0, -4.0, 90)])
+    quaternion = np.concatenate([np.cos(angle / 2)[..., None], np.sin(angle / 2)[..., None] * axis], axis=-1)
+    quaternion *= np.where(np.arange(90) % 7 == 0, -1.0, 1.0)[:, None]
+    np.testing.assert_allclose(continued(rotation_vector(quaternion)), angle[..., None] * axis, atol=1e-12)

@@ -51,3 +51,11 @@ def test_window_ends_at_its_row_and_the_target_is_the_next_rate() -> None:
     _, ahead, rates = inside.take_segments(torch.tensor([0]), 4)
     np.testing.assert_allclose(ahead[0, :, 0], [4.0, 5.0, 6.0, 7.0])
     assert rates.shape == (1, 4, 11)
+
+
+def test_a_tip_that_bends_past_half_a_turn_goes_on_turning() -> None:
+    """Its rotation vector would else jump by a whole turn, 600 rad/s, which no network foretells and all scales drown in."""
+    angle = np.linspace(0.0, 4.5, 60)
+    quaternion = np.stack([np.cos(angle / 2), 0 * angle, np.sin(angle / 2), 0 * angle], axis=-1)[None]
+    runs = trajectories_from(np.zeros((1, 60, 6)), quaternion, np.zeros((1, 60, 6)), np.array([0.0, 0.0, 0.17]), "+z", DT_S)
+    np.testing.assert_allclose(runs.rate[0, 1:, 6], 4.5 / 59 / DT_S, rtol=1e-9)
