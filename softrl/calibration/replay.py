@@ -17,7 +17,8 @@ from softrl.robots.robot import Robot
 # velocities of both sides are slopes of parabolas over this window, so that camera noise is no velocity
 VELOCITY_WINDOW_S = 0.11
 PressureOf = Callable[[np.ndarray], np.ndarray]  # commanded (steps, n) Pa -> that of the simulator
-PAUSE_S = 0.5  # between recordings on one clock; after a longer one nobody knows what happened meanwhile
+# between recordings on one clock, or rows of the earlier one; after a longer pause nobody knows what happened meanwhile
+PAUSE_S, PAUSE_ROWS = 0.5, 1.5
 SMALLEST_SPAN = 1e-9  # in SI; less than that is rounding
 
 
@@ -61,14 +62,15 @@ def _follow_ups(recordings: Sequence[Recording]) -> list[list[Recording]]:
     """Return the recordings in order, those together that go on where the one before ended."""
     chains: list[list[Recording]] = []
     for recording in recordings:
-        last = chains[-1][-1] if chains else None
-        goes_on = (
-            last is not None
-            and last.session == recording.session
-            and 0.0 < recording.time[0] - last.time[-1] < PAUSE_S
-        )
+        goes_on = bool(chains) and _goes_on(chains[-1][-1], recording)
         chains = [*chains[:-1], [*chains[-1], recording]] if goes_on else [*chains, [recording]]
     return chains
+
+
+def _goes_on(last: Recording, following: Recording) -> bool:
+    """Return whether a recording is of the motion that the ``last`` one saw the beginning of."""
+    longest_s = max(PAUSE_S, PAUSE_ROWS * float(np.median(np.diff(last.time))))
+    return last.session == following.session and 0.0 < following.time[0] - last.time[-1] < longest_s
 
 
 def _forces(recordings: Sequence[Recording]) -> np.ndarray | None:

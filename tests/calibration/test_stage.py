@@ -231,12 +231,13 @@ def test_errors_in_per_cent_are_those_of_what_was_spanned(robot: Robot, body: Pc
     assert not [name for name in stood if "pct" in name]
 
 
-def test_recordings_on_one_clock_are_one_motion(robot: Robot, body: PccSimulator) -> None:
+@pytest.mark.parametrize("row_s", [0.02, 1.0])
+def test_recordings_on_one_clock_are_one_motion(robot: Robot, body: PccSimulator, row_s: float) -> None:
     """What an earlier recording left in the wall is there in the next, but not after a pause, or in another session."""
-    time = 0.02 * np.arange(1, 301)
-    pressure = np.where(time[:, None] < 2.0, 3e4, 0.0) * np.ones(3)
+    time = row_s * np.arange(1, 301)
+    pressure = np.where(np.arange(300)[:, None] < 148, 3e4, 0.0) * np.ones(3)
     plant = Plant(body, chain_of(robot, [Viscoelasticity(0.3, 4.0, 0.0, 20.0)]))
-    position = plant.simulate(time, pressure).position
+    position = replay(plant, [Recording("whole", "s", time, pressure)], lambda p: p, STEPPING)[0].position
 
     def second_half(later_s: float, session: str) -> np.ndarray:
         early = Recording("a", "s", time[:150], pressure[:150])
