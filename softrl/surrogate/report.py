@@ -1,5 +1,6 @@
 """What the surrogate stage measures of its result: errors beside baselines, parity with PyBullet, figures."""
 
+import logging
 import time
 from dataclasses import replace
 from functools import partial
@@ -18,6 +19,7 @@ from softrl.surrogate.springs import Springs, springs_of
 from softrl.surrogate.stiffness import Compliance, Statics, bending_of, chain_turn
 from softrl.surrogate.twin import Twin, chain_compliance
 
+log = logging.getLogger(__name__)
 RATE_BATCH, REACHED_M = 4096, 1e-3
 JOINTS = 3  # of the grouped command
 # of the largest force that the tip is made for: in the comparison with PyBullet, where the twin is timed, and of the
@@ -167,17 +169,21 @@ def report_full_model(
 
     ``pose_of`` tells the body's tips under the same pressures alone. Stiffness is that of the loaded tips; a force stiffens the
     body, while the chain's springs know the pressures only: they part the more the larger it is, and forces of up to
-    ``pushed_n`` stand apart.
+    ``pushed_n`` stand apart. Loads under which the chain buckles, where no equilibrium is found, are counted and left out.
     """
     twin, n = Twin(s), s.chambers
     force = snapshots.loads[:, n:]
     free_tip = pose_of(np.hstack([snapshots.loads[:, :n], np.zeros_like(force)])).tip
     theta = twin.joints_for_tip(free_tip)
     tip = snapshots.coordinate[:, n:] + snapshots.rest_tip
-    moved = twin.solve(theta, force).tip
+    loaded = twin.solve(theta, force, refuse=False)
+    moved, found = loaded.tip, loaded.found
+    if not found.all():
+        told = "the chain buckles under %d of %d loads of the full model, and is compared under the others"
+        log.warning(told, (~found).sum(), len(found))
     size = np.linalg.norm(force, axis=1)
     stiff = 1.0 / np.einsum("sii->si", snapshots.compliance[:, n:, n:])
-    for label, rows in (("loaded_", np.ones(len(size), dtype=bool)), ("pushed_", size <= pushed_n)):
+    for label, rows in (("loaded_", found), ("pushed_", found & (size <= pushed_n))):
         tracker.metric(f"full_model/{label}count", rows.sum())
         if not rows.any():
             continue
@@ -185,17 +191,22 @@ def report_full_model(
         tracker.metric(f"full_model/{label}force_n", _rms(size[rows]))
         error = _loaded_stiffness(twin, theta[rows], force[rows], STEP_SHARE * pushed_n) / stiff[rows] - 1.0
         for axis, name in enumerate("xyz"):
-            tracker.metric(f"full_model/{label}tip_stiffness_{name}_pct", 100.0 * _rms(error[:, axis]))
+            known = np.isfinite(error[:, axis])
+            tracker.metric(f"full_model/{label}tip_stiffness_{name}_pct", 100.0 * _rms(error[known, axis]))
     tracker.metric("full_model/unloaded_tip_mm", _rms(1e3 * (free_tip - tip)))
-    tracker.figure("workspace_loaded", draw_loaded(tip, moved, s.robot_name))
+    tracker.figure("workspace_loaded", draw_loaded(tip[found], moved[found], s.robot_name))
 
 
 def _loaded_stiffness(twin: Twin, theta: np.ndarray, force: np.ndarray, step_n: float) -> np.ndarray:
-    """Return the tips' stiffness (S, 3) N/m along x, y and z under commands (S, 3) and forces (S, 3) N, by ``step_n`` more."""
+    """Return the tips' stiffness (S, 3) N/m along x, y and z under commands (S, 3) and forces (S, 3) N, by ``step_n`` more.
+
+    It is nan where the chain buckles under that.
+    """
     stiff = np.empty((len(theta), 3))
     for axis, push in enumerate(step_n * np.eye(3)):
-        ahead, behind = (twin.solve(theta, force + sign * push).tip[:, axis] for sign in (1.0, -1.0))
-        stiff[:, axis] = 2.0 * step_n / (ahead - behind)
+        ahead, behind = (twin.solve(theta, force + sign * push, refuse=False) for sign in (1.0, -1.0))
+        apart = ahead.tip[:, axis] - behind.tip[:, axis]
+        stiff[:, axis] = np.where(ahead.found & behind.found, 2.0 * step_n / apart, np.nan)
     return stiff
 
 

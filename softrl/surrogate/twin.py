@@ -27,6 +27,7 @@ class TwinState(NamedTuple):
     contact_force : (B,) N, normal force of the plane on the tip
     reaction : (B, 3) N, whole force of the plane on the tip, friction included
     joints : (B, 3 gaps) single joints, deflected by the loads
+    found : (B,) bool, where it is one: elsewhere the rest tells where the search ended
     """
 
     tip: np.ndarray
@@ -34,6 +35,7 @@ class TwinState(NamedTuple):
     contact_force: np.ndarray
     reaction: np.ndarray
     joints: np.ndarray
+    found: np.ndarray
 
 
 class Twin:
@@ -113,22 +115,21 @@ class Twin:
         )
         if force is None and plane is None:
             tip, quaternion, _ = grouped_poses(theta, self.chain)
-            return TwinState(
-                tip, quaternion, np.zeros(batch), np.zeros((batch, 3)), np.tile(theta, (1, len(self.chain.below)))
-            )
+            joints = np.tile(theta, (1, len(self.chain.below)))
+            return TwinState(tip, quaternion, np.zeros(batch), np.zeros((batch, 3)), joints, np.ones(batch, dtype=bool))
         normal, point = (np.zeros(3), np.zeros(3)) if plane is None else plane
         normal, points = np.ascontiguousarray(normal, dtype=float), np.array(np.broadcast_to(point, (batch, 3)))
         grips = np.array(np.broadcast_to(np.asarray(friction, dtype=float), batch))
         before = self.tip(theta) if start is None else _rows(start)
-        *state, failed = _equilibria(
-            theta, forces, normal, points, grips, before, self.chain, self.springs, self.contact_stiffness
+        state = TwinState(
+            *_equilibria(theta, forces, normal, points, grips, before, self.chain, self.springs, self.contact_stiffness)
         )
-        if failed and refuse:
+        if refuse and not state.found.all():
             raise SolverError(
-                f"{failed} of {batch} equilibria of the twin were not found in {ITERATIONS} iterations; "
+                f"{(~state.found).sum()} of {batch} equilibria of the twin were not found in {ITERATIONS} iterations; "
                 f"expected loads near the tip's range, the largest force here is {np.abs(forces).max():.3g} N"
             )
-        return TwinState(*state)
+        return state
 
 
 def _rows(values: np.ndarray) -> np.ndarray:
@@ -146,7 +147,7 @@ def _equilibria(
     chain: Chain,
     springs: Springs,
     contact_stiffness: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     batch, joints = len(theta), 3 * len(chain.below)
     tips, quaternions, reactions = np.empty((batch, 3)), np.empty((batch, 4)), np.zeros((batch, 3))
     contact, coordinates = np.zeros(batch), np.empty((batch, joints))
@@ -154,7 +155,7 @@ def _equilibria(
     rotation, jacobian, compliance = np.empty((3, 3)), np.empty((3, joints)), np.empty((3, 3))
     load, expected, grip, torque = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     touching = normal @ normal > 0.0
-    failed = 0
+    found = np.ones(batch, dtype=np.bool_)
     for b in range(batch):
         for j in range(joints):
             command[j] = theta[b, j % 3]
@@ -196,13 +197,13 @@ def _equilibria(
             if move < 1e-12 and change < TOLERANCE_N:
                 break
         else:
-            failed += 1
+            found[b] = False
         pose(q, chain, tips[b], rotation, jacobian)
         quaternion_of(rotation, quaternions[b])
         contact[b], coordinates[b] = press, q
         for i in range(3):
             reactions[b, i] = press * normal[i] + grip[i]
-    return tips, quaternions, contact, reactions, coordinates, failed
+    return tips, quaternions, contact, reactions, coordinates, found
 
 
 @nb.njit(cache=True)
