@@ -1,6 +1,7 @@
 """Uniaxial tensile curves from CSV files: plain ``stretch,stress`` files and the semicolon database format."""
 
 import csv
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,7 +9,9 @@ import numpy as np
 
 from softrl.core.errors import RecordingError
 
+log = logging.getLogger(__name__)
 MINIMUM_ROWS = 20
+STEADY_SHARE, BACK_SHARE = 0.02, 0.1  # of the range of stretch: jitter of a machine that goes one way; less is no way back
 # secant modulus at which a column is surely not in the unit that it should be in
 MODULUS_RANGE_PA = (1e3, 1e8)
 DATABASE_STRAIN, DATABASE_STRESS = "Engineering Strain", "Engineering Stress (MPa)"
@@ -31,7 +34,8 @@ class TensileCurve:
 def read_tensile(path: Path, bins: int, stretch_max: float) -> TensileCurve:
     """Return the curve in ``path`` up to ``stretch_max``.
 
-    It is averaged over ``bins`` equal bins of stretch, so that each stretch weighs the same however densely sampled.
+    It is averaged over ``bins`` equal bins of stretch, so that each stretch weighs the same however densely sampled. Of a file
+    that goes out and comes back the way out counts: rubber is softer on the way back.
 
     Raises
     ------
@@ -48,7 +52,18 @@ def read_tensile(path: Path, bins: int, stretch_max: float) -> TensileCurve:
     else:
         stretch, stress = _columns(path, lines, ",", ("stretch", "stress"))
         stress = 1e3 * stress
-    return _averaged(path, stretch, stress, bins, stretch_max)
+    out = _way_out(stretch)
+    if out < len(stretch):
+        log.warning("%s comes back from a stretch of %.3g: the %d rows of the way out count", path, stretch.max(), out)
+    return _averaged(path, stretch[:out], stress[:out], bins, stretch_max)
+
+
+def _way_out(stretch: np.ndarray) -> int:
+    """Return how many rows lead to the largest ``stretch`` (rows,), all of them where those after it do not lead back."""
+    top, range_ = int(stretch.argmax()), float(np.ptp(stretch))
+    out, back = stretch[: top + 1], -stretch[top:]
+    steady = all((np.maximum.accumulate(way) - way).max() <= STEADY_SHARE * range_ for way in (out, back))
+    return top + 1 if steady and np.ptp(back) > BACK_SHARE * range_ else len(stretch)
 
 
 def _columns(path: Path, lines: list[str], separator: str, names: tuple[str, str]) -> list[np.ndarray]:

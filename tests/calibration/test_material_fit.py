@@ -101,6 +101,20 @@ def test_a_curve_that_begins_beyond_the_range_is_told(tmp_path: Path) -> None:
         read_tensile(path, 40, 1.5)
 
 
+def test_of_a_curve_that_comes_back_the_way_out_counts(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Rubber is softer on the way back; rows in any other order are one curve."""
+    out = 1.0 + 0.01 * np.arange(101)
+    stress = 300.0 * (out - out**-2)
+    both = np.column_stack([np.r_[out, out[::-1]], np.r_[stress, 0.7 * stress[::-1]]])
+    curves = []
+    for name, rows in {"out": both[:101], "back": both, "mixed": np.random.default_rng(0).permutation(both[:101])}.items():
+        np.savetxt(tmp_path / name, rows, delimiter=",", header="stretch,stress", comments="")
+        curves.append(read_tensile(tmp_path / name, 50, 3.0))
+    for curve in curves[1:]:
+        np.testing.assert_allclose(curve.stress, curves[0].stress)
+    assert [record.getMessage().split()[0] for record in caplog.records] == [str(tmp_path / "back")]
+
+
 def test_missing_file_and_too_short_range() -> None:
     with pytest.raises(RecordingError, match="does not exist"):
         read_tensile(Path("nowhere.csv"), 50, 3.0)
