@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from types import MappingProxyType
 from typing import Protocol, runtime_checkable
 
@@ -15,6 +16,8 @@ from softrl.recordings.recording import Recording
 from softrl.rl.filter import MovingAverage
 from softrl.robots.robot import Robot
 from softrl.sim2real.course import Course
+
+FROZEN_S, MOVED_SHARE = 1.0, 0.05  # no tip stands still to the last digit for so long while this share of the range is sent
 
 
 class Controller(Protocol):
@@ -89,7 +92,8 @@ def follow(
 
     The decisions are timed; the robot's clock stands still meanwhile if it is a simulated one, and runs on if not.
     ``events`` happen before the command of their step. A decision rests on the last reading that has a position, and on a
-    surface a force; a DriverError ends the rollout where there was none for the driver's ``stale_s``.
+    surface a force; a DriverError ends the rollout where there was none for the driver's ``stale_s``, or where it stands still
+    while commands move.
     """
     average = MovingAverage(pace.average_window)
     last: list[Sample] = []
@@ -117,6 +121,7 @@ def follow(
             arrived = _wait(driver, pace.period_s)
             samples += arrived
             seen = _seen(samples, course, driver.stale_s) or seen
+            _require_alive(samples, robot)
             last.append(seen)
     counted = last[pace.approach_steps :]
     recording = recording_of(samples, robot, name, session)
@@ -154,3 +159,16 @@ def _seen(samples: Sequence[Sample], course: Course, stale_s: float) -> Sample |
             "arrived is kept: does the camera see the tip?"
         )
     return found
+
+
+def _require_alive(samples: Sequence[Sample], robot: Robot) -> None:
+    """Refuse a camera that shows the same to the last digit while commands move: feedback would take it for a lasting misfit."""
+    recent = list(takewhile(lambda sample: sample.time_s > samples[-1].time_s - FROZEN_S, reversed(samples)))
+    read = np.stack([sample.position for sample in recent])
+    sent = np.stack([sample.commanded for sample in recent[len(recent) // 2 :]])  # what came last may not have moved it yet
+    moved = np.ptp(sent, axis=0).max() > MOVED_SHARE * (robot.pressure_max_pa - robot.pressure_min_pa)
+    if moved and len(recent) < len(samples) and not np.ptp(read, axis=0).any():
+        raise DriverError(
+            f"the tip was told at the very same place for {FROZEN_S:g} s, to the last digit, while the commands moved; what had "
+            "arrived is kept: has the camera stopped, or is the air off?"
+        )

@@ -1,6 +1,7 @@
 """A device that does not measure everything, or not always: its sessions are recorded, and followed while the tip is seen."""
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -102,6 +103,42 @@ def test_a_tip_that_stays_out_of_sight_ends_the_session(driver: Blinking, tmp_pa
     assert len(kept) == 1
     if since_s > 0.0:
         assert kept[0].position is not None and kept[0].time[-1] == pytest.approx(since_s)
+
+
+class Frozen(BenchDriver):
+    """A bench whose camera goes on telling what it saw at ``since_s``."""
+
+    since_s = np.inf
+
+    def advance(self, dt_s: float) -> list[Sample]:
+        before = [sample for sample in self.samples if sample.time_s <= self.since_s]
+        arrived = super().advance(dt_s)
+        if arrived[0].time_s > self.since_s:
+            arrived = [replace(sample, position=before[-1].position) for sample in arrived]
+            self.samples[len(self.samples) - len(arrived) :] = arrived
+        return arrived
+
+
+class Swinging:
+    """A controller that sends more and less of ``size_pa``, or always as much."""
+
+    def __init__(self, size_pa: float) -> None:
+        self.size_pa = size_pa
+
+    def pressure(self, position: np.ndarray, step: int, tip_force: np.ndarray | None = None) -> np.ndarray:
+        return np.full(3, 10e3 + self.size_pa * (step % 2))
+
+
+@pytest.mark.parametrize(("since_s", "size_pa", "told"), [(1.5, 5e3, True), (np.inf, 5e3, False), (1.5, 0.0, False)])
+def test_a_camera_that_stands_still_while_commands_move_ends_the_session(
+    tripod: Robot, body: Simulator, silence: Noise, since_s: float, size_pa: float, told: bool
+) -> None:
+    driver, course = Frozen(tripod, body, silence), Course.free("swing", np.zeros((40, 3)))
+    driver.since_s = since_s
+    with pytest.raises(DriverError, match="at the very same place for 1 s") if told else nullcontext():
+        follow(driver, tripod, Swinging(size_pa), course, Pace(PERIOD_S, 1, 1), "swing", "swing")
+    assert not driver.connected
+    assert driver.samples[-1].time_s == pytest.approx(2.6 if told else 4.2, abs=0.15)
 
 
 def test_a_finished_run_is_kept_once_even_without_positions(driver: Blinking, tmp_path: Path) -> None:
