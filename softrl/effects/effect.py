@@ -332,6 +332,11 @@ class Effect:
         """Return the pressures behind what a gauge ``reported``; of its error ``share`` (steps, 1) acts."""
         raise NotImplementedError(f"effect {self.name()} does not act on a pressure sensor")
 
+    @property
+    def told_as(self) -> str:
+        """Name of the effect that this one is with its present numbers, told by another law; empty if it is none but itself."""
+        return ""
+
     def layers(self, count: int) -> np.ndarray:
         """Return the factors (count,) on the stiffness of the body's layers, from below."""
         raise NotImplementedError(f"effect {self.name()} does not act on layers")

@@ -60,6 +60,11 @@ class TubeLine(Effect):
         """Return lines that ring at other periods: a fit finds its own only from a period nearby."""
         return [{"period_s": period, "damping_ratio": ratio} for period in (0.1, 0.2, 0.35, 1.2) for ratio in (0.2, 0.6)]
 
+    @property
+    def told_as(self) -> str:
+        """A line that does not swing is two lags in a row: beside one that does as well it says nothing else."""
+        return "lag" if self.damping_ratio >= 1.0 else ""
+
     def pack(self, robot: Robot) -> np.ndarray:
         """Return (T s, damping ratio, chamber)."""
         return super().pack(robot) / [2.0 * math.pi, 1.0, 1.0]

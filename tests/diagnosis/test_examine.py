@@ -98,10 +98,10 @@ def test_what_is_named_stands_out_held_out_too(
 
 
 def test_another_chamber_contests_what_is_named_of_one(judges: tuple[Judge, Judge]) -> None:
-    fit, gap = trial(judges, "gain", 0.0, 0.0), Gap(0.0, -0.1, 0.1)
+    gap = Gap(0.0, -0.1, 0.1)
     for other, contests in ((Choice("gain", 2), True), (Choice("gain"), False), (Choice("knee", 1), True)):
-        assert Rival(Choice("gain", 1), other, gap, True, fit, False).contests == contests
-        assert not Rival(Choice("gain", 1), other, gap, False, fit, False).contests
+        assert Rival(Choice("gain", 1), other, gap, True, begun(other, 0.0), False).contests == contests
+        assert not Rival(Choice("gain", 1), other, gap, False, begun(other, 0.0), False).contests
 
 
 def test_what_pays_stands_in_for_what_does_not(judges: tuple[Judge, Judge]) -> None:
@@ -154,10 +154,19 @@ def test_what_is_the_same_by_another_name_contests_nothing(named: Choice, rival:
     assert other._replace(trial=begun(rival, 8.0)).contests == (contests or rival.gate is not None)
 
 
-def begun(choice: Choice, over_s: float) -> Any:
+@pytest.mark.parametrize(("ratio", "contests"), [(1.5, False), (1.0, False), (0.6, True)])
+def test_a_tube_that_does_not_swing_contests_no_lag(ratio: float, contests: bool) -> None:
+    """It is two lags in a row, of which rows show one."""
+    tube = Choice("tube_line")
+    line = begun(tube, ratio, "damping_ratio")
+    assert Rival(Choice("lag"), tube, Gap(0.0, -0.1, 0.1), True, line, False).contests == contests
+    assert Rival(Choice("dead_time"), tube, Gap(0.0, -0.1, 0.1), True, line, False).contests
+
+
+def begun(choice: Choice, value: float, name: str = "over_s") -> Any:
     axes, point = effect_axes(choice), starts(choice)[0]
     for k, axis in enumerate(axes):
-        point[k] = axis.scaled(over_s) if axis.name == "over_s" else point[k]
+        point[k] = axis.scaled(value) if axis.name == name else point[k]
     return SimpleNamespace(hypothesis=Hypothesis((choice,), ()), fit=SimpleNamespace(point=point))
 
 

@@ -46,17 +46,20 @@ def as_it_stands(simulator: Simulator, runs: Sequence[Recording], robot: Robot) 
     return simulator.with_parameters(**{LENGTH: float(np.median(along)) / robot.length_m})
 
 
-def of_other_length(runs: Sequence[Recording], robot: Robot, simulator: Simulator) -> str | None:
+def of_other_length(
+    runs: Sequence[Recording], robot: Robot, simulator: Simulator, named: Sequence[Choice] = ()
+) -> str | None:
     """Return in a sentence that the tip at rest is not where a robot of this length has it, or None; see ``told_of_length``.
 
     By runs that begin without pressure, if they agree. A marker beyond the tip shows so, too: which of both it is no recording
-    of the tip can tell.
+    of the tip can tell. Where a shift along the body is ``named`` a smaller difference is told as well.
     """
     reach = np.linalg.norm(_rests(runs, robot), axis=1)
     if taken_length(simulator) or not len(reach) or np.ptp(reach) > ALIKE * robot.length_m:
         return None
     found = float(np.median(reach))
-    if abs(found - robot.length_m) <= OTHER_LENGTH * robot.length_m:
+    least = LEAST if any(map(stands_for_length, named)) else OTHER_LENGTH
+    if abs(found - robot.length_m) <= least * robot.length_m:
         return None
     return (
         f"at rest the tip is {1e3 * found:.4g} mm from the base, and length_m of robot {robot.name} is "

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from softrl.diagnosis.fitting.hypothesis import Choice
+from softrl.diagnosis.fitting.hypothesis import Choice, build_effect
 from softrl.diagnosis.fitting.judge import ABRUPT_S, Gap, Judge, takes_s, too_sudden
-from softrl.diagnosis.fitting.trial import Trial
+from softrl.diagnosis.fitting.trial import Trial, axes_of
 from softrl.effects.library import effect_class
 
 
@@ -27,14 +27,16 @@ class Rival(NamedTuple):
         """Whether it does as well and says something else: another effect, or the same one of another chamber.
 
         A law that contains what is named cannot do worse, and says no more where it does no better. Nor does one which is that
-        where it begins in a moment.
+        where it begins in a moment, or with the numbers that it was fitted with.
         """
         mine, named = self.choice, self.instead_of
         if not self.equivalent or of_another_chamber(mine, named):
             return self.equivalent
         later = effect_class(named.name).onset_of == mine.name and mine.chamber == named.chamber
         same = later and takes_s(self.trial, mine) < ABRUPT_S
-        return named.name not in (mine.name, *effect_class(mine.name).contains) and not same
+        axes = axes_of(self.trial, mine).values()
+        fitted = build_effect(mine, [axis.physical(float(self.trial.fit.point[column])) for axis, column in axes])
+        return named.name not in (mine.name, *effect_class(mine.name).contains, fitted.told_as) and not same
 
 
 def of_another_chamber(one: Choice, other: Choice) -> bool:

@@ -119,7 +119,7 @@ def _warnings(data: Data, whole: Problem, model: Model) -> list[str]:
             f"sessions are mounted a little otherwise each: every one is placed by itself, within "
             f"{np.degrees(MOUNT_TURN_RAD):.0f} deg and {MOUNT_SHIFT_SHARE:.0%} of the length ({_mounts(data, whole, model)})"
         )
-    elif length := of_other_length(data.training, whole.robot, whole.simulator):
+    elif length := of_other_length(data.training, whole.robot, whole.simulator, model.hypothesis.effects):
         lines.append(length)
     return lines
 
