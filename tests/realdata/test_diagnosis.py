@@ -42,21 +42,21 @@ def kinds(found: Diagnosis, site: str) -> set[str]:
     return {effect_class(name).variant_of or name for name in names}
 
 
-def test_arm_is_limited_by_its_valve_and_creeps_behind_it() -> None:
+def test_arm_is_limited_by_its_valve() -> None:
     found = diagnosed("asu_smart_arm", "three_chamber_segment")
     assert "rate_limit" in kinds(found, "valve"), found.sentences
+
+
+# what the wall remembers is told as slips along the bend and a drift; the motion's steps take seconds longer than the pressure's
+@pytest.mark.xfail(strict=True, reason="the arm's body is not understood: experiments/real_recordings.md")
+def test_arm_creeps_behind_its_valve() -> None:
+    found = diagnosed("asu_smart_arm", "three_chamber_segment")
     assert "viscoelasticity" in kinds(found, "body"), found.sentences
-    held = found.errors_mm["heldout"]
-    # three times better than the static map is the goal; 2.6 is what the search reaches (experiments/real_recordings.md)
-    assert held["corrected"] < 0.42 * min(held["nominal"], held["retuned"], held["static"])
-    assert held["corrected"] < held["one_lag"]
 
 
-# 6.2 mm; a black box errs by 5.1, and a third of what the static map leaves is 5.3
-@pytest.mark.xfail(strict=True, reason="the arm's first draw is not understood: experiments/real_recordings.md")
 def test_arm_is_told_better_than_by_a_black_box_and_three_times_better_than_by_a_static_map() -> None:
     held = diagnosed("asu_smart_arm", "three_chamber_segment").errors_mm["heldout"]
-    assert held["corrected"] < min(held["blackbox"], held["static"] / 3.0)
+    assert held["corrected"] < min(held["blackbox"], held["static"] / 3.0, held["one_lag"], held["retuned"])
 
 
 def test_finger_is_diagnosed_to_the_end_and_its_pump_is_not_taken_for_a_regulator() -> None:
