@@ -1,13 +1,13 @@
 """Three pictures of a proof: what was called what, what is seen at which loudness, and errors by stratum."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from softrl.proof.generator.plan import STRATA
-from softrl.proof.score import Row, wilson
+from softrl.proof.score import SILENT, Row, wilson
 
 MODELS = ("oracle", "corrected", "retuned", "blackbox", "nominal")
 
@@ -18,13 +18,11 @@ def confusion(rows: Sequence[Row]) -> Figure:
     told = [_told(r) for r in shown]
     truths = list(dict.fromkeys(sorted(_hidden(r) for r in shown)))
     names = list(dict.fromkeys(sorted(told)))
-    count = np.zeros((len(truths), len(names)))
-    right: set[tuple[int, int]] = set()
+    count, right = np.zeros((2, len(truths), len(names)), dtype=int)
     for r, name in zip(shown, told, strict=True):
         i, j = truths.index(_hidden(r)), names.index(name)
         count[i, j] += 1
-        if _is_right(r):
-            right.add((i, j))
+        right[i, j] += _is_right(r)
     figure = Figure(figsize=(3.5 + 0.45 * len(names), 2.0 + 0.3 * len(truths)), layout="constrained")
     ax = figure.subplots()
     ax.imshow(count, cmap="Blues", vmin=0.0, vmax=max(count.max(), 1.0), aspect="auto")
@@ -32,18 +30,18 @@ def confusion(rows: Sequence[Row]) -> Figure:
         ax.text(
             j,
             i,
-            f"{count[i, j]:.0f}",
+            f"{count[i, j]}" if right[i, j] in (0, count[i, j]) else f"{right[i, j]} of {count[i, j]}",
             ha="center",
             va="center",
             color="white" if count[i, j] > 0.6 * count.max() else "k",
         )
-    for i, j in right:
+    for i, j in zip(*np.nonzero(right), strict=True):
         ax.add_patch(_frame(i, j))
     ax.set_xticks(range(len(names)), names, rotation=60, ha="right")
     ax.set_yticks(range(len(truths)), truths)
     ax.set_xlabel("verdict, or the effect named first")
     ax.set_ylabel("hidden")
-    ax.set_title("green frame: right", loc="left", fontsize=9)
+    ax.set_title("green frame: right, or as many of them as it says", loc="left", fontsize=9)
     return figure
 
 
@@ -53,16 +51,20 @@ def detection(rows: Sequence[Row], detectable: float) -> Figure:
     figure = Figure(figsize=(6.4, 3.8), layout="constrained")
     ax = figure.subplots()
     edges = np.array([0.0, 0.7, 3.0, 9.0, np.inf])
-    for name, label, colour in (("found_something", "something found", "0.6"), ("top1", "named first and right", "C0")):
+    kinds: tuple[tuple[Callable[[Row], bool], str, str, float], ...] = (
+        (lambda r: r["verdict"] not in SILENT, "something found", "0.6", 0.97),
+        (lambda r: bool(r["top1"]), "named first and right", "C0", 1.03),
+    )
+    for holds, label, colour, aside in kinds:
+        labels = iter((label,))  # of the first point alone
         for k in range(len(edges) - 1):
             mine = [r for r in singles if edges[k] <= r["signal_to_noise"] < edges[k + 1]]
             if mine:
-                share = wilson(sum(r[name] for r in mine), len(mine))
-                x = float(np.exp(np.mean(np.log([max(r["signal_to_noise"], 0.05) for r in mine]))))
-                x *= 1.03 if name == "top1" else 0.97
+                share = wilson(sum(map(holds, mine)), len(mine))
+                x = aside * float(np.exp(np.mean(np.log([max(r["signal_to_noise"], 0.05) for r in mine]))))
                 ax.errorbar(x, share.pct, [[share.pct - share.low], [share.high - share.pct]], fmt="o", color=colour,
-                            capsize=3, label=label if k == 0 else None)  # fmt: skip
-                if name == "top1":
+                            capsize=3, label=next(labels, None))  # fmt: skip
+                if aside > 1.0:
                     ax.annotate(f"n = {len(mine)}", (x * 1.1, 50.0), fontsize=8)
     ax.axvline(detectable, color="k", lw=0.8, ls=":", label="called detectable")
     ax.set_xscale("log")

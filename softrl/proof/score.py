@@ -9,6 +9,7 @@ from softrl.effects.library import effect_class
 
 Row = dict[str, Any]
 CONFIDENCE = 1.959963984540054  # standard normal quantile of a two-sided 95 % interval
+SILENT = ("nothing missing", "crashed", "cannot tell")  # verdicts that find nothing in a robot with hidden physics
 
 
 class Share(NamedTuple):
@@ -102,12 +103,12 @@ def pinned(key: dict[str, Any], given: dict[str, Any]) -> int:
 
 def _told(key: dict[str, Any], given: dict[str, Any]) -> Iterator[tuple[str, float, dict[str, Any]]]:
     """Yield (parameter, its true value, the effect as named) of what means the same in both forms and was named rightly."""
-    found = {effect["name"]: effect for effect in given.get("effects", [])}
     for hidden in key["hidden"]:
         for name, value in hidden["parameters"].items():
             effect, parameter = name.split(".")
-            if effect in found and found[effect]["chamber"] in (hidden["chamber"], -1):
-                yield parameter, value, found[effect]
+            told = [e for e in given.get("effects", []) if e["name"] == effect and e["chamber"] in (hidden["chamber"], -1)]
+            if told:  # of one name in its own chamber and in all, the one that says where
+                yield parameter, value, max(told, key=lambda e: int(e["chamber"]))
 
 
 def metrics(rows: Sequence[Row], shuffled_finds: int, shuffled_cases: int) -> dict[str, float]:
@@ -198,7 +199,9 @@ def misses(rows: Sequence[Row]) -> list[str]:
             wrong = not r["all_named"]
         else:
             wrong = r["detectable"] and not r["top1"]
-        if wrong:
+        faint = r["stratum"] in ("single", "outside") and not r["detectable"]
+        misnamed = faint and r["wrong_named"] and r["verdict"] != "unknown"  # it need not be named, but not as another
+        if wrong or misnamed or r["verdict"] == "crashed":
             told.append(
                 f"case {r['case']}, {r['stratum']}, {r['truth']} ({r['place']}) "
                 f"at {r['signal_to_noise']:.1f} times the noise: {said}"

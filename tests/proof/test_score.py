@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from softrl.proof.figures import confusion, detection
 from softrl.proof.score import coverage, gap_closed, metrics, misses, pinned, row_of, shares, wilson
 
 ERRORS = {
@@ -129,3 +130,50 @@ def test_only_an_effect_that_has_a_chamber_can_be_right_about_it(
     assert (row["chamber_right"], row["one_chamber_right"]) == (chamber_right, one_chamber_right)
     assert shares([row])["named/chamber_right"].trials == (chamber_right is not None)
     assert shares([row])["named/one_chamber_right"].trials == (one_chamber_right is not None)
+
+
+def test_a_crash_is_told_and_so_is_a_wrong_name_for_what_is_too_faint_to_be_named() -> None:
+    lag, creep = ("spool", ("lag",)), ("powerlaw", ("viscoelasticity",))
+    crashed = {"verdict": "crashed", "error": "ValueError: x", "seconds": 1.0}
+    nothing: dict[str, Any] = {"heldout": {}, "outside": {}}
+    rows = [
+        row_of(key(0, "single", lag, loud=0.3), crashed, nothing, 1.0),
+        row_of(key(1, "single", lag, loud=0.3), said("named", "payload"), ERRORS, 1.0),
+        row_of(key(2, "outside", ("twist", ()), loud=0.3), said("named", "frame"), ERRORS, 1.0),
+        row_of(key(3, "concealed", lag, loud=0.3), said("named", "command_map"), ERRORS, 1.0),  # which the map is
+        row_of(key(4, "single", lag, loud=0.3), said("nothing missing"), ERRORS, 1.0),
+        row_of(key(5, "single", creep, loud=0.3), said("named", "viscoelasticity"), ERRORS, 1.0),
+    ]
+    assert [line.split(",")[0] for line in misses(rows)] == ["case 0", "case 1", "case 2"]
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_an_effect_in_two_chambers_is_scored_by_the_one_it_is_hidden_in(first: int) -> None:
+    hidden = key(0, "single", ("gain", ("gain",)))
+    hidden["hidden"][0] |= {"chamber": 0, "parameters": {"gain.gain": 1.2}}
+    answers = said("named", "gain", "gain")
+    for chamber, (low, high) in enumerate(((0.9, 1.1), (1.1, 1.3))):
+        told = {"chamber": chamber, "parameters": {"gain": {"value": 0.5 * (low + high), "low": low, "high": high}}}
+        answers["effects"][(first + chamber) % 2] |= told
+    assert coverage(hidden, answers) == (0, 1)
+
+
+def test_no_crash_is_drawn_as_something_found_and_the_legend_names_all() -> None:
+    lag = ("spool", ("lag",))
+    rows = [row_of(key(k, "single", lag), {"verdict": verdict, "seconds": 1.0}, ERRORS, 1.0)
+            for k, verdict in enumerate(("crashed", "cannot tell", "unknown", "unknown"))]  # fmt: skip
+    axis = detection(rows, 1.0).axes[0]
+    assert [label.get_text() for label in axis.get_legend().get_texts()] == [
+        "called detectable", "something found", "named first and right"
+    ]  # fmt: skip
+    points = [np.asarray(line.get_ydata())[0] for line in axis.lines if line.get_marker() == "o"]
+    assert points == [50.0, 0.0]
+
+
+def test_a_frame_about_answers_of_which_some_are_right_says_how_many() -> None:
+    """With a gauge a latency is no dead time: one cell of the table holds right answers and wrong ones."""
+    rights = (("delay", "dead_time"), ("delay",), ("delay",))
+    rows = [row_of(key(k, "single", ("latency", right)), said("named", "dead_time"), ERRORS, 1.0)
+            for k, right in enumerate(rights)]  # fmt: skip
+    axis = confusion(rows).axes[0]
+    assert [text.get_text() for text in axis.texts] == ["1 of 3"] and len(axis.patches) == 1
