@@ -18,7 +18,7 @@ from softrl.diagnosis.stage import diagnose
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.library import effect_class
 from softrl.effects.replay import replay
-from softrl.pcc.simulator import PccSimulator
+from softrl.pcc.simulator import LENGTH, PccSimulator
 from softrl.proof import blackbox
 from softrl.recordings.read import read
 from softrl.recordings.recording import Recording, RecordingSet
@@ -48,6 +48,7 @@ def diagnosed(
 
 def plain(found: Diagnosis) -> Answer:
     """Return the parts of a diagnosis that are scored."""
+    length = {name: value for name, value in found.simulator_parameters.items() if name == LENGTH}  # not retuned, but taken
     return {
         "verdict": "cannot tell" if "cannot_tell" in found.unexplained else found.verdict,
         "effects": [
@@ -60,7 +61,7 @@ def plain(found: Diagnosis) -> Answer:
         "sentences": found.sentences,
         "corrections": found.corrections(),
         "simulator_parameters": found.simulator_parameters,
-        "retuned": {name: entry["value"] for name, entry in found.retuned.items()},
+        "retuned": {name: entry["value"] for name, entry in found.retuned.items()} | length,
         "retuned_late_s": found.late_s.get("retuned", 0.0),
         "training_runs": found.data.get("training_runs", []),
         "heldout_runs": found.data.get("heldout_runs", []),

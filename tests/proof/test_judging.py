@@ -67,3 +67,11 @@ def test_an_answer_keeps_what_was_told_as_neutral() -> None:
             "pinned_intervals": {"shift_x": {"low": -0.1, "high": 0.2, "unit": "1"}}}  # fmt: skip
     found = Diagnosis("tripod", "PccSimulator", "named", [], [told | {"evidence": "much"}], {}, {}, [], [], {}, {}, {}, None, {})
     assert plain(found)["effects"] == [told]
+
+
+def test_the_retuned_body_is_as_long_as_it_was_taken_to_be() -> None:
+    """It is not retuned, and without it retuning alone would be judged as a body that nobody fitted."""
+    body = {"bending_stiffness_scale": 1.1, "length_scale": 1.03}
+    retuned = {"bending_stiffness_scale": {"nominal": 1.0, "value": 1.2, "lowest": 0.25, "highest": 4.0, "plausible": True}}
+    found = Diagnosis("tripod", "PccSimulator", "nothing missing", [], [], body, retuned, [], [], {}, {}, {}, None, {})
+    assert plain(found)["retuned"] == {"bending_stiffness_scale": 1.2, "length_scale": 1.03}
