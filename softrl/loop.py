@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from softrl.artifacts.makers import check_inputs
 from softrl.aside import Aside
-from softrl.core.errors import ConfigError
+from softrl.core.errors import ConfigError, SolverError
 from softrl.core.progress import progress
 from softrl.core.store import Location, Store
 from softrl.core.sweep import PARENT_VARIABLE
@@ -46,6 +46,8 @@ def run_configured(cfg: DictConfig) -> None:
     folder, stage = Path(chosen.runtime.output_dir), chosen.runtime.choices.stage
     if stage == "paper":
         finished = run_paper(_plain(cfg), list(chosen.overrides.task), folder, _compose)
+        if not finished:
+            raise SolverError(f"none of the runs behind the paper's tables finished; {folder / 'paper.md'} says why")
     elif stage == "all":
         finished = _run_all(list(chosen.overrides.task), folder)
     else:

@@ -216,14 +216,19 @@ def follow(
 
 
 def _announce(runs: Runs, config: Config, body: list[Step], profile: str) -> set[Step]:
-    """Say what will be done, what of it is there, and how long it may take; return what is not there."""
+    """Say what will be done, what of it is there, and how long it may take; return what is not there.
+
+    A task or a bench that does not exist ends it here, before hours of the runs that come first.
+    """
     made, failed = Made(), set[str]()
     there, every = follow(body, runs.look, made, failed), list(body)
     for seed in config.seeds:
         steps = seed_steps(config, seed)
         every += steps
         there += follow(steps, runs.look, dict(made), set(failed))
-    runs.commands |= {step.name: runs.command(step) for step in every}
+    for step in {step.name: step for step in every}.values():
+        runs.configuration(step)
+        runs.commands[step.name] = runs.command(step)
     count = len(every)
     size = "full size" if profile == FULL_SIZE else f"reduced sizes; the paper's take profile={FULL_SIZE} and many hours"
     log.info("paper: %d runs for seeds %s, profile=%s (%s)", count, list(config.seeds), profile, size)

@@ -146,11 +146,12 @@ def table_of(rows: Sequence[Mapping[str, Any]]) -> str:
     lines = ["| table | row | paper | ours | seeds | goal | unit | note |", "|---|---|---|---|---|---|---|---|"]
     for row in rows:
         lacking = "no mean" if row["seeds"] else "not measured"
+        note = " ".join(row.get("reason", "").split()).replace("|", "\\|")  # an error may have lines and bars of its own
         ours = lacking if row["ours_mean"] is None else f"{row['ours_mean']:.4g}"
         spread = "" if row["ours_std"] is None else f" ± {row['ours_std']:.2g}"
         paper, goal = ("-" if row[key] is None else f"{row[key]:g}" for key in ("paper", "goal"))
         lines.append(
             f"| {row['table']} | {row['row']} | {paper} | {ours}{spread} | {row['seeds']} | {goal} | {row['unit']} "
-            f"| {row.get('reason', '')} |"
+            f"| {note} |"
         )
     return "\n".join(lines) + "\n"

@@ -2,12 +2,14 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from omegaconf import OmegaConf
 
-from softrl import paper
+from softrl import loop, paper
 from softrl.core.errors import ConfigError, SolverError
 from softrl.pipeline import Outcome
 from softrl.report.paper import FULL_SIZE, ROWS, collect, table_of
@@ -212,3 +214,34 @@ def test_nothing_is_run_on_a_failed_body(monkeypatch: pytest.MonkeyPatch, tmp_pa
     monkeypatch.setattr(paper, "run_stage", run_stage)
     monkeypatch.setattr(paper, "finished_before", lambda stage, cfg, made: None)
     assert paper.run_paper(settings(), [], tmp_path, lambda w: w) == [] and ran == ["mesh"]
+
+
+def test_an_error_of_many_lines_and_bars_stays_in_its_row() -> None:
+    told = table_of(collect({}, {"surrogate": "seed 0: RuntimeError: shapes\n  (3|4) differ"}, {}, FULL_SIZE)).splitlines()
+    assert len(told) == len(ROWS) + 2 and all(line.startswith("|") for line in told)
+    ours = next(line for line in told if "f_SP, position" in line)
+    assert ours.endswith(r"| seed 0: RuntimeError: shapes (3\|4) differ |")
+
+
+def test_where_every_run_fails_the_table_is_named_that_says_why(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    chosen = SimpleNamespace(output_dir=str(tmp_path), choices=SimpleNamespace(stage="paper"))
+    node = SimpleNamespace(runtime=chosen, overrides=SimpleNamespace(task=[]))
+    monkeypatch.setattr(loop, "HydraConfig", SimpleNamespace(get=lambda: node))
+    monkeypatch.setattr(loop, "_plain", lambda cfg: {})
+    monkeypatch.setattr(loop, "run_paper", lambda *_: [])
+    with pytest.raises(SolverError, match=r"none of the runs .* finished; .*paper\.md says why"):
+        loop.run_configured(OmegaConf.create())
+
+
+def test_a_task_that_does_not_exist_is_told_before_anything_is_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def compose(words: list[str]) -> dict[str, Any]:
+        if "task=trak" in words:
+            raise ConfigError("task=trak is unknown")
+        return {}
+
+    ran: list[str] = []
+    monkeypatch.setattr(paper, "run_stage", lambda stage, *_: ran.append(stage))
+    monkeypatch.setattr(paper, "finished_before", lambda stage, cfg, made: None)
+    with pytest.raises(ConfigError, match="task=trak"):
+        paper.run_paper(settings(tasks=["trak", "track"]), ["stage=paper"], tmp_path, compose)
+    assert not ran
