@@ -10,7 +10,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from softrl.core.errors import SolverError
+from softrl.core.errors import SoftrlError, SolverError
 from softrl.pipeline import Outcome, run_stage
 
 log = logging.getLogger(__name__)
@@ -62,7 +62,10 @@ class Aside:
 def _work(
     answer: Connection, file: Path, stage: str, config: Mapping[str, Any], folder: Path, made: Mapping[str, str]
 ) -> None:
-    """Run the stage and send what it left, or the error that ended it."""
+    """Run the stage and send what it left, or the error that ended it.
+
+    No traceback goes from process to process, nor does every error: of one that is no message to the user the log holds all.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal's Ctrl-C is for the process that started this one
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with file.open("a") as own:
@@ -72,6 +75,10 @@ def _work(
     logging.getLogger("softrl").setLevel(logging.INFO)
     try:
         answer.send(run_stage(stage, config, folder, made))
-    except Exception as error:
+    except SoftrlError as error:
         answer.send(error)
+        sys.exit(1)
+    except Exception as error:
+        log.exception("%s ended", stage)
+        answer.send(SolverError(f"stage={stage} ended by {type(error).__name__}: {error}; {file} says where"))
         sys.exit(1)

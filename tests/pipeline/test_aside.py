@@ -40,3 +40,10 @@ def test_a_stage_that_is_killed_or_stopped_says_so(tmp_path: Path) -> None:
         assert not aside._process.is_alive()
         with pytest.raises(SolverError, match="killed; run the same command again"):
             aside.outcome()
+
+
+def test_of_an_error_that_nobody_foresaw_the_log_says_where(tmp_path: Path) -> None:
+    with pytest.raises(SolverError, match=rf"stage=mesh ended by KeyError: .*; {tmp_path}/softrl.log says where"):
+        Aside("mesh", UNKNOWN, tmp_path, {}).outcome()
+    told = (tmp_path / "softrl.log").read_text()
+    assert "Traceback" in told and "run_stage" in told
