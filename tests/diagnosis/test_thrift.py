@@ -173,7 +173,7 @@ def test_the_pieces_that_tell_two_hypotheses_apart_are_the_best_of_all(
         hypothesis, point = Hypothesis((Choice(name),), ("damping_s",)), np.r_[starts(Choice(name))[0], 0.0]
         fit = Fit(point, np.zeros(1), np.zeros((1, len(point))), 0.0, 1)
         trials.append(Trial(hypothesis, fit, {}, np.zeros(1), np.zeros(1)))
-    found = separating_program(problem, *trials, noise_m=1e-4, now=NOW)
+    found = separating_program(problem, *trials, noise_m=np.sqrt(3.0) * 1e-4, now=NOW)  # of three coordinates together
     one, other = (_rival(problem, trial, NOW) for trial in trials)
     sensing = Sensing(STEP_S, NUMERICS.bin_s, 1e-4, None)
     pieces = blocks(tripod, STEP_S, REST_S, 0)[::4]
@@ -208,3 +208,20 @@ def test_how_many_processes_rank_changes_nothing(tripod: Robot, body: PccSimulat
     for alone, shared in zip(one, two, strict=True):
         assert (alone.choice, alone.gain) == (shared.choice, shared.gain)
         np.testing.assert_array_equal(alone.point, shared.point)
+
+
+def test_no_piece_is_asked_for_that_tells_nothing_apart(
+    tripod: Robot, body: PccSimulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of three pieces one alone drives the chamber of which it is asked whether it lags."""
+    kept = ("hold of 15 s at full pressure, chamber 1", "hold of 15 s at full pressure, chamber 2", "rest of 20 s")
+    monkeypatch.setattr(
+        "softrl.diagnosis.telling.separate.blocks", lambda *given: [piece for piece in blocks(*given) if piece.label in kept]
+    )
+    trials = []
+    for choice in (Choice("lag", 0), Choice("gain", 0)):
+        hypothesis, point = Hypothesis((choice,), ("damping_s",)), np.r_[starts(choice)[0], 0.0]
+        fit = Fit(point, np.zeros(1), np.zeros((1, len(point))), 0.0, 1)
+        trials.append(Trial(hypothesis, fit, {}, np.zeros(1), np.zeros(1)))
+    found = separating_program(problem_of(tripod, body), *trials, noise_m=1e-4, now=NOW)
+    assert found is not None and found["program"] == kept[0] and found["duration_s"] == pytest.approx(15.0 + REST_S, abs=0.5)

@@ -45,7 +45,7 @@ def separating_program(
     ----------
     problem : whose robot and simulator the hypotheses are about
     first, second : fitted
-    noise_m : rms of the noise of one sample of the motion, over its components
+    noise_m : rms of the noise of one sample of the motion, of all its components together
     now : where recording has come to: what acted in other sessions only does nothing, and what lasts goes on
 
     Returns
@@ -58,7 +58,8 @@ def separating_program(
     -----
     Every piece is judged from rest; ``stage=excite`` plans a whole program and refits the hypotheses to it.
     """
-    sensing = Sensing(STEP_S, problem.numerics.bin_s, max(noise_m, 1e-6), None)
+    components = 1 if problem.robot.output == "bend_angle" else 3
+    sensing = Sensing(STEP_S, problem.numerics.bin_s, max(noise_m, 1e-6) / components**0.5, None)
     one, other = (_rival(problem, trial, now) for trial in (first, second))
     pieces = blocks(problem.robot, STEP_S, REST_S, 0)
     length = STEP_S * np.array([len(piece.pressure) for piece in pieces])
@@ -70,8 +71,8 @@ def separating_program(
                 worth[k] = separation(one, other, pieces[k].pressure, sensing) ** 2 / length[k]
     except SolverError:
         return None
-    best = np.argsort(-worth)[:PIECES]
-    if not worth[best[0]] > 0.0:
+    best = [k for k in np.argsort(-worth)[:PIECES] if worth[k] > 0.0]
+    if not best:
         return None
     return {
         "program": "; then ".join(pieces[k].label for k in best),
