@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from softrl.core.config import build
 from softrl.diagnosis.fitting.hypothesis import Choice, Gate, Hypothesis, Space, effect_axes
 from softrl.diagnosis.judging.examine import Days
 from softrl.diagnosis.judging.verdict import verdict_of
@@ -27,6 +28,8 @@ from softrl.effects.knee import Knee
 from softrl.excite.form import form_of
 from softrl.pcc.simulator import PccSimulator
 from softrl.recordings.gone import Now
+from softrl.robots.robot import Robot
+from tests.diagnosis.conftest import node
 
 
 @pytest.mark.parametrize(
@@ -86,14 +89,34 @@ def test_nothing_missing_says_what_stays_beyond_a_detail_of_the_body() -> None:
      ("supply_limit", "ceiling", "1", "= 0.9 kPa"), ("payload", "mass", "1", "= 3 g"), ("contact", "distance", "1", "= 6 mm")],
 )  # fmt: skip
 def test_shares_are_told_in_units_of_the_robot(name: str, parameter: str, unit: str, told: str) -> None:
-    robot: Any = SimpleNamespace(largest_pa=35e3, pressure_max_pa=30e3, length_m=0.2, mass_kg=0.1)
+    robot: Any = SimpleNamespace(command="pressure", largest_pa=35e3, pressure_max_pa=30e3, length_m=0.2, mass_kg=0.1)
     entry = {"value": 0.03, "low": 0.02, "high": 0.04, "unit": unit, "at_bound": False}
     effect = {"name": name, "site": "valve", "where": "all", "parameters": {parameter: entry}, "evidence": "so"}
     assert f"{parameter} 0.03 (0.02 to 0.04)" in effect_sentence(effect, robot) and told in effect_sentence(effect, robot)
 
 
+@pytest.mark.parametrize(
+    ("site", "pinned", "gauged", "told"),
+    [
+        ("valve", {}, False, "= 27 pump_pwm"),
+        ("valve", {}, True, "= 27 pump_pwm"),
+        ("valve", {"behind_gauge": True}, True, "= 2.7 kPa"),
+        ("chamber", {}, False, "= 27 pump_pwm"),
+        ("chamber", {}, True, "= 2.7 kPa"),
+    ],
+)
+def test_a_share_of_what_is_no_pressure_is_told_as_what_is_commanded(
+    site: str, pinned: dict[str, Any], gauged: bool, told: str
+) -> None:
+    """A pump's duty cycle is stored in Pa by a scale that means nothing; behind a gauge there are pressures."""
+    finger = build(node("robot/single_chamber_finger.yaml"), Robot, "robot")
+    entry = {"value": 0.1, "low": 0.08, "high": 0.12, "unit": "1", "at_bound": False}
+    effect = {"name": "offset", "site": site, "where": "all", "parameters": {"offset": entry}, "pinned": pinned, "evidence": "so"}
+    assert f"offset 0.1 (0.08 to 0.12) {told}." in effect_sentence(effect, finger, gauged)
+
+
 def test_an_interval_has_the_digits_that_tell_its_ends_apart() -> None:
-    robot: Any = SimpleNamespace(largest_pa=35e3, pressure_max_pa=30e3, length_m=0.2, mass_kg=0.1)
+    robot: Any = SimpleNamespace(command="pressure", largest_pa=35e3, pressure_max_pa=30e3, length_m=0.2, mass_kg=0.1)
     for value, low, high, told in [(0.12003, 0.11991, 0.12014, "0.1200 (0.1199 to 0.1201) s"),
                                    (0.3, 0.21, 0.41, "0.3 (0.21 to 0.41) s"), (0.5, 0.5, 0.5, "0.5 (0.5 to 0.5) s")]:  # fmt: skip
         entry = {"value": value, "low": low, "high": high, "unit": "s", "at_bound": False}
@@ -193,7 +216,7 @@ def test_a_program_is_promised_only_where_two_hypotheses_are_open(contests: bool
 def test_what_begins_within_the_shortest_time_begins_at_once() -> None:
     entry = {"value": 0.05, "low": 0.05, "high": 0.2, "unit": "s", "at_bound": True}
     effect = {"name": "frame", "site": "sensor", "where": "pose sensor", "parameters": {"over_s": entry}, "evidence": "so"}
-    robot: Any = SimpleNamespace(largest_pa=35e3, pressure_max_pa=30e3, length_m=0.2, mass_kg=0.1)
+    robot: Any = SimpleNamespace(command="pressure", largest_pa=35e3, pressure_max_pa=30e3, length_m=0.2, mass_kg=0.1)
     assert "over_s 0.05 (0.05 to 0.2) s, at once" in effect_sentence(effect, robot)
 
 

@@ -77,6 +77,11 @@ def shown_in(finding: Finding) -> tuple[float, str]:
     return 1e3, "mm"
 
 
+def command_in(robot: Robot) -> tuple[float, str]:
+    """Return factor and unit in which commands (stored in Pa) are shown: of one that is no pressure, its own."""
+    return (1e-3, "kPa") if robot.command == "pressure" else (1.0 / robot.command_to_pa, robot.command)
+
+
 def rival_entries(findings: Sequence[Finding], robot: Robot) -> list[dict[str, Any]]:
     """Return the alternatives, those that contest first, then nearest; gaps of motion in mm or deg, of measured pressure in kPa.
 

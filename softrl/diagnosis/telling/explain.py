@@ -94,7 +94,7 @@ def sentences(diagnosis: Diagnosis, findings: Sequence[Finding], ends: Sequence[
             "Do not rely on the corrected simulator: from the command it predicts held-out runs worse than retuning or one lag."
             + (behind if len(findings) > 1 else "")
         )
-    lines += [effect_sentence(effect, findings[0].part.problem.robot) for effect in diagnosis.effects]
+    lines += [effect_sentence(effect, findings[0].part.problem.robot, len(findings) > 1) for effect in diagnosis.effects]
     lines += _ungauged(findings)
     lines += [line for finding in findings for line in finding.switched]
     lines += _rival_sentences(diagnosis.rivals)

@@ -14,9 +14,8 @@ from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.judging.correct import Traces, off, seen
 from softrl.diagnosis.judging.examine import Finding
 from softrl.diagnosis.series.noise import directions
-from softrl.diagnosis.telling.entries import shown_in
+from softrl.diagnosis.telling.entries import command_in, shown_in
 from softrl.effects.effect import SITES
-from softrl.robots.robot import Robot
 
 COLOURS = {"measured": "black", "nominal": "tab:gray", "retuned": "tab:blue", "corrected": "tab:red",
            "one_lag": "tab:purple", "static": "tab:olive", "blackbox": "tab:green"}  # fmt: skip
@@ -69,7 +68,7 @@ def draw_run(heldout: Problem, judged: dict[str, Traces]) -> Figure:
 def draw_map(heldout: Problem, judged: dict[str, Traces]) -> Figure:
     """Draw the held-out error before and after, over time and pressure, and over two pressures (or pressure and rate)."""
     rows = list(zip(heldout.runs, heldout.first, strict=True))
-    scale, of_command = _of_command(heldout.robot)
+    scale, of_command = command_in(heldout.robot)
     command = np.concatenate([scale * run.pressure_cmd[begin:] for run, begin in rows])
     moved: np.ndarray = np.max([np.ptp(run.pressure_cmd, axis=0) for run in heldout.runs], axis=0)
     order = np.argsort(-moved)  # within runs: a chamber that is held at another level on another day is not driven
@@ -98,11 +97,6 @@ def draw_map(heldout: Problem, judged: dict[str, Traces]) -> Figure:
         axes[row][0].set_ylabel(f"command of chamber {first + 1}, {of_command}")
     figure.colorbar(image, ax=axes, label=f"mean error, {unit}")
     return figure
-
-
-def _of_command(robot: Robot) -> tuple[float, str]:
-    """Return factor and unit in which commands (stored in Pa) are shown: of one that is no pressure, its own."""
-    return (1e-3, "kPa") if robot.command == "pressure" else (1.0 / robot.command_to_pa, robot.command)
 
 
 def _mean_over(x: np.ndarray, y: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from softrl.diagnosis.telling.entries import command_in
 from softrl.effects.gate import WIDTHS
 from softrl.effects.library import effect_class
 from softrl.robots.robot import Robot
@@ -15,19 +16,19 @@ WORDS = {
 }
 MOST_DIGITS = 6
 SUDDEN_S = 0.1  # what begins within this time is told to begin at once
-SHARES = {
-    "pressure": ("largest_pa", 1e-3, "kPa"),
-    "ceiling": ("pressure_max_pa", 1e-3, "kPa"),
-    "length": ("length_m", 1e3, "mm"),
-    "mass": ("mass_kg", 1e3, "g"),
-}
+SHARES = {"pressure": "largest_pa", "ceiling": "pressure_max_pa", "length": "length_m", "mass": "mass_kg"}
+UNITS = {"length_m": (1e3, "mm"), "mass_kg": (1e3, "g")}  # of pressures it depends on what is commanded
 
 
-def effect_sentence(effect: dict[str, Any], robot: Robot) -> str:
-    """Return what a named ``effect`` is: name, place, the parameters worth a word with their intervals, and its evidence."""
+def effect_sentence(effect: dict[str, Any], robot: Robot, gauged: bool = False) -> str:
+    """Return what a named ``effect`` is: name, place, the parameters worth a word with their intervals, and its evidence.
+
+    ``gauged`` says that a gauge stood between valve and body: what is behind it is a pressure, whatever is commanded.
+    """
+    pressure = (1e-3, "kPa") if gauged and _behind_gauge(effect) else command_in(robot)
     values = ", ".join(
         f"{name} {_with_interval(p)}{'' if p['unit'] == '1' else ' ' + p['unit']}"
-        f"{_of_the_robot(effect['name'], name, p['value'], robot)}{_at_an_end(name, p)}"
+        f"{_of_the_robot(effect['name'], name, p['value'], robot, pressure)}{_at_an_end(name, p)}"
         for name, p in _telling(effect).items()
     )
     return f"{effect['name']} {WORDS[effect['site']]}, {effect['where']}: {values}. {effect['evidence']}."
@@ -48,12 +49,20 @@ def _at_an_end(name: str, p: dict[str, Any]) -> str:
     return ", at once" if name in WIDTHS.values() and p["value"] < SUDDEN_S else ", at the end of its range"
 
 
-def _of_the_robot(effect: str, name: str, value: float, robot: Robot) -> str:
-    """Return what a share of the largest pressure, the length or the mass is of this ``robot``'s, or nothing."""
+def _behind_gauge(effect: dict[str, Any]) -> bool:
+    return effect["site"] != "valve" or "behind_gauge" in effect["pinned"]
+
+
+def _of_the_robot(effect: str, name: str, value: float, robot: Robot, pressure: tuple[float, str]) -> str:
+    """Return what a share of the largest pressure, the length or the mass is of this ``robot``'s, or nothing.
+
+    ``pressure`` is factor and unit in which pressures are told.
+    """
     known = _known(effect)[name]
     if not known["of"]:
         return ""
-    attribute, factor, unit = SHARES[known["of"]]
+    attribute = SHARES[known["of"]]
+    factor, unit = UNITS.get(attribute, pressure)
     each = "/s" if known["unit"] == "1/s" else ""
     return f" = {factor * value * getattr(robot, attribute):.3g} {unit}{each}"
 
