@@ -38,7 +38,7 @@ class Diagnosis(Artifact):
     unexplained : what is left after the correction: rms, share, structure
     next_experiment : the program that would separate what is left, or None: separates (what fits alike, if that is open),
         program, the command's limits, and of one that was planned duration_s and separation
-    data : findings about the recordings: warnings, runs used for training and held out
+    data : findings about the recordings: warnings, runs used for training and held out; level of the parameters' intervals
     late_s : retuned, corrected -> how late the log has it that rows act, found with that simulator, s
     """
 

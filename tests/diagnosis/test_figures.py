@@ -1,15 +1,18 @@
 """Figures say what was found: what is named is red, white noise stays in its band, a command has its own unit."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.config import build
 from softrl.diagnosis.fitting.hypothesis import Choice, Gate
 from softrl.diagnosis.judging.correct import Traces
-from softrl.diagnosis.telling.figures import _autocorrelation, _white_band, draw_map, draw_screening
+from softrl.diagnosis.telling.figures import _autocorrelation, _white_band, draw_intervals, draw_map, draw_screening
+from softrl.diagnosis.telling.report import page
 from softrl.recordings.recording import Recording
 from softrl.robots.robot import Robot
 from tests.diagnosis.conftest import node
@@ -63,3 +66,14 @@ def test_the_map_of_errors_shows_commands_in_their_own_unit(name: str, scale: fl
     axes = draw_map(heldout, {"retuned": traces, "corrected": traces}).axes
     assert axes[0].get_ylabel() == f"command of chamber 1, {unit}" and axes[2].get_xlabel() == f"rate of the command, {unit}/s"
     assert axes[0].get_ylim()[1] == pytest.approx(scale * 2e4, rel=0.01)
+
+
+@pytest.mark.parametrize("pct", [90.0, 98.0])
+def test_intervals_say_of_which_level_they_are(pct: float) -> None:
+    fill = {"value": 0.3, "low": 0.2, "high": 0.4, "unit": "s", "at_bound": False}
+    named = {"name": "lag", "where": "all valves", "parameters": {"fill_s": fill}}
+    data = {"warnings": [], "interval_pct": pct}
+    found = Diagnosis("tripod", "PccSimulator", "named", ["so"], [named], {}, {}, [], [], {}, {}, {}, None, data)
+    assert draw_intervals(found).get_supxlabel() == f"bars: {pct:g} % intervals"
+    assert f"<h2>Identified parameters and their {pct:g} % intervals</h2>" in page(found, {})
+    assert "intervals" not in page(replace(found, verdict="unknown", effects=[], data={"warnings": []}), {})

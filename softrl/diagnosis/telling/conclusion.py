@@ -65,6 +65,7 @@ def conclude(
             "orientation_used": whole.orientation,
             "measured_pressure_used": len(findings) > 1,
             "step_responses": asdict(responses),
+            "interval_pct": round(100.0 * (2.0 * findings[0].judge.thresholds.confidence - 1.0), 6),
             "sessions_differ": [day._asdict() for finding in findings if finding.days for day in finding.days.each],
         },
         late_s={name: space.late(models[name].point) for name, space in spaces.items()},

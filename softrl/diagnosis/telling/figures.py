@@ -230,6 +230,7 @@ def draw_intervals(diagnosis: Diagnosis) -> Figure:
         ax.tick_params(axis="x", labelsize=7)
         ax.ticklabel_format(axis="x", useOffset=False)  # an interval may be narrow beside its value
         ax.locator_params(axis="x", nbins=6)
+    figure.supxlabel(f"bars: {diagnosis.data['interval_pct']:g} % intervals", fontsize=8)
     return figure
 
 

@@ -40,7 +40,7 @@ def page(diagnosis: Diagnosis, figures: Mapping[str, Figure]) -> str:
     ]
     body += [f"<p><b>Record next:</b> {line}</p>" for line in _next(diagnosis)]
     body += [_figure(name, figure) for name, figure in figures.items()]
-    body += ["<h2>Identified parameters</h2>", _table(_parameter_rows(diagnosis))]
+    body += [f"<h2>Identified parameters{_level(diagnosis)}</h2>", _table(_parameter_rows(diagnosis))]
     body += ["<h2>Retuned only</h2>", _table([{"parameter": k, **v} for k, v in diagnosis.retuned.items()])]
     body += ["<h2>Tests of where</h2>", _table(diagnosis.located)]
     body += [f"<p class='quiet'>{_safe(line)}</p>" for line in diagnosis.data["warnings"]]
@@ -59,6 +59,11 @@ def _next(diagnosis: Diagnosis) -> list[str]:
     planned = ["<code>stage=excite</code> writes a program"] if any(row["contests"] for row in diagnosis.rivals) else []
     told = "; ".join([*lasts, *planned])
     return [f"{_safe(wanted['program'])}{f' ({told})' if told else ''}."]
+
+
+def _level(diagnosis: Diagnosis) -> str:
+    """Return in words of which level the intervals are; data that cannot tell have none."""
+    return f" and their {diagnosis.data['interval_pct']:g} % intervals" if "interval_pct" in diagnosis.data else ""
 
 
 def _figure(name: str, figure: Figure) -> str:
