@@ -1,6 +1,8 @@
 """The benches of what is learned run, and report what the paper's rows and README take from them."""
 
+from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from softrl.bench.policy import PolicyBench
 from softrl.bench.rl import RlBench, rates
 from softrl.bench.stage import Bench, Config, run
 from softrl.bench.surrogate import SurrogateBench
-from softrl.bench.watch import Timing
+from softrl.bench.watch import Timing, Watch
 from softrl.core.config import build_target
 from softrl.core.errors import ConfigError
 from softrl.core.tracking import NullTracker
@@ -29,6 +31,31 @@ def test_a_rate_that_was_not_seen_is_not_told() -> None:
     assert rates(100, short, Timing(5.0, 6.0, 7.0))["sac_max_steps_per_s"] == pytest.approx(100.0)
     with pytest.raises(ConfigError, match=r"bench.rl.steps=100 more took 2.00 s for 2.00 s without them"):
         rates(100, short, short)
+
+
+def test_what_is_loaded_at_the_first_call_is_not_taken_off_the_longer_training(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A training that takes a second for 100 steps, and ten more the first time: 100 steps a second, not a complaint."""
+    clock = [0.0]
+
+    @dataclass(frozen=True)
+    class Agent:
+        steps: int = 0
+        judge_every: int = 0
+        learning_starts: int = 90
+        envs: int = 10
+        gradient_steps: int = 1
+
+        def train(self, practice: object, seed: int) -> None:
+            clock[0] += 0.01 * self.steps + (0.0 if clock[0] else 10.0)
+
+    class Clock(Watch):
+        def now(self) -> float:
+            return clock[0]
+
+    monkeypatch.setattr("softrl.bench.rl.Workspace", lambda surrogate: None)
+    task = SimpleNamespace(training_goals=lambda *_: None)
+    bench = RlBench(None, task, Agent(), 200)  # type: ignore[arg-type]
+    assert bench.measure(Clock(1), 0, NullTracker())["sac_steps_per_s"] == pytest.approx(100.0)
 
 
 @pytest.mark.slow

@@ -5,15 +5,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
-from softrl.bench.rom import RomBench
+from softrl.bench.rom import STREAM, RomBench
 from softrl.bench.watch import Watch
 from softrl.core.config import build_target
 from softrl.core.errors import ArtifactError
 from softrl.core.tracking import NullTracker
 from softrl.fem.continuation import follow
+from softrl.fem.sampling import step_program
 from softrl.pod.simulator import RomSimulator
 from tests.bench.full import full_simulator
 from tests.fem.bodies import box_robot, hollow_box
@@ -64,3 +66,17 @@ def test_rest_of_the_full_model_is_not_timed(monkeypatch: pytest.MonkeyPatch) ->
     metrics = bench.measure(Counting(1, "wall", itertools.count(), rests), 0, NullTracker())
     assert len(rests) == 1
     assert metrics["fem_steps_per_s"] == 10.0
+
+
+def test_the_baseline_of_motions_is_the_body_at_rest() -> None:
+    """Not its first step, after which a jump of pressure has moved it already."""
+    robot, snapshots, model = fitted(1)
+    lumped = yaml.safe_load((Path(__file__).parents[2] / "conf" / "simulator" / "pcc.yaml").read_text())
+    bench = RomBench(
+        RomSimulator(robot, model, 1.0, 1.0, 1.0), None, full_simulator(box_robot(1), hollow_box()),
+        build_target(lumped, "simulator", lambda hint: robot), 1, 0, 0, 0, {}, 0.04, 0.04, 0.02, 10, 2, 5, snapshots,
+    )  # fmt: skip
+    metrics = bench.measure(Watch(1), 0, NullTracker())
+    full, load = bench._full_model, step_program(robot, 0.02 * np.arange(1, 3), 0.04, np.random.default_rng([0, STREAM]))
+    moved = bench._follow(full, load).tip - full.observe(full.reset())[0]
+    assert metrics["baseline_rest_tip_rms_mm"] == pytest.approx(1e3 * np.sqrt(np.mean(np.sum(moved**2, axis=1))))
