@@ -83,6 +83,10 @@ class RomBench:
         for name in ("resting", "violent", "layered"):
             if getattr(self, name) < 0:
                 raise ConfigError(f"bench.rom.{name}={getattr(self, name)} must not be negative")
+        if round(self.duration_s / self.dt_s) < 2:
+            raise ConfigError(
+                f"bench.rom.duration_s={self.duration_s:g} must be two steps of dt_s={self.dt_s:g} or more: nothing moves in one"
+            )
         seen, reduced = self.snapshots.youngs_modulus_pa, self.rom.reduced_model.youngs_modulus_pa
         if not np.isclose(seen, reduced, rtol=1e-6):
             raise ArtifactError(

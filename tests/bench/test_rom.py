@@ -12,7 +12,7 @@ import yaml
 from softrl.bench.rom import STREAM, RomBench
 from softrl.bench.watch import Watch
 from softrl.core.config import build_target
-from softrl.core.errors import ArtifactError
+from softrl.core.errors import ArtifactError, ConfigError
 from softrl.core.tracking import NullTracker
 from softrl.fem.continuation import follow
 from softrl.fem.sampling import step_program
@@ -36,6 +36,12 @@ def test_the_full_model_has_material_and_elements_of_the_snapshots() -> None:
     assert full.rayleigh_stiffness_s == model.rayleigh_stiffness_s
     with pytest.raises(ArtifactError, match=r"Young's modulus of 2e\+06 Pa, the ReducedModel 1e\+06 Pa"):
         replace(bench, snapshots=replace(snapshots, youngs_modulus_pa=2e6))
+
+
+def test_motions_of_less_than_two_steps_are_refused() -> None:
+    bodies: Any = (None, None, None, None)
+    with pytest.raises(ConfigError, match=r"bench.rom.duration_s=0.01 must be two steps of dt_s=0.01 or more"):
+        RomBench(*bodies, 1, 0, 0, 0, {}, 0.01, 0.01, 0.01, 10, 2, 5, None)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
