@@ -104,7 +104,8 @@ def errors(rows: Sequence[Row]) -> Figure:
 def _hidden(row: Row) -> str:
     if row["stratum"] in ("null", "nuisance"):
         return str(row["stratum"])
-    return ("~ " if row["stratum"] == "outside" else "") + str(row["truth"])
+    faint = "" if row["detectable"] else " (too faint)"  # of which no answer is asked
+    return ("~ " if row["stratum"] == "outside" else "") + str(row["truth"]) + faint
 
 
 def _told(row: Row) -> str:

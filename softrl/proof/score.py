@@ -71,6 +71,7 @@ def row_of(key: dict[str, Any], given: dict[str, Any], errors: dict[str, Any], d
         "in_set": inside and told and any(right & (set(named) | set(alike)) for right in rights),
         "all_named": inside and all(hits),
         "wrong_named": sum(not any(name in right for right in rights) for name in named),
+        "surplus": max(len(named) - len(rights), 0),
         "chamber_right": all(said == true for true, said in chambers) if chambers else None,
         "one_chamber_right": all(alone) if alone else None,
         "found_something": given["verdict"] != "nothing missing",
@@ -148,6 +149,9 @@ def shares(rows: Sequence[Row]) -> dict[str, Share]:
         "singles/right_in_set": [r["in_set"] for r in rows if r["stratum"] == "single" and r["detectable"]],
         "singles/nothing_wrong_named": [
             r["top1"] and not r["wrong_named"] for r in rows if r["stratum"] == "single" and r["detectable"]
+        ],
+        "singles/nothing_else_named": [  # nor a second name that would be right by itself
+            r["top1"] and not r["surplus"] for r in rows if r["stratum"] == "single" and r["detectable"]
         ],
         "undetectable/named_wrongly": [
             bool(r["wrong_named"]) for r in rows if r["stratum"] == "single" and not r["detectable"]

@@ -177,3 +177,19 @@ def test_a_frame_about_answers_of_which_some_are_right_says_how_many() -> None:
             for k, right in enumerate(rights)]  # fmt: skip
     axis = confusion(rows).axes[0]
     assert [text.get_text() for text in axis.texts] == ["1 of 3"] and len(axis.patches) == 1
+
+
+def test_two_names_for_one_law_are_told_though_each_alone_would_be_right() -> None:
+    slip = ("slip", ("hysteresis", "play"))
+    rows = [row_of(key(k, "single", slip), said("named", *names), ERRORS, 1.0)
+            for k, names in enumerate((("play",), ("play", "hysteresis")))]  # fmt: skip
+    found = shares(rows)
+    assert found["singles/nothing_wrong_named"].hits == 2 and found["singles/nothing_else_named"].hits == 1
+
+
+def test_what_is_too_faint_stands_apart_in_the_table_of_answers() -> None:
+    """Of it no answer is asked: beside one that is plain it would look like a miss."""
+    rows = [row_of(key(k, "single", ("spool", ("lag",)), loud=loud), said(verdict, *names), ERRORS, 1.0)
+            for k, (loud, verdict, *names) in enumerate(((5.0, "named", "lag"), (0.3, "nothing missing")))]  # fmt: skip
+    labels = [label.get_text() for label in confusion(rows).axes[0].get_yticklabels()]
+    assert labels == ["spool", "spool (too faint)"]

@@ -40,7 +40,7 @@ def follows_at_times(
     drawn = np.array([explained([redrawn(run, rng) for run in runs]) for _ in range(draws)])
     chance = float(drawn.mean())  # of the rest, too, so much is explained
     share = max(found - chance, 0.0) / max(whole - chance, 1e-300)
-    return Changing(float((1.0 + np.sum(drawn >= found)) / (draws + 1.0)), share)
+    return Changing(float((1.0 + np.sum(drawn >= found)) / (draws + 1.0)), min(share, 1.0))
 
 
 def _cut(series: np.ndarray, window: int) -> list[np.ndarray]:
