@@ -56,7 +56,8 @@ def run_configured(cfg: DictConfig) -> None:
         location = Location(cfg.tracking.uri, cfg.tracking.folder)
         Store(location).add_point(parent, finished[-1].run_id, " ".join(chosen.overrides.task))
     else:
-        log.info("%s", table(finished))
+        # of the paper's runs many are of one stage: their rows say of which task, and with what spread over seeds
+        log.info("%s", "\n" + (folder / "paper.md").read_text() if stage == "paper" else table(finished))
 
 
 def _run_all(overrides: list[str], folder: Path) -> list[Outcome]:

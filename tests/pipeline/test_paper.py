@@ -223,14 +223,29 @@ def test_an_error_of_many_lines_and_bars_stays_in_its_row() -> None:
     assert ours.endswith(r"| seed 0: RuntimeError: shapes (3\|4) differ |")
 
 
-def test_where_every_run_fails_the_table_is_named_that_says_why(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    chosen = SimpleNamespace(output_dir=str(tmp_path), choices=SimpleNamespace(stage="paper"))
+def configured(monkeypatch: pytest.MonkeyPatch, folder: Path, finished: list[Outcome]) -> None:
+    """Run what the command line asks for, with runs behind the paper's tables that have ``finished``."""
+    chosen = SimpleNamespace(output_dir=str(folder), choices=SimpleNamespace(stage="paper"))
     node = SimpleNamespace(runtime=chosen, overrides=SimpleNamespace(task=[]))
     monkeypatch.setattr(loop, "HydraConfig", SimpleNamespace(get=lambda: node))
     monkeypatch.setattr(loop, "_plain", lambda cfg: {})
-    monkeypatch.setattr(loop, "run_paper", lambda *_: [])
+    monkeypatch.setattr(loop, "run_paper", lambda *_: finished)
+    loop.run_configured(OmegaConf.create())
+
+
+def test_where_every_run_fails_the_table_is_named_that_says_why(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     with pytest.raises(SolverError, match=r"none of the runs .* finished; .*paper\.md says why"):
-        loop.run_configured(OmegaConf.create())
+        configured(monkeypatch, tmp_path, [])
+
+
+def test_it_ends_in_the_papers_rows_of_which_each_says_what_it_is(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    (tmp_path / "paper.md").write_text("| 2 | simulation, hybrid task, position |")
+    tasks = [Outcome("rl", name, False, 1.0, {"heldout/circle_position_rmse_mm": 0.1}, tmp_path) for name in "ab"]
+    configured(monkeypatch, tmp_path, tasks)
+    assert "simulation, hybrid task, position" in caplog.text and "heldout/circle" not in caplog.text
 
 
 def test_a_task_that_does_not_exist_is_told_before_anything_is_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
