@@ -4,7 +4,7 @@ They serve as competitors of equal data, and as the offered correction where no 
 physics: what they say holds where they were trained.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,6 +14,7 @@ from scipy.signal import lfilter, lfiltic
 from softrl.diagnosis.fitting.problem import Problem
 
 MEMORY_S = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # time constants of the lagged pressures that stand for memory
+FILTERS_S, CURVED = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0), (0, 2, 4)  # those of a black box, and which enter with their products, too
 BRIEF_S = 1.0
 STATIC_DEGREES = (1, 2, 3, 4)
 BRIEF_DEGREES = (1, 2, 3)
@@ -75,6 +76,18 @@ def memory_features(problem: Problem) -> Features:
     return Features(found)
 
 
+def filtered_features(problem: Problem) -> Features:
+    """Return driving pressures, what filters make of them, and products of some of these: all stay in the range of training."""
+    found = []
+    for k in range(len(problem.runs)):
+        bins, p = _in_time(problem, k)
+        lagged = [_lagged(p, problem.numerics.bin_s, tau) for tau in FILTERS_S]
+        some = np.hstack([lagged[i] for i in CURVED])
+        first, second = np.triu_indices(some.shape[1])
+        found.append(np.hstack([p, *lagged, some[:, first] * some[:, second]])[bins])
+    return Features(found)
+
+
 def pressures(problem: Problem, number: int) -> np.ndarray:
     """Return the driving pressures (bins, chambers) of a run, in shares of the robot's largest."""
     run = problem.runs[number]
@@ -103,19 +116,24 @@ def _lagged(values: np.ndarray, period: float, tau: float) -> np.ndarray:
     return np.stack(columns, axis=1)
 
 
-KINDS = ((static_features, STATIC_DEGREES), (brief_features, BRIEF_DEGREES), (memory_features, MEMORY_DEGREES))
+Kind = tuple[Callable[[Problem], Features], Sequence[int]]
+STATIC: Kind = (static_features, STATIC_DEGREES)
+KINDS: tuple[Kind, ...] = (STATIC, (brief_features, BRIEF_DEGREES), (memory_features, MEMORY_DEGREES))
+BOXES: tuple[Kind, ...] = (*KINDS[:2], (filtered_features, (1,)))  # a black box is the best of these
 
 
 def correction(training: Problem, targets: Sequence[np.ndarray], other: Problem) -> list[np.ndarray]:
     """Return (bins, channels) a run of ``other``: what the best of all kinds of maps, fitted to ``targets``, predicts."""
-    fitted = [(features, *_chosen(features(training), targets, training.folds, degrees)) for features, degrees in KINDS]
-    features, ridge, _ = min(fitted, key=lambda found: found[2])
-    return [ridge.predict(rows) for rows in features(other).runs]
+    return best_map(training, targets, KINDS)(other)
 
 
-def fit_ridge(features: Features, targets: Sequence[np.ndarray], folds: np.ndarray, degrees: Sequence[int]) -> Ridge:
-    """Return the map whose degree and shrinkage predict folds left out best: see ``_chosen``."""
-    return _chosen(features, targets, folds, degrees)[0]
+def best_map(
+    training: Problem, targets: Sequence[np.ndarray], kinds: Sequence[Kind]
+) -> Callable[[Problem], list[np.ndarray]]:
+    """Return what predicts (bins, channels) a run: of ``kinds`` the map that predicts folds left out best, see ``_chosen``."""
+    found = [(features, *_chosen(features(training), targets, training.folds, degrees)) for features, degrees in kinds]
+    features, ridge, _ = min(found, key=lambda one: one[2])
+    return lambda other: [ridge.predict(rows) for rows in features(other).runs]
 
 
 def _chosen(

@@ -1,22 +1,18 @@
 """Competitors of equal data that know no physics of the robot, and the simplest that knows some."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from softrl.core.errors import SolverError
-from softrl.diagnosis.fitting.flexible import (
-    MEMORY_DEGREES,
-    STATIC_DEGREES,
-    Features,
-    Ridge,
-    fit_ridge,
-    memory_features,
-    static_features,
-)
+from softrl.diagnosis.fitting.flexible import BOXES, STATIC, best_map
 from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, starts
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.fitting.trial import Search, fit_trials
 from softrl.diagnosis.judging.correct import Model, Traces, model_of, rms_error, seen
 from softrl.recordings.placement import Registration, place
+
+SHORT_S = 0.02  # bins of a black box: in those of fits motion is blurred, which would count as its error
 
 
 def one_lag(training: Problem, tuned_point: np.ndarray, search: Search) -> Model | None:
@@ -35,7 +31,7 @@ def one_lag(training: Problem, tuned_point: np.ndarray, search: Search) -> Model
 def without_physics(
     training: Problem, others: dict[str, Problem], placed: dict[str, Registration]
 ) -> dict[str, dict[str, Traces]]:
-    """Return what a static map and a map with memory predict: split -> name -> traces.
+    """Return what a static map and a black box, the best of maps with memory and without, predict: split -> name -> traces.
 
     Parameters
     ----------
@@ -44,13 +40,17 @@ def without_physics(
     placed : session -> placement; motions are compared in the base frame
     """
     found: dict[str, dict[str, Traces]] = {split: {} for split in others}
-    kinds = (("static", static_features, STATIC_DEGREES), ("blackbox", memory_features, MEMORY_DEGREES))
-    for name, features, degrees in kinds:
-        targets = [_in_base(training, k, placed) for k in range(len(training.runs))]
-        ridge = fit_ridge(features(training), targets, training.folds, degrees)
+    for name, kinds, bin_s in (("static", [STATIC], training.numerics.bin_s), ("blackbox", BOXES, SHORT_S)):
+        fitting = _in_bins(training, bin_s)
+        predict = best_map(fitting, [_in_base(fitting, k, placed) for k in range(len(fitting.runs))], kinds)
         for split, problem in others.items():
-            found[split][name] = _traces(problem, ridge, features(problem), placed)
+            judged = _in_bins(problem, bin_s)
+            found[split][name] = _traces(judged, predict(judged), placed)
     return found
+
+
+def _in_bins(problem: Problem, bin_s: float) -> Problem:
+    return replace(problem, numerics=replace(problem.numerics, bin_s=bin_s))
 
 
 def _in_base(problem: Problem, number: int, placed: dict[str, Registration]) -> np.ndarray:
@@ -63,10 +63,9 @@ def _in_base(problem: Problem, number: int, placed: dict[str, Registration]) -> 
     return problem.binned(number, motion)
 
 
-def _traces(problem: Problem, ridge: Ridge, features: Features, placed: dict[str, Registration]) -> Traces:
+def _traces(problem: Problem, rows_by_run: list[np.ndarray], placed: dict[str, Registration]) -> Traces:
     predicted = []
-    for k, run in enumerate(problem.runs):
-        rows = ridge.predict(features.runs[k])
+    for k, (run, rows) in enumerate(zip(problem.runs, rows_by_run, strict=True)):
         middle = problem.binned(k, run.time[:, None])[:, 0]
         motion = np.stack([np.interp(run.time, middle, column) for column in rows.T], axis=1)
         if placed:  # a session that no fit saw is placed by what is predicted, as for the models with physics
