@@ -119,7 +119,7 @@ def _lagged(values: np.ndarray, period: float, tau: float) -> np.ndarray:
 Kind = tuple[Callable[[Problem], Features], Sequence[int]]
 STATIC: Kind = (static_features, STATIC_DEGREES)
 KINDS: tuple[Kind, ...] = (STATIC, (brief_features, BRIEF_DEGREES), (memory_features, MEMORY_DEGREES))
-BOXES: tuple[Kind, ...] = (*KINDS[:2], (filtered_features, (1,)))  # a black box is the best of these
+BOXES: tuple[Kind, ...] = (*KINDS, (filtered_features, (1,)))  # a black box is the best of these
 
 
 def correction(training: Problem, targets: Sequence[np.ndarray], other: Problem) -> list[np.ndarray]:
