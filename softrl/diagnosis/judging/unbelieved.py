@@ -15,7 +15,7 @@ Clips = Mapping[int, float]
 
 
 def doubtful(diagnosis: Diagnosis, clips: Clips) -> bool:
-    """Return whether a gauge ``clips`` and much is left, or a lag or a black box is far better where nothing is understood.
+    """Return whether a gauge ``clips`` and much is left, or a lag or a static map is far better where nothing is understood.
 
     Gauges are believed where the motion follows them far better than those tell it from commands: it is the valve then that is
     not understood.
@@ -68,15 +68,18 @@ def clipping(runs: Sequence[Recording], robot: Robot) -> dict[int, float]:
 
 
 def _is_followed(diagnosis: Diagnosis) -> bool:
-    """Return whether behind the gauges far less of the motion is left than a lag or a black box leaves of it from commands."""
+    """Return whether behind the gauges far less of the motion is left than a lag or a static map leaves of it from commands."""
     errors, unit = (diagnosis.errors_deg, "deg") if diagnosis.errors_deg else (diagnosis.errors_mm, "mm")
     left = diagnosis.unexplained[BEHIND_GAUGES][f"rms_above_noise_{unit}"]
     return _plain(errors["heldout"]) > FAR_BETTER * float(left)
 
 
 def _plain(held: Mapping[str, float]) -> float:
-    """Return the least error of what needs no physics, or one lag: infinite where neither was asked."""
-    return min(held.get(name, np.inf) for name in ("one_lag", "blackbox"))
+    """Return the least error of a static map, or one lag: infinite where neither was asked.
+
+    Not that of a black box, which learns what no physics of ours is, and says nothing of gauges then.
+    """
+    return min(held.get(name, np.inf) for name in ("one_lag", "static"))
 
 
 def _far_better(error: float, than: float, noise: float) -> bool:
