@@ -39,7 +39,7 @@ def test_a_gauge_that_clips_is_seen_where_commands_go_higher(body: PccSimulator)
 @pytest.mark.parametrize(("behind_mm", "verdict", "doubted"), BEHIND)
 def test_gauges_that_the_motion_follows_are_believed(behind_mm: float, verdict: str, doubted: bool) -> None:
     """Where commands tell little of a motion that follows its gauges, it is the valve that is not understood."""
-    held = {"corrected": 50.0, "noise_floor": 0.2, "one_lag": 20.0, "blackbox": 12.0}
+    held = {"corrected": 50.0, "noise_floor": 0.2, "one_lag": 20.0, "static": 12.0, "blackbox": 0.3}
     left = {"measured pressure to motion": {"rms_above_noise_mm": behind_mm}}
     made: Any = SimpleNamespace(
         data={"measured_pressure_used": True}, errors_mm={"heldout": held}, errors_deg={}, unexplained=left, verdict=verdict
