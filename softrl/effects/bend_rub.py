@@ -7,8 +7,8 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.bending import packed, resist, turned
-from softrl.effects.effect import PORT_KERNEL, Effect, parameter
+from softrl.effects.bending import Bending, resist, turned
+from softrl.effects.effect import PORT_KERNEL
 from softrl.robots.robot import Robot
 
 
@@ -36,7 +36,7 @@ def bend_rub_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray,
 
 
 @dataclass(frozen=True)
-class BendRub(Effect):
+class BendRub(Bending):
     """Dahl's friction of the bend as a whole: ``dz = db / yield_strain - z |db| / yield_strain``, z and b in the plane.
 
     ``height`` is what a chamber in the plane of the bend resists at most, as a share of the robot's largest pressure; after a
@@ -49,18 +49,8 @@ class BendRub(Effect):
     ``bend_slip`` has four. What stretches the body meets nothing. Exact for any step in which the bend goes straight on.
     """
 
-    site: ClassVar[str] = "body"
     title: ClassVar[str] = "rubbing along the bend"
     kernel: ClassVar = bend_rub_kernel
-    variant_of: ClassVar[str] = "hysteresis"
-    sticks: ClassVar[bool] = True
-
-    height: float = parameter("1", 0.0, 1.0, 0.0, typical=0.1)
-    yield_strain: float = parameter("1", 0.001, 0.3, 0.02, typical=0.02, log=True)
-
-    def pack(self, robot: Robot) -> np.ndarray:
-        """Return (height Pa, yield strain, scale of a chamber's share in the pull, x and y of the bend by chamber strains)."""
-        return packed(robot, self.height, self.yield_strain)
 
     def reset(self, robot: Robot) -> np.ndarray:
         """Return the pull, x and y, at most 1 long: none."""

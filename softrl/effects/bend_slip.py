@@ -7,8 +7,8 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.bending import packed, resist, turned
-from softrl.effects.effect import PORT_KERNEL, Effect, parameter
+from softrl.effects.bending import Bending, resist, turned
+from softrl.effects.effect import PORT_KERNEL
 from softrl.robots.robot import Robot
 
 ELEMENTS, FIRST = 4, 4.0 / 15.0  # that slip one after the other, each at twice the strain; the first's, over the mean
@@ -34,7 +34,7 @@ def bend_slip_kernel(parameters: np.ndarray, state: np.ndarray, port: np.ndarray
 
 
 @dataclass(frozen=True)
-class BendSlip(Effect):
+class BendSlip(Bending):
     """Hysteresis of the bend as a whole: a stress that follows the bend's vector until it slips along with it.
 
     ``height`` is what a chamber in the plane of the bend resists at most, as a share of the robot's largest pressure;
@@ -48,18 +48,8 @@ class BendSlip(Effect):
     the body meets nothing. Exact for any step in which the bend goes straight on.
     """
 
-    site: ClassVar[str] = "body"
     title: ClassVar[str] = "slip along the bend"
     kernel: ClassVar = bend_slip_kernel
-    variant_of: ClassVar[str] = "hysteresis"
-    sticks: ClassVar[bool] = True
-
-    height: float = parameter("1", 0.0, 1.0, 0.0, typical=0.1)
-    yield_strain: float = parameter("1", 0.001, 0.3, 0.02, typical=0.02, log=True)
-
-    def pack(self, robot: Robot) -> np.ndarray:
-        """Return (height Pa, yield strain, scale of a chamber's share in the pull, x and y of the bend by chamber strains)."""
-        return packed(robot, self.height, self.yield_strain)
 
     def reset(self, robot: Robot) -> np.ndarray:
         """Return how far every element is drawn, x and y: not at all."""

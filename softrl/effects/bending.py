@@ -1,24 +1,39 @@
-"""What laws of the bend as a whole share: how chambers' strains make a bend, and what resists it acts in chambers.
+"""What laws of the bend as a whole share: how chambers' strains make a bend, and what resists it acts in chambers."""
 
-Their parameters are a height in Pa, a strain, by how much a pull at full height acts in a chamber, and x and y of the bend by
-each chamber's strain.
-"""
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from softrl.core.compiled import borrowing
-from softrl.effects.effect import ADDED, COUPLED, RATE
+from softrl.effects.effect import ADDED, COUPLED, RATE, Effect, parameter
 from softrl.robots.robot import Robot
 
 FIRST = 3  # parameter of x by chambers' strains
 
 
-def packed(robot: Robot, height: float, strain: float) -> np.ndarray:
-    """Return the parameters (3 + 2 chambers,); in the plane of the bend a chamber resists by ``height`` largest pressures."""
-    around = np.asarray(robot.chamber_direction)
-    shape = np.hstack([np.ones((len(around), 1)), around]) if len(around) > 1 else around
-    by_strains = np.linalg.pinv(shape)[-2:]
-    return np.r_[height * robot.largest_pa, strain, 1.0 / np.linalg.norm(by_strains, axis=0).max(), by_strains.ravel()]
+@dataclass(frozen=True)
+class Bending(Effect):
+    """Hysteresis of the bend, whichever chambers make it.
+
+    ``height`` is what a chamber in the plane of the bend resists at most, as a share of the robot's largest pressure;
+    ``yield_strain`` is the strain there by which its law gives way.
+    """
+
+    site: ClassVar[str] = "body"
+    variant_of: ClassVar[str] = "hysteresis"
+    sticks: ClassVar[bool] = True
+
+    height: float = parameter("1", 0.0, 1.0, 0.0, typical=0.1)
+    yield_strain: float = parameter("1", 0.001, 0.3, 0.02, typical=0.02, log=True)
+
+    def pack(self, robot: Robot) -> np.ndarray:
+        """Return (height Pa, yield strain, scale of a chamber's share in the pull, x and y of the bend by chamber strains)."""
+        around = np.asarray(robot.chamber_direction)
+        shape = np.hstack([np.ones((len(around), 1)), around]) if len(around) > 1 else around
+        by_strains = np.linalg.pinv(shape)[-2:]
+        own = super().pack(robot)[:2] * [robot.largest_pa, 1.0]
+        return np.r_[own, 1.0 / np.linalg.norm(by_strains, axis=0).max(), by_strains.ravel()]
 
 
 @borrowing
