@@ -19,7 +19,7 @@ from softrl.core.origin import in_words, is_real
 from softrl.core.store import Location, Store
 from softrl.core.tracking import NullTracker
 from softrl.effects.chain import EffectChain
-from softrl.pipeline import RESULT, _prepare, run_stage
+from softrl.pipeline import RESULT, _prepare, outputs, run_stage
 from softrl.recordings.recording import RecordingSet
 from softrl.sim2real import stage as sim2real_stage
 from tests.pipeline.test_root import CONF, composed
@@ -66,9 +66,11 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def keep(folder: Path, **tags: str) -> str:
-    """Keep a finished run with ``tags`` in a store and return its id."""
+    """Keep a finished run with ``tags``, and the artifacts of its stage by name, in a store and return its id."""
     with Store(Location(None, str(folder))).start("run", tags, None) as run:
         run.text(RESULT, json.dumps({"seconds": 1.0, "metrics": {}, "artifacts": {}}))
+        for name in outputs(tags["stage"]):
+            run.text(f"{name}/meta.json", "{}")
     return run.id
 
 
