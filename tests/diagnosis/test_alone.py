@@ -19,7 +19,7 @@ NOISE_M, TRAVEL_M = 6e-5, 0.03
 TURNED = Frame(0.05, 0.0, 0.0, 0.02, 0.0, 0.0)
 
 
-@pytest.mark.parametrize(("beside", "taken"), [((), True), ((TURNED,), False)])
+@pytest.mark.parametrize(("beside", "taken"), [pytest.param((), True, marks=pytest.mark.slow), ((TURNED,), False)])
 def test_one_law_takes_the_place_of_two_where_it_does_as_well(
     body: PccSimulator, beside: tuple[Effect, ...], taken: bool
 ) -> None:

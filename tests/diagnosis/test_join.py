@@ -39,6 +39,7 @@ def test_a_point_is_spoilt_where_the_body_errs_more_than_it_helps(
     assert _spoilt(motion, np.array([moved]), helped) is spoilt
 
 
+@pytest.mark.slow
 def test_behind_a_valve_that_is_not_understood_the_body_stays_as_its_gauge_shows_it(body: PccSimulator) -> None:
     """Pressures come a second after their commands, which nothing that is asked describes: a wall that made up for it is none."""
 
