@@ -6,7 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import borrowing
-from softrl.effects.effect import ADDED, COUPLED, RATE, Effect, parameter
+from softrl.effects.effect import Effect, parameter
+from softrl.effects.port import ADDED, COUPLED, RATE
 from softrl.robots.robot import Robot
 
 FIRST = 3  # parameter of x by chambers' strains

@@ -7,7 +7,8 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import FORCE, FORCE_SLOPE, PORT_KERNEL, TIP, TURN, Effect, parameter
+from softrl.effects.effect import PORT_KERNEL, TURN, Effect, parameter
+from softrl.effects.port import FORCE, FORCE_SLOPE, TIP
 from softrl.robots.robot import Robot
 
 

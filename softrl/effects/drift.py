@@ -7,7 +7,8 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import ANY_MOMENT_S, PORT_KERNEL, Effect, multiply_body, parameter
+from softrl.effects.effect import ANY_MOMENT_S, PORT_KERNEL, Effect, parameter
+from softrl.effects.port import multiply_body
 from softrl.robots.robot import Robot
 
 LONG_S = 1e6  # after which it levels off no more within any recording

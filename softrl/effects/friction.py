@@ -6,7 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import ADDED, ADDED_SLOPE, PORT_KERNEL, PRESSURE, RATE, Effect, parameter
+from softrl.effects.effect import PORT_KERNEL, Effect, parameter
+from softrl.effects.port import ADDED, ADDED_SLOPE, PRESSURE, RATE
 from softrl.robots.robot import Robot
 
 YIELD_STRAIN = 1e-3  # by which a stuck wall gives way at full pressure: a hundredth of what robots show, yet a slope that is met

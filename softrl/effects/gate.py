@@ -14,16 +14,8 @@ import numpy as np
 
 from softrl.core.simulator import Hook
 from softrl.effects.call import address_of, call_port, call_signal
-from softrl.effects.effect import (
-    ADDED,
-    COUPLED,
-    EVERYWHERE,
-    GRAVITY,
-    PORT_KERNEL,
-    PRESSURE,
-    SIGNAL_KERNEL,
-    Effect,
-)
+from softrl.effects.effect import EVERYWHERE, PORT_KERNEL, SIGNAL_KERNEL, Effect
+from softrl.effects.port import ADDED, COUPLED, GRAVITY, PRESSURE
 from softrl.effects.quaternion import product
 from softrl.robots.robot import Robot
 

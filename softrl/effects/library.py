@@ -8,8 +8,8 @@ from softrl.core.errors import ConfigError
 from softrl.effects.effect import SITES, Effect
 
 NOT_EFFECTS = (
-    "__init__", "effect", "bending", "call", "chain", "library", "history", "driving", "free_motion", "gate", "quaternion",
-    "relaxation", "replay", "way",
+    "__init__", "effect", "bending", "call", "chain", "library", "history", "driving", "free_motion", "gate", "port",
+    "quaternion", "relaxation", "replay", "way",
 )  # fmt: skip
 
 

@@ -7,7 +7,8 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import GRAVITY, PORT_KERNEL, Effect, parameter
+from softrl.effects.effect import PORT_KERNEL, Effect, parameter
+from softrl.effects.port import GRAVITY
 from softrl.robots.robot import Robot
 
 

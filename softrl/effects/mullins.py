@@ -7,7 +7,8 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import PORT_KERNEL, STRAIN, Effect, multiply_wall, parameter
+from softrl.effects.effect import PORT_KERNEL, Effect, parameter
+from softrl.effects.port import STRAIN, multiply_wall
 
 LONG_S = 1e6  # after which nothing recovers within any recording
 

@@ -6,7 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import FORCE, FORCE_SLOPE, GRAVITY, PORT_KERNEL, TIP_VELOCITY, Effect, parameter
+from softrl.effects.effect import PORT_KERNEL, Effect, parameter
+from softrl.effects.port import FORCE, FORCE_SLOPE, GRAVITY, TIP_VELOCITY
 from softrl.robots.robot import Robot
 
 

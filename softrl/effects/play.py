@@ -6,7 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import borrowing, standing_as
-from softrl.effects.effect import ADDED, ADDED_SLOPE, PORT_KERNEL, RATE, Effect, parameter
+from softrl.effects.effect import PORT_KERNEL, Effect, parameter
+from softrl.effects.port import ADDED, ADDED_SLOPE, RATE
 from softrl.robots.robot import Robot
 
 ELEMENTS = 5

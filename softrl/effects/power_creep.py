@@ -7,7 +7,8 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import ADDED, ADDED_SLOPE, PORT_KERNEL, Effect, parameter, wall
+from softrl.effects.effect import PORT_KERNEL, Effect, parameter
+from softrl.effects.port import ADDED, ADDED_SLOPE, wall
 from softrl.effects.relaxation import relax, slots
 from softrl.robots.robot import Robot
 

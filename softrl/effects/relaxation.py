@@ -10,7 +10,8 @@ import math
 import numpy as np
 
 from softrl.core.compiled import summing
-from softrl.effects.effect import ADDED, ADDED_SLOPE, STAGE, wall
+from softrl.effects.effect import STAGE
+from softrl.effects.port import ADDED, ADDED_SLOPE, wall
 
 TIMES = 2  # after which the resistance is known beforehand: of a stage, and of the step
 

@@ -6,7 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import PORT_KERNEL, Effect, multiply_body, parameter
+from softrl.effects.effect import PORT_KERNEL, Effect, parameter
+from softrl.effects.port import multiply_body
 
 
 @standing_as(PORT_KERNEL)

@@ -6,7 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import ADDED, ADDED_SLOPE, PORT_KERNEL, PRESSURE, STRAIN, Effect, parameter
+from softrl.effects.effect import PORT_KERNEL, Effect, parameter
+from softrl.effects.port import ADDED, ADDED_SLOPE, PRESSURE, STRAIN
 
 
 @standing_as(PORT_KERNEL)

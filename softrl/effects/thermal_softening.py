@@ -7,7 +7,8 @@ from typing import ClassVar
 import numpy as np
 
 from softrl.core.compiled import standing_as
-from softrl.effects.effect import PORT_KERNEL, Effect, multiply_body, parameter
+from softrl.effects.effect import PORT_KERNEL, Effect, parameter
+from softrl.effects.port import multiply_body
 from softrl.robots.robot import Robot
 
 NEUTRAL_C = 20.0  # at which the wall is as stiff as the model's

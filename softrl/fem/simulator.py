@@ -10,7 +10,7 @@ import numpy as np
 from softrl.artifacts.mesh import Mesh
 from softrl.core.errors import ArtifactError, ConfigError, SolverError
 from softrl.core.simulator import Hook, Motion
-from softrl.effects.effect import (
+from softrl.effects.port import (
     ADDED,
     ADDED_SLOPE,
     COUPLED,

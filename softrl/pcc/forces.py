@@ -6,7 +6,7 @@ import numpy as np
 
 from softrl.core.compiled import summing
 from softrl.effects.call import run_ports
-from softrl.effects.effect import (
+from softrl.effects.port import (
     ADDED,
     ELASTIC,
     ELASTIC_SLOPE,

@@ -11,7 +11,8 @@ import numba as nb
 import numpy as np
 
 from softrl.core.compiled import summing
-from softrl.effects.effect import LOAD_PORT_ROWS, STAGE, STRAIN, body_port
+from softrl.effects.effect import STAGE
+from softrl.effects.port import LOAD_PORT_ROWS, STRAIN, body_port
 from softrl.pcc.forces import run_body_effects, run_load_effects
 from softrl.pcc.model import FIRST, GAINED, LAST, MOVED, SECOND, TRIAL, VELOCITY, WORK_ROWS, fill_shape, stretching
 from softrl.pcc.newton import solve_step

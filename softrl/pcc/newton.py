@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from softrl.core.compiled import summing
-from softrl.effects.effect import slope_of
+from softrl.effects.port import slope_of
 from softrl.pcc.forces import fill_residual
 from softrl.pcc.model import MOVED, NEXT, OTHER, RESIDUAL, SEEN, STEP, TRIAL, stretching
 

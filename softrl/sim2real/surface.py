@@ -6,7 +6,8 @@ from typing import ClassVar
 import numba as nb
 import numpy as np
 
-from softrl.effects.effect import FORCE, FORCE_SLOPE, LOAD_PORT_ROWS, PORT_KERNEL, TIP, Effect
+from softrl.effects.effect import PORT_KERNEL, Effect
+from softrl.effects.port import FORCE, FORCE_SLOPE, LOAD_PORT_ROWS, TIP
 from softrl.robots.robot import Robot
 
 STICK_SHARE = 0.5  # stiffness along the surface while the tip sticks, of that across it

@@ -13,7 +13,8 @@ from softrl.core.simulator import Motion
 from softrl.core.span import held
 from softrl.effects import library
 from softrl.effects.chain import EffectChain, Plant, SignalFilter, chain_of
-from softrl.effects.effect import LOAD_PORT_ROWS, SITES, Effect, body_port
+from softrl.effects.effect import SITES, Effect
+from softrl.effects.port import LOAD_PORT_ROWS, body_port
 from softrl.pcc.simulator import PccSimulator
 from softrl.robots.robot import Robot
 

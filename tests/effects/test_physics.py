@@ -30,26 +30,7 @@ from softrl.effects.dead_time import DeadTime
 from softrl.effects.deadband import Deadband
 from softrl.effects.delay import Delay
 from softrl.effects.drift import Drift
-from softrl.effects.effect import (
-    ADDED,
-    ADDED_SLOPE,
-    COUPLED,
-    ELASTIC,
-    ELASTIC_SLOPE,
-    FORCE,
-    FORCE_SLOPE,
-    GRAVITY,
-    LOAD_PORT_ROWS,
-    PRESSURE,
-    RATE,
-    REST,
-    STRAIN,
-    TIP,
-    TIP_VELOCITY,
-    Effect,
-    body_port,
-    slope_of,
-)
+from softrl.effects.effect import Effect
 from softrl.effects.failure import Failure
 from softrl.effects.flow_limit import FlowLimit
 from softrl.effects.frame import Frame
@@ -70,6 +51,25 @@ from softrl.effects.orifice import ATMOSPHERE_PA, CRITICAL, Orifice
 from softrl.effects.payload import Payload
 from softrl.effects.pi_regulator import PiRegulator
 from softrl.effects.play import Play
+from softrl.effects.port import (
+    ADDED,
+    ADDED_SLOPE,
+    COUPLED,
+    ELASTIC,
+    ELASTIC_SLOPE,
+    FORCE,
+    FORCE_SLOPE,
+    GRAVITY,
+    LOAD_PORT_ROWS,
+    PRESSURE,
+    RATE,
+    REST,
+    STRAIN,
+    TIP,
+    TIP_VELOCITY,
+    body_port,
+    slope_of,
+)
 from softrl.effects.power_creep import PowerCreep
 from softrl.effects.pressure_play import PressurePlay
 from softrl.effects.pressure_sensor import PressureSensor

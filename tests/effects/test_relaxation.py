@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from softrl.effects.effect import ADDED, ELASTIC, ELASTIC_SLOPE, REST, STAGE, STRAIN, Effect, body_port
+from softrl.effects.effect import STAGE, Effect
+from softrl.effects.port import ADDED, ELASTIC, ELASTIC_SLOPE, REST, STRAIN, body_port
 from softrl.effects.power_creep import PowerCreep
 from softrl.effects.viscoelasticity import Viscoelasticity
 from softrl.robots.robot import Robot

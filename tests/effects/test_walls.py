@@ -8,9 +8,10 @@ import pytest
 
 from softrl.effects.chain import Plant, chain_of
 from softrl.effects.drift import Drift
-from softrl.effects.effect import ADDED, ELASTIC, PRESSURE, REST, STRAIN, Effect, body_port
+from softrl.effects.effect import Effect
 from softrl.effects.mount_tilt import MountTilt
 from softrl.effects.mullins import Mullins
+from softrl.effects.port import ADDED, ELASTIC, PRESSURE, REST, STRAIN, body_port
 from softrl.effects.stiffness_scale import StiffnessScale
 from softrl.effects.strain_softening import StrainSoftening
 from softrl.effects.viscoelasticity import Viscoelasticity

@@ -14,7 +14,8 @@ from softrl.artifacts.reduced_model import ReducedModel
 from softrl.artifacts.snapshots import Snapshots
 from softrl.core.errors import ArtifactError, ConfigError
 from softrl.core.simulator import Hook
-from softrl.effects.effect import (
+from softrl.effects.effect import PORT_KERNEL
+from softrl.effects.port import (
     ADDED,
     ADDED_SLOPE,
     ELASTIC,
@@ -22,7 +23,6 @@ from softrl.effects.effect import (
     FORCE,
     FORCE_SLOPE,
     GRAVITY,
-    PORT_KERNEL,
     REST,
     STRAIN,
     TIP,

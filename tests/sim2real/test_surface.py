@@ -12,7 +12,7 @@ from softrl.core.errors import ConfigError
 from softrl.core.simulator import Simulator
 from softrl.core.tracking import NullTracker
 from softrl.effects.chain import Plant, chain_of
-from softrl.effects.effect import FORCE, FORCE_SLOPE, LOAD_PORT_ROWS, TIP
+from softrl.effects.port import FORCE, FORCE_SLOPE, LOAD_PORT_ROWS, TIP
 from softrl.rl.workspace import Workspace
 from softrl.robots.robot import Robot
 from softrl.sim2real.course import task_of

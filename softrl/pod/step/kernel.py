@@ -7,7 +7,7 @@ import numba as nb
 import numpy as np
 
 from softrl.core.compiled import borrowing, standing, summing
-from softrl.effects.effect import GRAVITY
+from softrl.effects.port import GRAVITY
 from softrl.pod.step.chord import fill_metric
 from softrl.pod.step.inertia import (
     add_inertia,

@@ -7,7 +7,7 @@ import numpy as np
 
 from softrl.core.compiled import borrowing, summing
 from softrl.effects.call import run_ports
-from softrl.effects.effect import (
+from softrl.effects.port import (
     ADDED,
     ELASTIC,
     ELASTIC_SLOPE,
@@ -36,7 +36,7 @@ class Ports(NamedTuple):
 
     Attributes
     ----------
-    body, load : as in ``effects.effect``
+    body, load : as in ``effects.port``
     strains, tips : (2, n), (2, 3) m, at the last step and at the trial
     elastic, settled : (r,) gradient by y of the elastic energy, less ``settled``, which it is where strains count from
     slopes, half : (r, r) Hessian by z, and scratch
