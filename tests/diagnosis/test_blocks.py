@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrl.diagnosis.series.blocks import blocks_of, bootstrap_means, correlation_time
+from softrl.diagnosis.series.blocks import blocks_of, bootstrap_means, correlation_time, expanded
 from tests.diagnosis.series import coloured
 
 
@@ -30,3 +30,15 @@ def test_bootstrap_interval_covers_the_mean_of_dependent_samples() -> None:
         low, high = np.quantile(means, [0.05, 0.95])
         hits += low <= 0.0 <= high
     assert 165 <= hits <= 195, f"90 % interval covered {hits} of 200"
+
+
+@pytest.mark.parametrize("count", [6, 12, 40])
+def test_intervals_cover_with_few_blocks_of_skewed_errors(count: int) -> None:
+    rng, hits = np.random.default_rng(3), 0
+    blocks = np.arange(20 * count) // 20
+    level = expanded(0.95, blocks)
+    for _ in range(400):
+        series = coloured(rng, len(blocks), 0.5) ** 2
+        low, high = np.quantile(bootstrap_means(series, blocks, 400, rng), [1.0 - level, level])
+        hits += low <= 1.0 / (1.0 - 0.5**2) <= high
+    assert 335 <= hits <= 380, f"90 % interval covered {hits} of 400"

@@ -10,7 +10,7 @@ from softrl.core.errors import ConfigError
 from softrl.diagnosis.fitting.hypothesis import Choice
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.fitting.trial import axes_of
-from softrl.diagnosis.series.blocks import MIN_BLOCKS, blocks_of, bootstrap_means, correlation_time
+from softrl.diagnosis.series.blocks import MIN_BLOCKS, blocks_of, bootstrap_means, correlation_time, expanded
 from softrl.effects.gate import WIDTHS
 from softrl.effects.library import effect_class
 from softrl.pcc.simulator import PccSimulator
@@ -116,7 +116,8 @@ class Judge:
         draws, seed = self.thresholds.draws, self.seed
         a = self.excess(bootstrap_means(worse, blocks, draws, np.random.default_rng(seed)))
         b = self.excess(bootstrap_means(better, blocks, draws, np.random.default_rng(seed)))
-        low, high = np.quantile(a - b, [1.0 - self.thresholds.confidence, self.thresholds.confidence])
+        level = expanded(self.thresholds.confidence, blocks)
+        low, high = np.quantile(a - b, [1.0 - level, level])
         return Gap(float(self.excess(worse.mean()) - self.excess(better.mean())), float(low), float(high))
 
     def pays(self, worse: np.ndarray, better: np.ndarray) -> bool:
@@ -153,8 +154,9 @@ class Judge:
         laws differ by their time steps.
         """
         change = worse - better
-        drawn = bootstrap_means(change, self._blocks(change), self.thresholds.draws, np.random.default_rng(self.seed))
-        sure = np.quantile(drawn, 1.0 - self.thresholds.confidence) > 0.0
+        blocks = self._blocks(change)
+        drawn = bootstrap_means(change, blocks, self.thresholds.draws, np.random.default_rng(self.seed))
+        sure = np.quantile(drawn, 1.0 - expanded(self.thresholds.confidence, blocks)) > 0.0
         needed = ((1.0 + self.thresholds.material_gain) ** 2 - 1.0) * float(self.excess(better.mean())) ** 2
         return bool(sure and change.mean() >= max(needed, OVERLOOKED * self.floor**2))
 

@@ -1,6 +1,7 @@
 """How long neighbouring samples of a series depend on each other, and means over blocks that hardly do."""
 
 import numpy as np
+from scipy import stats
 
 MIN_BLOCKS = 6  # fewer independent blocks say nothing about a spread
 
@@ -53,3 +54,18 @@ def bootstrap_means(values: np.ndarray, blocks: np.ndarray, draws: int, rng: np.
     counts = np.bincount(blocks, minlength=len(sums)).astype(float)
     chosen = rng.integers(0, len(sums), (draws, len(sums)))
     return np.asarray(sums[chosen].sum(axis=1) / counts[chosen].sum(axis=1))
+
+
+def expanded(confidence: float, blocks: np.ndarray) -> float:
+    """Return the level whose quantile of bootstrap means over ``blocks`` (steps,) bounds the mean with ``confidence``.
+
+    Notes
+    -----
+    Means of few blocks spread too little, and how much they do is itself uncertain: the expanded percentile interval
+    (Hesterberg 2015, The American Statistician 69, 371) takes Student's quantile for the normal one. Of one block nothing is
+    known, and the farthest mean is returned.
+    """
+    count = int(blocks.max()) + 1
+    if count < 2:
+        return 1.0
+    return float(stats.norm.cdf(np.sqrt(count / (count - 1)) * stats.t.ppf(confidence, count - 1)))
