@@ -37,7 +37,7 @@ from softrl.diagnosis.judging.own import differing, told_of
 from softrl.diagnosis.judging.parts import both_at_once, part_behind, punctual, valve_part
 from softrl.diagnosis.judging.quieter import quieter, supposed
 from softrl.diagnosis.judging.unbelieved import clipping, doubtful, tells_more, told_of_unbelieved
-from softrl.diagnosis.telling.conclusion import cannot_tell, conclude
+from softrl.diagnosis.telling.conclusion import cannot_tell, conclude, in_short
 from softrl.diagnosis.telling.figures import draw_all
 from softrl.diagnosis.telling.report import page
 from softrl.effects.library import names
@@ -131,17 +131,26 @@ def diagnose(
     are held out instead: what acted on one day alone can be named then.
     """
     require_robot(recordings, robot)
+    config = replace(config, search=config.search.begun())
     found = prepare(recordings, robot, config.heldout_share, config.seed)
     if isinstance(found, Refusal):
         return cannot_tell(found, robot.name, type(simulator).__name__), None
+    diagnosis, evidence = _asked_again(config, robot, recordings, found, simulator, calibration)
+    return diagnosis if config.search.in_time else in_short(diagnosis, config.search.minutes), evidence
+
+
+def _asked_again(
+    config: Config, robot: Robot, recordings: RecordingSet, found: Data, simulator: Simulator, calibration: Calibration | None
+) -> tuple[Diagnosis, Evidence | None]:
+    """Return the diagnosis and its evidence, asked again where what it leaves may be how sessions differ, while there is time."""
     found, diagnosis, evidence = _heard(config, robot, found, simulator, calibration)
-    if evidence and _may_be_mounts(diagnosis, evidence.findings[-1]):
+    if evidence and config.search.in_time and _may_be_mounts(diagnosis, evidence.findings[-1]):
         log.info("sessions seem to be mounted a little otherwise each: all is examined again with each placed by itself")
         again = _diagnosed(config, robot, found, simulator, calibration, stiffer_on(evidence.findings[-1]))
         if again[1] and again[0].verdict != "unknown" and says_more(again[1].findings[-1], evidence.findings[-1]):
             return again
     odd = differing(evidence.findings[-1], found.used) if evidence and diagnosis.verdict == "unknown" else []
-    if not odd:
+    if not odd or not config.search.in_time:
         return diagnosis, evidence
     log.info("%s", told_of(odd))
     inside = prepare(recordings, robot, config.heldout_share, config.seed, few_sessions=len(found.used))
@@ -169,8 +178,8 @@ def _heard(
     """
     diagnosis, evidence = _believing(config, robot, found, simulator, calibration)
     for _ in range(QUIETER):
-        heard = quieter(found, diagnosis)
-        if heard is None and found.at_most:
+        heard = quieter(found, diagnosis) if config.search.in_time else None
+        if heard is None and found.at_most and config.search.in_time:
             log.info("rows may be too slow to tell noise from motion: all is examined with less noise")
             heard = quieter(found, _believing(config, robot, supposed(found), simulator, calibration)[0])
         if heard is None:
@@ -187,7 +196,7 @@ def _believing(
     """Return the diagnosis with gauges, or the answer without them where the motion contradicts them."""
     with_gauges = _diagnosed(config, robot, found, simulator, calibration)
     clips = clipping(found.used, robot)
-    if not doubtful(with_gauges[0], clips):
+    if not config.search.in_time or not doubtful(with_gauges[0], clips):
         return with_gauges
     log.info("gauges may not show what acts on the body: all is examined again without them")
     diagnosis, evidence = _diagnosed(replace(config, measured_pressure=False), robot, found, simulator, calibration)
@@ -215,13 +224,16 @@ def _diagnosed(
     def examined(problem: Problem, known: list[Finding]) -> list[Finding]:
         return _examine(config, problem, data, found, known)
 
-    whole, findings = with_another_body(whole, data, examined(whole, []), examined, config.search)
-    findings = behind_gauges(
-        findings,
-        lambda gauges: _valve(config, whole, found, gauges),
-        lambda valve: examined(whole, [valve])[-1],
-        config.search,
-    )
+    findings = examined(whole, [])
+    if config.search.in_time:
+        whole, findings = with_another_body(whole, data, findings, examined, config.search)
+    if config.search.in_time:
+        findings = behind_gauges(
+            findings,
+            lambda gauges: _valve(config, whole, found, gauges),
+            lambda valve: examined(whole, [valve])[-1],
+            config.search,
+        )
     whole = put_together(whole, findings)
     findings = joined(whole.on(data.training), findings, config.search, config.thresholds)
     models = competitors(config.search, whole.on(data.training), findings)
@@ -293,7 +305,7 @@ def _valve(config: Config, whole: Problem, full: Data, gauges: Sequence[Choice] 
 def _look(config: Config, part: Part) -> Finding:
     """Return what is missing in a part; where that is unknown, with commands as another clock may have sent them."""
     finding = examine(part, config.search, config.thresholds, config.seed)
-    later = sent_later(finding) if finding.unknown else {}
+    later = sent_later(finding) if finding.unknown and config.search.in_time else {}
     if not later:
         return finding
     log.info("commands may have been sent by another clock than the log's: %s is examined with their times free", part.title)

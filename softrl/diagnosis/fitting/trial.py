@@ -1,6 +1,7 @@
 """A hypothesis fitted to the training runs and scored on each of them left out in turn."""
 
 import logging
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -43,6 +44,8 @@ class Search:
     fit_s : seconds of motion that fits see at most; runs are cut at a common length
     fit_lumped_s : the same for the lumped body, which is simulated much faster
     workers : processes
+    minutes : after which nothing further is asked, and what was found is told; None for no end
+    until : ``time.monotonic()`` at which that is, see ``begun``
     """
 
     max_effects: int
@@ -56,6 +59,8 @@ class Search:
     fit_s: float
     fit_lumped_s: float
     workers: int
+    minutes: float | None = None
+    until: float = np.inf
 
     def __post_init__(self) -> None:
         for name in ("keep", "starts", "iterations", "rough_steps", "steps", "steps_lumped", "fit_s", "fit_lumped_s", "workers"):
@@ -63,6 +68,17 @@ class Search:
                 raise ConfigError(f"stage.search.{name}={getattr(self, name):g} must be positive")
         if not 0 <= self.max_effects <= 3:
             raise ConfigError(f"stage.search.max_effects={self.max_effects}; expected 0 to 3")
+        if self.minutes is not None and self.minutes <= 0.0:
+            raise ConfigError(f"stage.search.minutes={self.minutes:g} must be positive, or null for no end")
+
+    def begun(self) -> "Search":
+        """Return the search whose minutes begin now."""
+        return self if self.minutes is None else replace(self, until=time.monotonic() + 60.0 * self.minutes)
+
+    @property
+    def in_time(self) -> bool:
+        """Whether its minutes are not over."""
+        return time.monotonic() < self.until
 
     def bounds_of(self, simulator: Simulator) -> tuple[float, float]:
         """Return how many seconds of motion fits with ``simulator`` see, and after how many steps a search looks no further."""

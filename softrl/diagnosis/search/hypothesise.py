@@ -37,7 +37,8 @@ def forward(
 ) -> Path:
     """Return the hypothesis that stepwise selection leaves: add, try all others in each one's place, drop, narrow down.
 
-    At last one effect is asked to do for all, and two for a map without physics. After many steps it looks no further.
+    At last one effect is asked to do for all, and two for a map without physics. After many steps, or its minutes, it looks no
+    further.
 
     Parameters
     ----------
@@ -49,7 +50,7 @@ def forward(
     """
     bare = Hypothesis((), tuple(tuned))
     retuned = fit_trials(fitting, None, [(bare, fitting.space(bare).begins)], search)[0]
-    path = Path(retuned, retuned, most=search.bounds_of(fitting.simulator)[1])
+    path = Path(retuned, retuned, most=search.bounds_of(fitting.simulator)[1], until=search.until)
     _grow(fitting, judge, choices, search, path, report)
     for _ in range(search.max_effects):
         better = relieved(fitting, judge, choices, search, path) if path.goes_on() else None
@@ -68,7 +69,7 @@ def forward(
     if path.goes_on():
         _without_map(fitting, judge, choices, search, path, report)
     if path.cut_short:
-        report(f"{path.best.hypothesis.label()}: the search ends here, after {path.most:.2g} steps")
+        report(f"{path.best.hypothesis.label()}: the search ends here, after as many steps or minutes as it is allowed")
     return path
 
 

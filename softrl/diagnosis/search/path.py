@@ -1,5 +1,6 @@
 """What a search has found on its way, and fits that it made: none is made twice."""
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -23,7 +24,8 @@ class Path:
     screened : the leads of every round
     tried : for each named effect the alternatives fitted in its place, best first, with their points
     close : effects that in some round were fitted about as well as the best
-    most : steps of the body after which it looks no further;  begun : those before it began;  cut_short : whether it did not
+    most : steps of the body after which it looks no further;  begun, after : those before it began, and so far
+    until : ``time.monotonic()`` after which it does not, either;  cut_short : whether it looked no further
     fitted : fits of hypotheses with less than others, by where they began and what they competed with; None if beaten
     """
 
@@ -33,13 +35,16 @@ class Path:
     tried: dict[Choice, list[tuple[Choice, np.ndarray]]] = field(default_factory=dict)
     close: set[Choice] = field(default_factory=set)
     most: float = np.inf
+    until: float = np.inf
     begun: int = field(default_factory=lambda: effort.steps)
+    after: int = 0
     cut_short: bool = False
     fitted: dict[tuple[Hypothesis, bytes, bytes], Trial | None] = field(default_factory=dict)
 
     def goes_on(self) -> bool:
-        """Return whether the search may look further: not after too many steps, which is noted."""
-        more = effort.steps - self.begun < self.most
+        """Return whether the search may look further: not after too many steps or too long, which is noted."""
+        self.after = effort.steps - self.begun
+        more = self.after < self.most and time.monotonic() < self.until
         self.cut_short |= not more
         return more
 

@@ -97,13 +97,22 @@ def cannot_tell(refusal: Refusal, robot_name: str, simulator_name: str) -> Diagn
     )
 
 
+def in_short(diagnosis: Diagnosis, minutes: float | None) -> Diagnosis:
+    """Return the ``diagnosis`` whose ``minutes`` were over, which says so."""
+    line = (
+        f"after {minutes:g} minutes nothing further was asked: what is named may not be all, and what is unknown may have a "
+        "name; stage.search.minutes allows more"
+    )
+    return replace(diagnosis, data={**diagnosis.data, "warnings": [*diagnosis.data["warnings"], line]})
+
+
 def _cut_short(findings: list[Finding]) -> list[str]:
     """Return which searches ended after so many steps as they were allowed, one line each."""
     return [
         f"{finding.part.title}: the search ended after {finding.path.most:.2g} steps of the simulator and may not have "
         "asked everything; stage.search.steps, or steps_lumped of simulator=pcc, allows more"
         for finding in findings
-        if finding.path.cut_short
+        if finding.path.cut_short and finding.path.after >= finding.path.most
     ]
 
 
