@@ -123,7 +123,7 @@ def make(case: Case, generator: Generator, robot: Robot, nominal: PccSimulator, 
     sizes = tuple(to_level(nominal, bare, law, probes, floor, case.level) for law in drawn)
     truth = replace(bare, hidden=drawn, amplitudes=sizes)
     mapped: Any = calibrated(nominal, truth, probes[-2:]) if case.stratum == "concealed" else same
-    own = left_over(nominal, bare, probes, mapped) if not drawn else left_over(nominal, bare, probes, same)
+    own = left_over(nominal, bare, probes, same)
     loud = [_ratio(nominal, replace(bare, hidden=(law,), amplitudes=(size,)), probes, mapped, own, floor)
             for law, size in zip(drawn, sizes, strict=True)]  # fmt: skip
     name = rng.bytes(8).hex()

@@ -75,13 +75,15 @@ def _limits(robot: Robot) -> dict[str, float]:
 
 
 def _planned(findings: Sequence[Finding], noise_m: float) -> dict[str, Any] | None:
-    """Return the program that tells the nearest open rival apart, with how far it does."""
+    """Return the program that tells the nearest open rival of the body apart, with how far it does.
+
+    What a gauge shows of the valve needs none that is planned: steps tell its laws apart.
+    """
     for finding in findings:
-        for rival in sorted(finding.rivals, key=lambda r: r.gap.value):
-            if rival.contests:
-                problem, now = finding.part.problem, finding.part.now
-                motion = problem.target == "motion"
-                return separating_program(problem, finding.final, rival.trial, noise_m, now) if motion else None
+        if finding.part.problem.target == "motion":
+            for rival in sorted(finding.rivals, key=lambda r: r.gap.value):
+                if rival.contests:
+                    return separating_program(finding.part.problem, finding.final, rival.trial, noise_m, finding.part.now)
     return None
 
 
