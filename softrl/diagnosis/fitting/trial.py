@@ -24,6 +24,7 @@ BEATEN = 9.0  # times the best squared error, after ``FIRST_ITERATIONS``: such a
 PLAINLY = 2.0  # the same for a fit that has settled, beside the best simulated with the same steps
 ALIKE = 10.0  # bins that tell as much as one
 FAR = 0.5  # a parameter retuned by more than this factor, in logarithms, is no longer near nominal
+SEARCHED = 0.6  # of a search's minutes; what it has begun by then, judging and the report take the others
 FAR_SHARE = 0.1  # of the squared error: a run that adds more to it once it is left out, along a straight line, is refitted
 
 
@@ -44,8 +45,8 @@ class Search:
     fit_s : seconds of motion that fits see at most; runs are cut at a common length
     fit_lumped_s : the same for the lumped body, which is simulated much faster
     workers : processes
-    minutes : after which nothing further is asked, and what was found is told; None for no end
-    until : ``time.monotonic()`` at which that is, see ``begun``
+    minutes : in which a diagnosis is told, or soon after, of what was found until then; None for as many as it takes
+    until : ``time.monotonic()`` after which nothing further is asked, see ``begun``
     """
 
     max_effects: int
@@ -73,11 +74,11 @@ class Search:
 
     def begun(self) -> "Search":
         """Return the search whose minutes begin now."""
-        return self if self.minutes is None else replace(self, until=time.monotonic() + 60.0 * self.minutes)
+        return self if self.minutes is None else replace(self, until=time.monotonic() + 60.0 * SEARCHED * self.minutes)
 
     @property
     def in_time(self) -> bool:
-        """Whether its minutes are not over."""
+        """Whether it may ask further."""
         return time.monotonic() < self.until
 
     def bounds_of(self, simulator: Simulator) -> tuple[float, float]:

@@ -100,8 +100,8 @@ def cannot_tell(refusal: Refusal, robot_name: str, simulator_name: str) -> Diagn
 def in_short(diagnosis: Diagnosis, minutes: float | None) -> Diagnosis:
     """Return the ``diagnosis`` whose ``minutes`` were over, which says so."""
     line = (
-        f"after {minutes:g} minutes nothing further was asked: what is named may not be all, and what is unknown may have a "
-        "name; stage.search.minutes allows more"
+        f"for want of time (stage.search.minutes={minutes:g}) not everything was asked: what is named may not be all, and what "
+        "is unknown may have a name"
     )
     return replace(diagnosis, data={**diagnosis.data, "warnings": [*diagnosis.data["warnings"], line]})
 
