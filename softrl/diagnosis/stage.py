@@ -24,7 +24,7 @@ from softrl.diagnosis.fitting.problem import Numerics, Problem
 from softrl.diagnosis.fitting.step import suited
 from softrl.diagnosis.fitting.trial import Search
 from softrl.diagnosis.judging.along import along_the_body
-from softrl.diagnosis.judging.another_body import with_another_body
+from softrl.diagnosis.judging.another_body import with_its_length, with_its_taper
 from softrl.diagnosis.judging.clock import sent_later
 from softrl.diagnosis.judging.compete import add_calibrated, competitors, judged_on, with_map
 from softrl.diagnosis.judging.correct import Traces, share_closed
@@ -224,9 +224,11 @@ def _diagnosed(
     def examined(problem: Problem, known: list[Finding]) -> list[Finding]:
         return _examine(config, problem, data, found, known)
 
-    findings = examined(whole, [])
+    pipeline = both_at_once(whole, data, config.effects)
+    judge = pipeline.judge(data.training, config.thresholds, config.seed)
+    whole, findings = with_its_length(whole, data, judge, pipeline.choices, examined, config.search)
     if config.search.in_time:
-        whole, findings = with_another_body(whole, data, findings, examined, config.search)
+        whole, findings = with_its_taper(whole, findings, examined, config.search)
     if config.search.in_time:
         findings = behind_gauges(
             findings,

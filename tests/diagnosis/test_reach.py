@@ -75,13 +75,25 @@ def test_a_tip_that_rests_aside_is_no_matter_of_length(tripod: Robot, body: PccS
     assert as_it_stands(body, runs, tripod) is not body
 
 
-def test_a_length_said_wrongly_is_no_missing_physics(body: PccSimulator) -> None:
+FEW = {"candidates": ["lag", "frame", "marker_offset", "offset", "payload"], "search": {"keep": 3}}
+
+
+def test_a_length_said_wrongly_is_no_missing_physics(body: PccSimulator, caplog: pytest.LogCaptureFixture) -> None:
     longer = body.with_parameters(length_scale=1.025)
     recordings = made(longer, (effect_class("lag")(fill_s=0.2, vent_s=0.3),), sessions=4)
-    few = {"candidates": ["lag", "frame", "marker_offset", "offset", "payload"], "search": {"keep": 3}}
-    found = run(configured(**few), body.robot, recordings, body, tracker=NullTracker())
+    with caplog.at_level("INFO"):
+        found = run(configured(**FEW), body.robot, recordings, body, tracker=NullTracker())
     assert [effect["name"] for effect in found.effects] == ["lag"], found.sentences
     assert found.simulator_parameters["length_scale"] == pytest.approx(1.025, abs=5e-4)
     assert "long, as its tip at rest tells" in found.sentences[1]
+    assert "examined again" not in caplog.text, "retuning alone tells a length from what else there is"
     held = found.errors_mm["heldout"]
     assert held["nominal"] > 25.0 * body.robot.length_m > held["corrected"], "the nominal one is as it was given"
+
+
+def test_a_load_that_presses_the_body_is_no_length(body: PccSimulator) -> None:
+    recordings = made(body, (effect_class("payload")(mass=1.0),), sessions=4)
+    assert as_it_stands(body, recordings.recordings, body.robot) is not body, "it presses as much as a length may be wrong"
+    found = run(configured(**FEW), body.robot, recordings, body, tracker=NullTracker())
+    assert [effect["name"] for effect in found.effects] == ["payload"] and "length_scale" not in found.simulator_parameters
+    assert found.effects[0]["parameters"]["mass"]["value"] == pytest.approx(1.0, rel=0.05), found.sentences

@@ -1,7 +1,7 @@
 """A lumped body that is not what its file says: longer, or stiffer at one end. Taken where it does as well as what was found."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +9,8 @@ import numpy as np
 from softrl.core.simulator import Simulator
 from softrl.diagnosis.checks.data import Data
 from softrl.diagnosis.checks.reach import as_it_stands, stands_for_length
-from softrl.diagnosis.fitting.hypothesis import Hypothesis
+from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, starts
+from softrl.diagnosis.fitting.judge import Judge
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.fitting.trial import Search, Trial, columns_of, fit_trials
 from softrl.diagnosis.judging.examine import Finding
@@ -22,38 +23,72 @@ PLAINER = 1.2  # times the error that another body may leave, where fewer effect
 Examine = Callable[[Problem, list[Finding]], list[Finding]]
 
 
-def with_another_body(
-    whole: Problem, data: Data, findings: list[Finding], examine: Examine, search: Search
+def with_its_length(
+    whole: Problem, data: Data, judge: Judge, choices: Sequence[Choice], examine: Examine, search: Search
 ) -> tuple[Problem, list[Finding]]:
-    """Return the problem and its ``findings``, or those of another body where that does as well as what was found.
+    """Return the problem and its findings, of a body as long as its tip at rest tells where that does as well.
 
-    First the length that the tip at rest tells is asked, then whether bending stiffness changes along the body. Neither is asked
-    before everything else: a load that presses the body looks like a length, and a lag like damping where more is retuned.
-    ``examine`` takes the problem and what was found of the valve, which stays.
+    A tape tells a length to a per cent, and a shift along the body that is named for the rest looks alike. So does a load that
+    presses the body: where retuning does not say beforehand that it is the length, or a load is named, the length of the robot's
+    file is asked as well, and stays unless a shift is named with it. ``judge`` scores on the training runs, on which one of the
+    ``choices`` may press; ``examine`` takes the problem and what was found of the valve, which stays.
     """
-    bodies = (
-        (as_long_as_it_stands, "as long as its tip at rest tells: a length said wrongly"),
-        (tapering, "with a stiffness that may change along it: a taper, or a clamp that gives,"),
-    )
-    for other, words in bodies:
-        body = other(whole, data, findings[-1], search)
-        if body is None:
-            continue
-        log.info("the body is examined again %s may be what was found", words)
-        problem = replace(whole, simulator=body)
-        again = examine(problem, findings[:-1])
-        if does_as_well(again[-1], findings[-1], more=body.parameters != whole.simulator.parameters):
-            whole, findings = problem, again
-    return whole, findings
-
-
-def as_long_as_it_stands(whole: Problem, data: Data, last: Finding, _: Search) -> Simulator | None:
-    """Return the body as long as its tip at rest tells, where a shift along the body was found, which looks alike."""
     body = as_it_stands(whole.simulator, data.training, whole.robot)
-    return None if whole.register or body is whole.simulator or not _shifted(last) else body
+    if whole.register or body is whole.simulator:
+        return whole, examine(whole, [])
+    other, again = replace(whole, simulator=body), None
+    if _is_the_length(whole.on(data.training), other.on(data.training), judge, choices, search):
+        log.info("the body is taken to be as long as its tip at rest tells")
+        again = examine(other, [])
+        loaded = any(named.choice.site == "load" for named in again[-1].named)
+        if not (again[-1].unknown or loaded) or not search.in_time:
+            return other, again
+        log.info("the body is examined again with the length of its file: a load looks like another")
+    findings = examine(whole, again[:-1] if again else [])
+    if not _shifted(findings[-1]) or (again is None and not search.in_time):
+        return whole, findings
+    if again is None:
+        log.info("the body is examined again as long as its tip at rest tells: a length said wrongly may be what was found")
+        again = examine(other, findings[:-1])
+    return (other, again) if does_as_well(again[-1], findings[-1], more=False) else (whole, findings)
 
 
-def tapering(whole: Problem, _: Data, last: Finding, search: Search) -> Simulator | None:
+def with_its_taper(
+    whole: Problem, findings: list[Finding], examine: Examine, search: Search
+) -> tuple[Problem, list[Finding]]:
+    """Return the problem and its ``findings``, or those of a body whose stiffness may change along it where these do better.
+
+    It is not asked before everything else: a lag looks like damping where more is retuned. ``examine`` is as above.
+    """
+    body = tapering(whole, findings[-1], search)
+    if body is None:
+        return whole, findings
+    log.info("the body is examined again with a stiffness that may change along it: a taper, or a clamp that gives, may be left")
+    problem = replace(whole, simulator=body)
+    again = examine(problem, findings[:-1])
+    return (problem, again) if does_as_well(again[-1], findings[-1], more=True) else (whole, findings)
+
+
+def _is_the_length(whole: Problem, other: Problem, judge: Judge, choices: Sequence[Choice], search: Search) -> bool:
+    """Return whether retuning with the ``other`` length does better than with its own, and as well as any load beside that."""
+    own, longer = (_retuned(problem, [()], search) for problem in (whole, other))
+    if not (own and longer) or not judge.tells(own[0].squares, longer[0].squares):
+        return False
+    loads = [(choice,) for choice in choices if choice.site == "load" and choice == Choice(choice.name)]
+    return not any(judge.tells(longer[0].squares, loaded.squares) for loaded in _retuned(whole, loads, search))
+
+
+def _retuned(problem: Problem, several: Sequence[tuple[Choice, ...]], search: Search) -> list[Trial]:
+    """Return the simulator retuned with each of ``several`` effects, where that runs, in the steps of rough fits."""
+    begins = problem.space(Hypothesis((), problem.tuned)).begins
+    tasks = [
+        (Hypothesis(effects, problem.tuned), [np.concatenate([*(starts(effect)[0] for effect in effects), at]) for at in begins])
+        for effects in several
+    ]
+    return fit_trials(problem.rough, None, tasks, search)
+
+
+def tapering(whole: Problem, last: Finding, search: Search) -> Simulator | None:
     """Return the body with its taper free, where that explains part of what is left, or of what a shift was named for.
 
     Asked where something that counts is left, where there is such a shift, or a retuned parameter is at the end of its range.
