@@ -12,12 +12,13 @@ from softrl.diagnosis.checks.reach import as_it_stands, stands_for_length
 from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, starts
 from softrl.diagnosis.fitting.judge import Judge
 from softrl.diagnosis.fitting.problem import Problem
-from softrl.diagnosis.fitting.trial import Search, Trial, columns_of, fit_trials
+from softrl.diagnosis.fitting.trial import Search, Trial, columns_of, drop, fit_trials
 from softrl.diagnosis.judging.examine import Finding
 from softrl.diagnosis.search.moves import implausible
 from softrl.pcc.simulator import TAPER, PccSimulator
 
 log = logging.getLogger(__name__)
+LIKE_A_LENGTH = 0.25  # of what a length seems to be wrong by: an effect that moves the tip at rest by more may be it
 PLAINER = 1.2  # times the error that another body may leave, where fewer effects are named with it
 
 Examine = Callable[[Problem, list[Finding]], list[Finding]]
@@ -29,9 +30,9 @@ def with_its_length(
     """Return the problem and its findings, of a body as long as its tip at rest tells where that does as well.
 
     A tape tells a length to a per cent, and a shift along the body that is named for the rest looks alike. So does a load that
-    presses the body: where retuning does not say beforehand that it is the length, or a load is named, the length of the robot's
-    file is asked as well, and stays unless a shift is named with it. ``judge`` scores on the training runs, on which one of the
-    ``choices`` may press; ``examine`` takes the problem and what was found of the valve, which stays.
+    presses the body: where retuning does not say beforehand that it is the length, or what is named moves the tip at rest, the
+    length of the robot's file is asked as well, and stays unless a shift is named with it. ``judge`` scores on the training runs,
+    on which one of the ``choices`` may press; ``examine`` takes the problem and what was found of the valve, which stays.
     """
     body = as_it_stands(whole.simulator, data.training, whole.robot)
     if whole.register or body is whole.simulator:
@@ -40,10 +41,11 @@ def with_its_length(
     if _is_the_length(whole.on(data.training), other.on(data.training), judge, choices, search):
         log.info("the body is taken to be as long as its tip at rest tells")
         again = examine(other, [])
-        loaded = any(named.choice.site == "load" for named in again[-1].named)
-        if not (again[-1].unknown or loaded) or not search.in_time:
+        off = body.length_m - whole.simulator.length_m
+        pressed = any(abs(_moves_at_rest(again[-1], named.choice)) > LIKE_A_LENGTH * abs(off) for named in again[-1].named)
+        if not (again[-1].unknown or pressed) or not search.in_time:
             return other, again
-        log.info("the body is examined again with the length of its file: a load looks like another")
+        log.info("the body is examined again with the length of its file: what moves the tip at rest looks like another")
     findings = examine(whole, again[:-1] if again else [])
     if not _shifted(findings[-1]) or (again is None and not search.in_time):
         return whole, findings
@@ -86,6 +88,14 @@ def _retuned(problem: Problem, several: Sequence[tuple[Choice, ...]], search: Se
         for effects in several
     ]
     return fit_trials(problem.rough, None, tasks, search)
+
+
+def _moves_at_rest(finding: Finding, choice: Choice) -> float:
+    """Return how far along the base's axis an effect of the ``finding`` moves the tip where runs begin, m; the median of all."""
+    problem, trial = finding.part.problem, finding.final
+    tasks = (trial.hypothesis, trial.fit.point), (trial.hypothesis.without(choice), drop(trial, choice))
+    first = [[np.asarray(run.position)[0, 2] for run in problem.replayed(*task, ("position",))] for task in tasks]
+    return float(np.median(np.subtract(*first)))
 
 
 def tapering(whole: Problem, last: Finding, search: Search) -> Simulator | None:
