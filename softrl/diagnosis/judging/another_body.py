@@ -31,8 +31,9 @@ def with_its_length(
 
     A tape tells a length to a per cent, and a shift along the body that is named for the rest looks alike. So does a load that
     presses the body: where retuning does not say beforehand that it is the length, or what is named moves the tip at rest, the
-    length of the robot's file is asked as well, and stays unless a shift is named with it. ``judge`` scores on the training runs,
-    on which one of the ``choices`` may press; ``examine`` takes the problem and what was found of the valve, which stays.
+    length of the robot's file is asked as well, and stays unless a shift is named with it. Where neither is understood that is
+    taken which errs less. ``judge`` scores on the training runs, on which one of the ``choices`` may press; ``examine`` takes the
+    problem and what was found of the valve, which stays.
     """
     body = as_it_stands(whole.simulator, data.training, whole.robot)
     if whole.register or body is whole.simulator:
@@ -45,8 +46,10 @@ def with_its_length(
         pressed = any(abs(_moves_at_rest(again[-1], named.choice)) > LIKE_A_LENGTH * abs(off) for named in again[-1].named)
         if not (again[-1].unknown or pressed) or not search.in_time:
             return other, again
-        log.info("the body is examined again with the length of its file: what moves the tip at rest looks like another")
+        log.info("the body is examined again with the length of its file, beside which what is missing may look otherwise")
     findings = examine(whole, again[:-1] if again else [])
+    if again and again[-1].unknown and findings[-1].unknown:
+        return (other, again) if again[-1].final.mean_square < findings[-1].final.mean_square else (whole, findings)
     if not _shifted(findings[-1]) or (again is None and not search.in_time):
         return whole, findings
     if again is None:
