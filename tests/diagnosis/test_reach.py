@@ -97,3 +97,11 @@ def test_a_load_that_presses_the_body_is_no_length(body: PccSimulator) -> None:
     found = run(configured(**FEW), body.robot, recordings, body, tracker=NullTracker())
     assert [effect["name"] for effect in found.effects] == ["payload"] and "length_scale" not in found.simulator_parameters
     assert found.effects[0]["parameters"]["mass"]["value"] == pytest.approx(1.0, rel=0.05), found.sentences
+
+
+@pytest.mark.parametrize(("mass", "told"), [(1.6, True), (1.1, False)])
+def test_a_mass_that_no_scale_would_show_is_told(body: PccSimulator, mass: float, told: bool) -> None:
+    recordings = made(body.with_parameters(mass_scale=mass), (), sessions=4)
+    found = run(configured(candidates=["lag"]), body.robot, recordings, body, tracker=NullTracker())
+    said = [line for line in found.sentences if f"mass was retuned to {mass:.2g}" in line and "weigh the robot" in line]
+    assert found.verdict == "nothing missing" and len(said) == told, found.sentences

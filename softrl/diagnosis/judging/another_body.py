@@ -10,14 +10,17 @@ from softrl.core.simulator import Simulator
 from softrl.diagnosis.checks.data import Data
 from softrl.diagnosis.checks.reach import as_it_stands, stands_for_length
 from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, starts
+from softrl.diagnosis.fitting.intervals import intervals
 from softrl.diagnosis.fitting.judge import Judge
 from softrl.diagnosis.fitting.problem import Problem
 from softrl.diagnosis.fitting.trial import Search, Trial, columns_of, drop, fit_trials
 from softrl.diagnosis.judging.examine import Finding
 from softrl.diagnosis.search.moves import implausible
 from softrl.pcc.simulator import TAPER, PccSimulator
+from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
+MASS, WEIGHED = "mass_scale", 1.25  # who weighs a robot, with what moves of its tubes, errs by less
 LIKE_A_LENGTH = 0.25  # of what a length seems to be wrong by: an effect that moves the tip at rest by more may be it
 PLAINER = 1.2  # times the error that another body may leave, where fewer effects are named with it
 
@@ -143,6 +146,23 @@ def told_of_taper(simulator: Simulator, tuned: dict[str, float]) -> list[str]:
     return [
         f"The body's bending stiffness was let change along it: at the base it is {tuned[TAPER]:.3g} times that at the tip "
         f"({TAPER}, {simulator.stiffness_base_to_tip:.3g} before). A taper, or a clamp that gives, shows so."
+    ]
+
+
+def told_of_mass(last: Finding, robot: Robot) -> list[str]:
+    """Return in a sentence what the body's mass was retuned to, where that is surely another than a scale would show.
+
+    What hangs at the tip in every run acts on a lumped body nearly as more mass does: retuning takes it, and nothing is missing.
+    """
+    if last.part.problem.target != "motion" or last.unknown:
+        return []
+    of_file = f"robot.mass_kg={robot.mass_kg:g}"
+    return [
+        f"The body's mass was retuned to {told.value:.3g} ({told.low:.3g} to {told.high:.3g}) times {of_file}: weigh the robot. "
+        "If the file is right, mass that is not spread evenly along the body, as an end plate is, shows so, or a load at the tip "
+        "in every run."
+        for told in intervals(last.part.problem, last.final, last.judge.thresholds)
+        if told.name == MASS and not told.at_bound and (told.low > WEIGHED or told.high < 1.0 / WEIGHED)
     ]
 
 

@@ -10,7 +10,7 @@ from softrl.diagnosis.checks.data import Data, Refusal
 from softrl.diagnosis.checks.reach import of_other_length, taken_length, told_of_length
 from softrl.diagnosis.checks.response import step_responses
 from softrl.diagnosis.fitting.problem import MOUNT_SHIFT_SHARE, MOUNT_TURN_RAD, Problem
-from softrl.diagnosis.judging.another_body import told_of_taper
+from softrl.diagnosis.judging.another_body import told_of_mass, told_of_taper
 from softrl.diagnosis.judging.correct import Model, Traces, errors, in_mm
 from softrl.diagnosis.judging.examine import Finding
 from softrl.diagnosis.judging.gauges import told_of_gauges
@@ -74,6 +74,7 @@ def conclude(
     gauges = told_of_zeros(findings[0]) + told_of_gauges(findings, made.simulator_parameters) if len(findings) > 1 else []
     verdict_first, *others = sentences(made, findings, models["corrected"].ends)
     form = told_of_length(whole.simulator, robot) + told_of_taper(whole.simulator, made.simulator_parameters)
+    form += told_of_mass(findings[-1], robot)
     return replace(made, sentences=[verdict_first, *form, *others, *gauges, *([read] if read else [])])
 
 
