@@ -45,9 +45,9 @@ def open_key(path: Path, sealed_sha256: str) -> list[dict[str, Any]]:
 
 
 def require_untouched(folder: Path, key: list[dict[str, Any]], measure: Any) -> None:
-    """Raise ``ArtifactError`` unless the recordings of every case are those that the key was made with."""
+    """Raise ``ArtifactError`` unless the files of every case in ``folder`` are those that the key was made with."""
     for entry in key:
-        if measure(folder / entry["folder"]) != entry["recordings_sha256"]:
+        if measure(folder, entry["folder"]) != entry["files_sha256"]:
             raise ArtifactError(
-                f"the recordings in {folder / entry['folder']} are not those of the key; the proof is void"
+                f"recordings or truth of case {entry['folder']} in {folder} are not those of the key; the proof is void"
             )

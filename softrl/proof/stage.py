@@ -24,7 +24,7 @@ from softrl.proof.generator.plan import plan
 from softrl.proof.judging import answer, shuffled, worth
 from softrl.proof.ledger import digest, open_key, require_untouched, seal, text_of
 from softrl.proof.shelf import kept
-from softrl.proof.trial import Generator, make, of_folder
+from softrl.proof.trial import Generator, make, of_case
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
@@ -118,7 +118,7 @@ def run(config: Config, robot: Robot, *, tracker: Tracker) -> Proof:
     _write(tracker, ledger)
 
     opened = open_key(shelf.cases / "key.json", sealed)
-    require_untouched(shelf.cases / "recordings", opened, of_folder)
+    require_untouched(shelf.cases, opened, of_case)
     errors = _judge(config, shelf, folders, given, robot, nominal)
     rows = [score.row_of(e, given[e["folder"]], errors[e["folder"]], config.detectable) for e in opened]
     finds = sum(found["verdict"] != "nothing missing" for found in controls.values())

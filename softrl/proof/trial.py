@@ -131,7 +131,7 @@ def make(case: Case, generator: Generator, robot: Robot, nominal: PccSimulator, 
     return {
         "case": case.number,
         "folder": name,
-        "recordings_sha256": of_folder(folder / RECORDINGS / name),
+        "files_sha256": of_case(folder, name),
         "stratum": case.stratum,
         "measured_pressure": case.measured_pressure,
         "hidden": [_entry(law, size, case, level, nuisance.mass)
@@ -172,10 +172,11 @@ def record(
     np.savez_compressed(folder / TRUTH / f"{name}.npz", allow_pickle=False, **clean)
 
 
-def of_folder(folder: Path) -> str:
-    """Return the SHA-256 of the files of a folder, by name and content."""
+def of_case(folder: Path, name: str) -> str:
+    """Return the SHA-256 of all that one case is diagnosed from and judged by, by name and content."""
     found = hashlib.sha256()
-    for path in sorted(folder.iterdir()):
+    for path in (*sorted((folder / RECORDINGS / name).iterdir()), *sorted((folder / OUTSIDE / name).iterdir()),
+                 folder / TRUTH / f"{name}.npz"):  # fmt: skip
         found.update(path.name.encode() + b"\0" + path.read_bytes())
     return found.hexdigest()
 

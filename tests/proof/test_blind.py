@@ -15,7 +15,7 @@ from softrl.pcc.simulator import PccSimulator
 from softrl.proof.generator.catalogue import CONCEALED, OUTSIDE, PAIRS, RIGHT, draw, frozen
 from softrl.proof.generator.plan import STRATA, Case, plan, shares
 from softrl.proof.judging import answer
-from softrl.proof.trial import make, of_folder
+from softrl.proof.trial import make, of_case
 from softrl.robots.robot import Robot
 from tests.proof.conftest import configured
 
@@ -116,7 +116,13 @@ def test_nothing_in_a_folder_of_recordings_tells_what_is_hidden(tmp_path: Path, 
     words = {*RIGHT, *OUTSIDE, *STRATA, *names()} - {"frame"}
     text = (folder / "dataset.yaml").read_text() + "".join((folder / f).open().readline() for f in files)
     assert not [word for word in words if re.search(rf"\b{word}\b", text)]
-    assert entry["recordings_sha256"] == of_folder(folder)
+    sealed = str(entry["files_sha256"])
+    assert sealed == of_case(tmp_path, str(entry["folder"]))
+    for kept in (next(folder.glob("*.csv")), *(tmp_path / "outside").glob("*/*.csv"), *(tmp_path / "truth").iterdir()):
+        before = kept.read_bytes()
+        kept.write_bytes(before[:-1])
+        assert of_case(tmp_path, str(entry["folder"])) != sealed, "what judges is sealed as well as what is diagnosed"
+        kept.write_bytes(before)
     assert {path.name for path in tmp_path.iterdir()} == {"recordings", "outside", "truth"}
 
 

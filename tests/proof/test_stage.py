@@ -74,10 +74,10 @@ def test_a_key_that_was_changed_does_not_open(tmp_path: Path) -> None:
 
 
 def test_recordings_that_were_changed_are_noticed(tmp_path: Path) -> None:
-    key = [{"folder": "a", "recordings_sha256": "1"}]
-    require_untouched(tmp_path, key, lambda folder: "1")
+    key = [{"folder": "a", "files_sha256": "1"}]
+    require_untouched(tmp_path, key, lambda folder, name: "1")
     with pytest.raises(ArtifactError, match="not those of the key"):
-        require_untouched(tmp_path, key, lambda folder: "2")
+        require_untouched(tmp_path, key, lambda folder, name: "2")
 
 
 def test_work_is_done_once_and_half_of_it_never_counts(tmp_path: Path) -> None:
