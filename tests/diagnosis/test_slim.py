@@ -49,6 +49,23 @@ def test_the_law_within_another_keeps_how_suddenly_its_gate_opens() -> None:
     assert np.isfinite(begin).all()
 
 
+@pytest.mark.parametrize("pinned", [(), ("power",), ("residual",), ("residual", "power")])
+def test_each_law_within_another_begins_where_that_is_and_keeps_what_is_pinned(pinned: tuple[str, ...]) -> None:
+    """A wall that levels off at no residual, in the exponent of one that stiffens, has no logarithm."""
+    locking = Choice("locking", pinned=pinned)
+    told = {"softness": 2.0, "residual": 0.0, "growth": 0.5, "power": 3.0}
+    point = np.array([axis.scaled(told[axis.name]) for axis in effect_axes(locking)])
+    fit = Fit(point, np.zeros(1), np.zeros((1, len(point))), 0.0, 0)
+    trial = Trial(Hypothesis((locking,), ()), fit, {}, np.zeros(1), np.zeros(1))
+    found = _contained(trial, locking)
+    assert [hypothesis.names for hypothesis, _, _ in found] == [("strain_softening",), ("strain_stiffening",)]
+    for hypothesis, begin, _ in found:
+        (less,) = hypothesis.effects
+        assert not {axis.name for axis in effect_axes(less)} & {*pinned}
+        for axis, u in zip(effect_axes(less), begin, strict=True):
+            assert axis.physical(float(u)) == pytest.approx(told[axis.name])
+
+
 def test_what_acts_in_the_second_of_two_branches_alone_is_told_as_the_first(body: PccSimulator) -> None:
     """Its numbers, and the derivatives by them, are those that a fit of the first alone has there."""
     config, creep = configured(), Choice("viscoelasticity")

@@ -82,16 +82,22 @@ def _gone(trial: Trial, choice: Choice, name: str) -> np.ndarray:
 
 
 def _contained(trial: Trial, choice: Choice) -> list[tuple[Hypothesis, np.ndarray, int]]:
-    """Return the same as ``pinned`` with a law that ``choice`` contains in its place: what is never bounded is a lag."""
+    """Return the same as ``pinned`` with a law that ``choice`` contains in its place: what is never bounded is a lag.
+
+    It begins with the numbers of the same names, what is pinned stays so, and a number of its own is taken from those that both
+    laws share: the lag of what fills and vents alike has two.
+    """
     law, axes, columns = effect_class(choice.name), effect_axes(choice), columns_of(trial, choice)
     values = {axis.name: axis.physical(u) for axis, u in zip(axes, trial.fit.point[columns], strict=True)}
     shared = [value for name, value in values.items() if name not in (*law.essence, *GATES, *WIDTHS.values())]
     found, place = [], trial.hypothesis.effects.index(choice)
     for name in law.contains:
-        if not shared or name in trial.hypothesis.names:
+        held = tuple(field.name for field in effect_class(name).parameter_fields() if field.name in choice.pinned)
+        less = choice._replace(name=name, pinned=(*choice.pinned_widths, *held))
+        told = [values.get(axis.name, *shared[:1]) for axis in effect_axes(less)]
+        if not told or None in told or name in trial.hypothesis.names:
             continue
-        less = choice._replace(name=name, pinned=choice.pinned_widths)
-        begin = [axis.scaled(values.get(axis.name, shared[0])) for axis in effect_axes(less)]
+        begin = [axis.scaled(value) for axis, value in zip(effect_axes(less), told, strict=True)]
         point = np.insert(np.delete(trial.fit.point, columns), columns[0], begin)
         effects = tuple(less if effect == choice else effect for effect in trial.hypothesis.effects)
         found.append((Hypothesis(effects, trial.hypothesis.tuned), point, place))
