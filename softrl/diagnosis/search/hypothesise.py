@@ -1,6 +1,7 @@
 """Add, swap and drop effects while that pays on runs left out of the fit."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from softrl.effects.library import effect_class
 
 PLAIN = 2.5  # times what counts: what is left, before effects are asked where alone they act, if none was found before
 SOME = 1.8  # the same where one was found: what it leaves may be that it acts there alone
+SEVERAL = 8  # times as many pairs are looked at as are fitted: most differ by where the same two act
 BESIDE = 0.5  # of what must show: what saves less of the squared error beside an effect does not stand in its place
 
 
@@ -37,8 +39,8 @@ def forward(
 ) -> Path:
     """Return the hypothesis that stepwise selection leaves: add, try all others in each one's place, drop, narrow down.
 
-    At last one effect is asked to do for all, and two for a map without physics. After many steps, or its minutes, it looks no
-    further.
+    Two are asked at once where much stays. At last one effect is asked to do for all, and two for a map without physics. After
+    many steps, or its minutes, it looks no further.
 
     Parameters
     ----------
@@ -52,6 +54,8 @@ def forward(
     retuned = fit_trials(fitting, None, [(bare, fitting.space(bare).begins)], search)[0]
     path = Path(retuned, retuned, most=search.bounds_of(fitting.simulator)[1], until=search.until)
     _grow(fitting, judge, choices, search, path, report)
+    if path.goes_on() and _two_at_once(fitting, judge, choices, search, path, report):
+        _grow(fitting, judge, choices, search, path, report)
     for _ in range(search.max_effects):
         better = relieved(fitting, judge, choices, search, path) if path.goes_on() else None
         if better is None:
@@ -189,14 +193,48 @@ def _without_map(
     report(f"{best.hypothesis.label()} in the place of {the_map.label()}: {judge.rms(best.squares):.4g} on runs left out")
     if best is mapped or judge.pays(best.squares, mapped.squares):
         return
+    path.best = _both_settled(fitting, judge, best, physics, search, path)
+
+
+def _two_at_once(
+    fitting: Problem, judge: Judge, choices: Sequence[Choice], search: Search, path: Path, report: Callable[[str], None]
+) -> bool:
+    """Return whether two effects that were fitted at once leave plainly less than those that were found one after the other.
+
+    What explains most of two alone may be neither of them, and once it is there the others explain little beside it. Asked
+    where much stays.
+    """
+    before = path.best
+    if search.max_effects < 2 or judge.excess(before.mean_square) < SOME * judge.material:
+        return False
+    bare, found = path.retuned, {}
+    physics = [choice for choice in not_taken(choices, bare) if not effect_class(choice.name).together]
+    many = replace(search, keep=SEVERAL * search.keep)
+    for pair in best_pairs(fitting.rough_about(bare.hypothesis, bare.fit.point), bare, physics, many):
+        found.setdefault(frozenset(pair.hypothesis.names), (pair.hypothesis, [pair.point]))
+    both = raced(fitting, None, list(found.values())[: search.keep], search, before).finished
+    more = 2 > len(before.hypothesis.effects)
+    better = [t for t in both if (judge.pays if more else judge.tells)(before.squares, t.squares)]
+    if not better:
+        return False
+    best = judge.simplest(better)
+    report(f"{best.hypothesis.label()}, both at once: {judge.rms(best.squares):.4g} on runs left out")
+    path.best = _both_settled(fitting, judge, best, physics, search, path)
+    return True
+
+
+def _both_settled(
+    fitting: Problem, judge: Judge, best: Trial, choices: Sequence[Choice], search: Search, path: Path
+) -> Trial:
+    """Return ``best``, two effects that were fitted at once, each put to the test against the ``choices``."""
     last = best.hypothesis.effects[-1]
     first = path.fit(fitting, [(best.hypothesis.without(last), drop(best, last))], search)
-    added = addition(fitting, judge, first[0], physics, search, path, against=best) if first else None
-    settled = _settled(fitting, judge, added, physics, search, path) if added else best
+    added = addition(fitting, judge, first[0], choices, search, path, against=best) if first else None
+    settled = _settled(fitting, judge, added, choices, search, path) if added else best
     if judge.tells(settled.squares, best.squares):
         _note_as_tried(path, best, settled)
         settled = best
-    path.best = settled
+    return settled
 
 
 def _note_as_tried(path: Path, best: Trial, other: Trial) -> None:
