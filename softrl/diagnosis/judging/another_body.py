@@ -33,9 +33,9 @@ def with_its_length(
     """Return the problem and its findings, of a body as long as its tip at rest tells where that does as well.
 
     A tape tells a length to a per cent, and a shift along the body that is named for the rest looks alike. So does a load that
-    presses the body: where retuning does not say beforehand that it is the length, or what is named moves the tip at rest, the
-    length of the robot's file is asked as well, and stays unless a shift is named with it. Where neither is understood that is
-    taken which errs less. ``judge`` scores on the training runs, on which one of the ``choices`` may press; ``examine`` takes the
+    presses the body: where retuning does not say beforehand that it is the length, what is named moves the tip at rest, or the
+    mass is another than a scale would show, the length of the robot's file is asked as well, and stays unless a shift is named
+    with it. Where neither is understood that is taken which errs less. ``judge`` scores on the training runs, on which one of the ``choices`` may press; ``examine`` takes the
     problem and what was found of the valve, which stays.
     """
     body = as_it_stands(whole.simulator, data.training, whole.robot)
@@ -47,7 +47,7 @@ def with_its_length(
         again = examine(other, [])
         off = body.length_m - whole.simulator.length_m
         pressed = any(abs(_moves_at_rest(again[-1], named.choice)) > LIKE_A_LENGTH * abs(off) for named in again[-1].named)
-        if not (again[-1].unknown or pressed) or not search.in_time:
+        if not (again[-1].unknown or pressed or not _as_weighed(again[-1])) or not search.in_time:
             return other, again
         log.info("the body is examined again with the length of its file, beside which what is missing may look otherwise")
     findings = examine(whole, again[:-1] if again else [])
@@ -94,6 +94,13 @@ def _retuned(problem: Problem, several: Sequence[tuple[Choice, ...]], search: Se
         for effects in several
     ]
     return fit_trials(problem.rough, None, tasks, search)
+
+
+def _as_weighed(finding: Finding) -> bool:
+    """Return whether the mass was retuned by no more than who weighs a robot errs: more may be a load, which presses, too."""
+    trial = finding.final
+    mass = finding.part.problem.space(trial.hypothesis).tuned(trial.fit.point).get(MASS, 1.0)
+    return 1.0 / WEIGHED <= mass / finding.part.problem.simulator.parameters.get(MASS, 1.0) <= WEIGHED
 
 
 def _moves_at_rest(finding: Finding, choice: Choice) -> float:
