@@ -35,8 +35,8 @@ def with_its_length(
     A tape tells a length to a per cent, and a shift along the body that is named for the rest looks alike. So does a load that
     presses the body: where retuning does not say beforehand that it is the length, what is named moves the tip at rest, or the
     mass is another than a scale would show, the length of the robot's file is asked as well, and stays unless a shift is named
-    with it. Where neither is understood that is taken which errs less. ``judge`` scores on the training runs, on which one of the ``choices`` may press; ``examine`` takes the
-    problem and what was found of the valve, which stays.
+    with it. Where neither is understood that is taken which errs less. ``judge`` scores on the training runs, on which one of
+    the ``choices`` may press; ``examine`` takes the problem and what was found of the valve, which stays.
     """
     body = as_it_stands(whole.simulator, data.training, whole.robot)
     if whole.register or body is whole.simulator:
