@@ -11,8 +11,8 @@ from softrl.pcc.model import MOVED, NEXT, OTHER, RESIDUAL, SEEN, SHRANK, STEP, T
 
 TOLERANCE = 1e-10  # rad or strain: some ten picometres at the tip of most robots
 ACCEPTED = 1e-7  # at a kink of friction or contact: 20 nm at the tip of a robot of 0.2 m
-UNSEEN = 3e-8  # what a Newton step may leave that is not looked at: some nanometres
-LEAST, FADES = 1e-4, 0.9  # of a Newton step is left at least; share of what was left that the next time is reckoned with
+UNSEEN = 2e-9  # what a Newton step may leave that is not looked at: less than a nanometre
+LEAST, FADES = 1e-5, 0.9  # of a Newton step is left at least; share of what was left that the next time is reckoned with
 CAUTION = 10.0  # times as slowly as the last step shrank, the next may shrink: the inertia changes with the shape
 MAX_ITERATIONS = 60
 QUICK = 8  # steps with a Jacobian that is corrected on the way, before a careful search begins

@@ -1,11 +1,17 @@
 """A body whose stiffness changes along it, where the simulator's is even: no physics is named for it."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 
 from softrl.artifacts.diagnosis import Diagnosis
 from softrl.core.tracking import NullTracker
+from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis
+from softrl.diagnosis.fitting.problem import Problem
+from softrl.diagnosis.judging.another_body import _may_be_pressed
 from softrl.diagnosis.stage import run
 from softrl.effects.effect import Effect
 from softrl.effects.lag import Lag
@@ -51,3 +57,28 @@ def test_an_even_body_keeps_its_form(soft: PccSimulator) -> None:
     found = diagnosed(soft, 1.0, Lag(fill_s=0.2, vent_s=0.3))
     assert "stiffness_base_to_tip" not in found.simulator_parameters
     assert [effect["name"] for effect in found.effects] == ["lag"] and of_noise(found) < 1.1, found.sentences
+
+
+@pytest.mark.parametrize(
+    ("mass", "named", "unknown", "pressed"),
+    [
+        (1.1, "lag", False, False),
+        (3.0, "lag", False, True),
+        (0.5, "lag", False, True),
+        (1.0, "lag", True, True),
+        (1.0, "payload", False, True),
+    ],
+)
+def test_what_may_have_pressed_a_body_that_was_taken_for_shorter(
+    body: PccSimulator, mass: float, named: str, unknown: bool, pressed: bool
+) -> None:
+    """A load beside larger slips was retuned away, by 3.8 times the mass, and taken for a length."""
+    config, runs = configured(), made(body, sessions=2).recordings
+    problem = Problem(body.robot, body, runs, config.numerics, "motion", "command", False, False)
+    hypothesis = Hypothesis((Choice(named),), ("mass_scale",))
+    own = {"lag": (0.1, 0.1), "payload": (1.0,)}[named]
+    scaled = [axis.scaled(value) for axis, value in zip(problem.space(hypothesis).axes, (*own, mass), strict=False)]
+    trial = SimpleNamespace(hypothesis=hypothesis, fit=SimpleNamespace(point=np.array(scaled)))
+    names = [SimpleNamespace(choice=hypothesis.effects[0])]
+    finding: Any = SimpleNamespace(unknown=unknown, named=names, part=SimpleNamespace(problem=problem), final=trial)
+    assert _may_be_pressed(finding, -0.01 * body.length_m) == pressed

@@ -387,9 +387,9 @@ def test_stepping_is_simulating() -> None:
         after = body.step(state, pressure[k], 0.01, force[k])
         np.testing.assert_array_equal(state.coordinates, before)
         state = after
-        position, quaternion = body.observe(state)  # a single step is solved to the last digit, one of many to some nanometres
-        np.testing.assert_allclose(position, motion.position[k], atol=1e-8)
-        np.testing.assert_allclose(quaternion, motion.quaternion[k], atol=1e-7)
+        position, quaternion = body.observe(state)
+        np.testing.assert_allclose(position, motion.position[k], atol=1e-9)
+        np.testing.assert_allclose(quaternion, motion.quaternion[k], atol=1e-9)
 
 
 def test_rest_of_an_upright_robot_is_its_length() -> None:
@@ -436,7 +436,7 @@ def test_a_minute_is_simulated_in_milliseconds() -> None:
 
 
 def test_corrections_of_the_jacobian_do_not_change_the_solution() -> None:
-    """The quick search and the careful one find the same motion, to what the quick one may leave unseen."""
+    """The quick search and the careful one find the same motion, to what both are asked for."""
     body = simulator()
     time = 0.01 * np.arange(1, 401)
     pressure = 3e4 * np.sin(np.outer(time, [3.0, 2.0, 1.0]))
@@ -445,7 +445,7 @@ def test_corrections_of_the_jacobian_do_not_change_the_solution() -> None:
     for row in pressure:  # every single step begins with a fresh Jacobian
         state = body.step(state, row, 0.01)
         last.append(body.observe(state)[0])
-    np.testing.assert_allclose(coordinates, last, atol=2e-8)
+    np.testing.assert_allclose(coordinates, last, atol=2e-9)
 
 
 def test_a_longer_body_is_that_of_a_longer_robot() -> None:

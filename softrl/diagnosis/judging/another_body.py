@@ -41,24 +41,24 @@ def with_its_length(
     body = as_it_stands(whole.simulator, data.training, whole.robot)
     if whole.register or body is whole.simulator:
         return whole, examine(whole, [])
-    other, again = replace(whole, simulator=body), None
+    other = replace(whole, simulator=body)
     if _is_the_length(whole.on(data.training), other.on(data.training), judge, choices, search):
         log.info("the body is taken to be as long as its tip at rest tells")
         again = examine(other, [])
-        off = body.length_m - whole.simulator.length_m
-        pressed = any(abs(_moves_at_rest(again[-1], named.choice)) > LIKE_A_LENGTH * abs(off) for named in again[-1].named)
-        if not (again[-1].unknown or pressed or not _as_weighed(again[-1])) or not search.in_time:
+        if not search.in_time or not _may_be_pressed(again[-1], body.length_m - whole.simulator.length_m):
             return other, again
         log.info("the body is examined again with the length of its file, beside which what is missing may look otherwise")
-    findings = examine(whole, again[:-1] if again else [])
-    if again and again[-1].unknown and findings[-1].unknown:
-        return (other, again) if again[-1].final.mean_square < findings[-1].final.mean_square else (whole, findings)
-    if not _shifted(findings[-1]) or (again is None and not search.in_time):
-        return whole, findings
-    if again is None:
+        findings = examine(whole, again[:-1])
+        if again[-1].unknown and findings[-1].unknown:
+            return (other, again) if again[-1].final.mean_square < findings[-1].final.mean_square else (whole, findings)
+    else:
+        findings = examine(whole, [])
+        if not search.in_time or not _shifted(findings[-1]):
+            return whole, findings
         log.info("the body is examined again as long as its tip at rest tells: a length said wrongly may be what was found")
         again = examine(other, findings[:-1])
-    return (other, again) if does_as_well(again[-1], findings[-1], more=False) else (whole, findings)
+    better = _shifted(findings[-1]) and does_as_well(again[-1], findings[-1], more=False)
+    return (other, again) if better else (whole, findings)
 
 
 def with_its_taper(
@@ -96,11 +96,18 @@ def _retuned(problem: Problem, several: Sequence[tuple[Choice, ...]], search: Se
     return fit_trials(problem.rough, None, tasks, search)
 
 
-def _as_weighed(finding: Finding) -> bool:
-    """Return whether the mass was retuned by no more than who weighs a robot errs: more may be a load, which presses, too."""
-    trial = finding.final
-    mass = finding.part.problem.space(trial.hypothesis).tuned(trial.fit.point).get(MASS, 1.0)
-    return 1.0 / WEIGHED <= mass / finding.part.problem.simulator.parameters.get(MASS, 1.0) <= WEIGHED
+def _may_be_pressed(finding: Finding, longer_m: float) -> bool:
+    """Return whether a load may be what a length of ``longer_m`` more was taken for.
+
+    Where nothing is understood, what is named moves the tip at rest, or the mass is another than a scale would show.
+    """
+    problem, trial = finding.part.problem, finding.final
+    retuned = problem.space(trial.hypothesis).tuned(trial.fit.point).get(MASS, 1.0)
+    return (
+        finding.unknown
+        or not 1.0 / WEIGHED <= retuned / problem.simulator.parameters.get(MASS, 1.0) <= WEIGHED
+        or any(abs(_moves_at_rest(finding, named.choice)) > LIKE_A_LENGTH * abs(longer_m) for named in finding.named)
+    )
 
 
 def _moves_at_rest(finding: Finding, choice: Choice) -> float:
@@ -163,13 +170,13 @@ def told_of_mass(last: Finding, robot: Robot) -> list[str]:
     """
     if last.part.problem.target != "motion" or last.unknown:
         return []
-    of_file = f"robot.mass_kg={robot.mass_kg:g}"
+    of_file, nominal = f"robot.mass_kg={robot.mass_kg:g}", last.part.problem.simulator.parameters.get(MASS, 1.0)
     return [
         f"The body's mass was retuned to {told.value:.3g} ({told.low:.3g} to {told.high:.3g}) times {of_file}: weigh the robot. "
         "If the file is right, mass that is not spread evenly along the body, as an end plate is, shows so, or a load at the tip "
         "in every run."
         for told in intervals(last.part.problem, last.final, last.judge.thresholds)
-        if told.name == MASS and not told.at_bound and (told.low > WEIGHED or told.high < 1.0 / WEIGHED)
+        if told.name == MASS and not told.at_bound and not told.low / WEIGHED <= nominal <= told.high * WEIGHED
     ]
 
 

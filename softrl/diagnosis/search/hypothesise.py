@@ -72,7 +72,7 @@ def forward(
         _grow(fitting, judge, choices, search, path, report)
     if path.goes_on():
         _without_map(fitting, judge, choices, search, path, report)
-    if path.cut_short:
+    if path.cut_short or not search.in_time:
         report(f"{path.best.hypothesis.label()}: the search ends here, after as many steps or minutes as it is allowed")
     return path
 

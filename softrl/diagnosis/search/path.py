@@ -24,8 +24,8 @@ class Path:
     screened : the leads of every round
     tried : for each named effect the alternatives fitted in its place, best first, with their points
     close : effects that in some round were fitted about as well as the best
-    most : steps of the body after which it looks no further;  begun, after : those before it began, and so far
-    until : ``time.monotonic()`` after which it does not, either;  cut_short : whether it looked no further
+    most : steps of the body after which it looks no further;  begun : those before it began;  cut_short : whether it did not
+    until : ``time.monotonic()`` after which it does not, either
     fitted : fits of hypotheses with less than others, by where they began and what they competed with; None if beaten
     """
 
@@ -37,16 +37,13 @@ class Path:
     most: float = np.inf
     until: float = np.inf
     begun: int = field(default_factory=lambda: effort.steps)
-    after: int = 0
     cut_short: bool = False
     fitted: dict[tuple[Hypothesis, bytes, bytes], Trial | None] = field(default_factory=dict)
 
     def goes_on(self) -> bool:
-        """Return whether the search may look further: not after too many steps or too long, which is noted."""
-        self.after = effort.steps - self.begun
-        more = self.after < self.most and time.monotonic() < self.until
-        self.cut_short |= not more
-        return more
+        """Return whether the search may look further: not after too many steps, which is noted, or too long."""
+        self.cut_short |= effort.steps - self.begun >= self.most
+        return not self.cut_short and time.monotonic() < self.until
 
     def fit(
         self,

@@ -99,10 +99,10 @@ def cannot_tell(refusal: Refusal, robot_name: str, simulator_name: str) -> Diagn
 
 
 def in_short(diagnosis: Diagnosis, minutes: float | None) -> Diagnosis:
-    """Return the ``diagnosis`` whose ``minutes`` were over, which says so."""
+    """Return the ``diagnosis`` for which there was no more time to search when it was done, which says so."""
     line = (
-        f"for want of time (stage.search.minutes={minutes:g}) not everything was asked: what is named may not be all, and what "
-        "is unknown may have a name"
+        f"the time to search was over (stage.search.minutes={minutes:g}): what had not been asked by then was left, so that "
+        "what is named may not be all, and what is unknown may have a name"
     )
     return replace(diagnosis, data={**diagnosis.data, "warnings": [*diagnosis.data["warnings"], line]})
 
@@ -113,7 +113,7 @@ def _cut_short(findings: list[Finding]) -> list[str]:
         f"{finding.part.title}: the search ended after {finding.path.most:.2g} steps of the simulator and may not have "
         "asked everything; stage.search.steps, or steps_lumped of simulator=pcc, allows more"
         for finding in findings
-        if finding.path.cut_short and finding.path.after >= finding.path.most
+        if finding.path.cut_short
     ]
 
 
