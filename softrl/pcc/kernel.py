@@ -14,19 +14,7 @@ from softrl.core.compiled import summing
 from softrl.effects.effect import STAGE
 from softrl.effects.port import LOAD_PORT_ROWS, STRAIN, body_port
 from softrl.pcc.forces import run_body_effects, run_load_effects
-from softrl.pcc.model import (
-    FIRST,
-    GAINED,
-    LAST,
-    MOVED,
-    SECOND,
-    SHRANK,
-    TRIAL,
-    VELOCITY,
-    WORK_ROWS,
-    fill_shape,
-    stretching,
-)
+from softrl.pcc.model import FIRST, GAINED, LAST, MOVED, SECOND, TRIAL, VELOCITY, WORK_ROWS, fill_shape, stretching
 from softrl.pcc.newton import solve_step
 from softrl.pcc.pose import squared_bend, stumpff, tip_orientation, tip_position
 
@@ -77,7 +65,7 @@ def _advance(
     for c in range(chambers):
         for j in range(stretching(model)):
             strains[c] += to_strain[c, j] * (y[j] - rest[j])
-    failed, work[SHRANK, 0] = 0, 1.0
+    failed = 0
     stage_s, rest_s = STAGE * dt, (1.0 - STAGE) * dt
     per_s = 1.0 / stage_s
     for k in range(len(pressure)):

@@ -52,8 +52,8 @@ class Model(NamedTuple):
 
 
 # rows of the work array that one step fills, m numbers each; FIRST and SECOND have a row of what is foretold behind them
-LAST, VELOCITY, TRIAL, RESIDUAL, STEP, OTHER, NEXT, MOVED, SEEN, GAINED, FIRST, _, SECOND, _, SHRANK = range(15)
-WORK_ROWS = 15
+LAST, VELOCITY, TRIAL, RESIDUAL, STEP, OTHER, NEXT, MOVED, SEEN, GAINED, FIRST, _, SECOND, _ = range(14)
+WORK_ROWS = 14
 
 
 @summing

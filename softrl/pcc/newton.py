@@ -7,12 +7,10 @@ import numpy as np
 from softrl.core.compiled import summing
 from softrl.effects.port import slope_of
 from softrl.pcc.forces import fill_residual
-from softrl.pcc.model import MOVED, NEXT, OTHER, RESIDUAL, SEEN, SHRANK, STEP, TRIAL, stretching
+from softrl.pcc.model import MOVED, NEXT, OTHER, RESIDUAL, SEEN, STEP, TRIAL, stretching
 
 TOLERANCE = 1e-10  # rad or strain: some ten picometres at the tip of most robots
 ACCEPTED = 1e-7  # at a kink of friction or contact: 20 nm at the tip of a robot of 0.2 m
-UNSEEN = 2e-9  # what a Newton step may leave that is not looked at: less than a nanometre
-LEAST, FADES = 1e-5, 0.9  # of a Newton step is left at least; share of what was left that the next time is reckoned with
 CAUTION = 10.0  # times as slowly as the last step shrank, the next may shrink: the inertia changes with the shape
 MAX_ITERATIONS = 60
 QUICK = 8  # steps with a Jacobian that is corrected on the way, before a careful search begins
@@ -78,27 +76,22 @@ def _quick(
     """Try to solve one step with a kept ``inverse`` Jacobian that is corrected on the way; return whether it converged.
 
     What the effects' slopes change is known at once, what else changes is learned by Broyden's corrections. The search stops
-    once the steps shrink fast enough for the sum of all further ones to stay below the tolerance. A step that leaves next to
-    nothing if it shrinks as the last ones did (``work[SHRANK, 0]`` is how the slowest of them did) is taken without a look at
-    where it leads: half of all time went into looking. ``work[RESIDUAL]`` belongs to ``work[TRIAL]`` before and, without success,
-    after it.
+    once the steps shrink fast enough for the sum of all further ones to stay below the tolerance.
+    ``work[RESIDUAL]`` belongs to ``work[TRIAL]`` before and, without success, after it.
     """
     trial, residual, step, following = work[TRIAL], work[RESIDUAL], work[STEP], work[NEXT]
     order = model.order
     m = len(order)
     _follow(inverse, slopes, ports[0], model, work)
     size = _newton_step(order, inverse, residual, step)
-    rate = max(work[SHRANK, 0], LEAST)
     for _ in range(QUICK):
         for i in range(m):
             trial[i] += step[i]
-        if CAUTION * rate * size < UNSEEN:
+        if size < 0.01 * TOLERANCE:
             return True
         fill_residual(trial, residual, work, dt, per_s, pressure, tip_force, model, hooks, ports, strains)
         known = _follow(inverse, slopes, ports[0], model, work)
         after = _newton_step(order, inverse, residual, following)
-        rate = max(after / size, FADES * rate, LEAST)
-        work[SHRANK, 0] = rate
         if not after < 0.5 * size and after >= TOLERANCE:
             return False
         if after < TOLERANCE or CAUTION * after * after < TOLERANCE * (size - after):

@@ -15,6 +15,7 @@ from softrl.diagnosis.search.partly import pieces_of
 from softrl.effects.library import effect_class
 
 PIECES = 48  # into which the time that a clock goes on is cut
+ALIKE = 1e-6  # of what the best moment saves: where nothing moves, as much is saved from many moments on
 LIKELY = 6  # effects that are looked at further, the first by what straight lines tell
 
 
@@ -74,11 +75,11 @@ class _Onset(NamedTuple):
 
 
 def _best_onset(fitting: Problem, base: Base, choice: Choice, gone: np.ndarray) -> _Onset:
-    """Return the moment from which on the effect, which acts everywhere, seems to save most; never the beginning."""
+    """Return the first moment from which on the effect, which acts everywhere, seems to save most; never the beginning."""
     acts = gone[np.isfinite(gone)]
     ends = np.linspace(acts.min(), acts.max(), PIECES + 1)[1:-1]
     pieces = pieces_of(fitting, base, choice, np.searchsorted(ends, gone, side="right"))
     numbers = np.arange(PIECES)
-    saved = [pieces.saved(numbers >= first) for first in numbers[1:]]
-    best = int(np.argmax(saved))
+    saved = np.array([pieces.saved(numbers >= first) for first in numbers[1:]])
+    best = int(np.argmax(saved >= saved.max() - ALIKE * abs(saved.max())))
     return _Onset(float(ends[best]), float(saved[best]))
