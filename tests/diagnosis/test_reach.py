@@ -11,7 +11,7 @@ from softrl.diagnosis.fitting.hypothesis import Choice, Gate
 from softrl.diagnosis.stage import run
 from softrl.effects.library import effect_class
 from softrl.pcc.simulator import PccSimulator
-from softrl.recordings.recording import Recording
+from softrl.recordings.recording import Recording, RecordingSet
 from softrl.robots.robot import Robot
 from tests.diagnosis.conftest import configured, made
 
@@ -68,6 +68,19 @@ def test_little_too_much_or_not_always_is_no_length(tripod: Robot, body: PccSimu
     assert as_it_stands(body, [run_at(tripod, share) for share in shares], tripod) is body
 
 
+def test_noise_at_rest_hides_no_length(tripod: Robot, body: PccSimulator) -> None:
+    """Of many runs some rests lie farther apart than a quarter of a per cent of the length, by what a camera's noise leaves."""
+    rng = np.random.default_rng(0)
+
+    def seen(share: float) -> Recording:
+        run = run_at(tripod, share)
+        return replace(run, position=np.asarray(run.position) + 4e-4 * rng.standard_normal((50, 3)))
+
+    stands = as_it_stands(body, [seen(1.01) for _ in range(12)], tripod)
+    assert taken_length(stands)["length_scale"] == pytest.approx(1.01, abs=1e-3)
+    assert as_it_stands(body, [seen(share) for share in 6 * (1.0, 1.02)], tripod) is body
+
+
 def test_a_tip_that_rests_aside_is_no_matter_of_length(tripod: Robot, body: PccSimulator) -> None:
     runs = [aside(tripod, 1.02, 0.3 * 0.02 * tripod.length_m) for _ in range(2)]
     assert as_it_stands(body, runs, tripod) is body
@@ -89,6 +102,27 @@ def test_a_length_said_wrongly_is_no_missing_physics(body: PccSimulator, caplog:
     assert "examined again" not in caplog.text, "retuning alone tells a length from what else there is"
     held = found.errors_mm["heldout"]
     assert held["nominal"] > 25.0 * body.robot.length_m > held["corrected"], "the nominal one is as it was given"
+
+
+@pytest.mark.slow
+def test_a_map_that_is_bent_for_a_length_gives_way_to_it(body: PccSimulator) -> None:
+    """Of a finger whose wall stiffens and that carries something from the second day on; nothing named looks like a length."""
+    finger = replace(body.robot, chamber_angle_deg=(180.0,), chamber_radius_m=0.008, chamber_area_m2=2e-4, length_m=0.12,
+                     mass_kg=0.04, pressure_min_pa=0.0, pressure_max_pa=8e4, gravity_m_s2=(0.0, 0.0, 9.81))  # fmt: skip
+    body = replace(body, robot=finger, bend_at_full_pressure_rad=1.6)
+    wall, load = effect_class("strain_stiffening")(2.0, 2.0), effect_class("payload")(0.4)
+    longer = body.with_parameters(length_scale=1.01)
+    days = [
+        replace(run, session=day, name=f"{day}_{run.name}", quaternion=None, bend_angle=None)
+        for number, day in enumerate("abc")
+        for run in made(longer, (wall, load) if number else (wall,), seed=number, sessions=3).recordings
+    ]
+    few = configured(candidates=["payload", "strain_stiffening", "command_map"], search={"keep": 3})
+    found = run(few, finger, RecordingSet(finger.name, tuple(days)), body, tracker=NullTracker())
+    assert found.verdict == "named" and found.simulator_parameters["length_scale"] == pytest.approx(1.01, abs=1e-3)
+    told = {effect["name"]: (effect["sessions"], effect["parameters"]) for effect in found.effects}
+    assert set(told) == {"strain_stiffening", "payload"} and told["payload"][0] == ["b", "c"], found.sentences
+    assert told["payload"][1]["mass"]["value"] == pytest.approx(0.4, rel=0.1)
 
 
 def test_a_load_that_presses_the_body_is_no_length(body: PccSimulator) -> None:

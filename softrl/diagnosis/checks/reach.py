@@ -17,6 +17,7 @@ AT_FIRST_S = 0.2
 LEAST, MOST = 0.005, 0.15  # of the length, by which a straight tip tells another one
 STRAIGHT, STEADY = 0.25, 0.25  # of that: a tip that rests aside, or now here and now there, tells of something else
 RUNS = 2  # that tell
+NOISY = 2.0  # times what the tip seems to move along at rest, by which rests that are the same may differ
 SHIFTS = ("marker_offset", "frame", "offset", "pressure_sensor")
 
 
@@ -41,7 +42,7 @@ def as_it_stands(simulator: Simulator, runs: Sequence[Recording], robot: Robot) 
     along, aside = rests[:, 2], np.linalg.norm(np.median(rests[:, :2], axis=0))
     off = float(np.median(along)) - simulator.length_m
     plain = LEAST * robot.length_m < abs(off) < MOST * robot.length_m
-    if not plain or aside > STRAIGHT * abs(off) or np.ptp(along) > STEADY * abs(off):
+    if not plain or aside > STRAIGHT * abs(off) or np.ptp(along) > STEADY * abs(off) + NOISY * _trembles(runs, robot):
         return simulator
     return simulator.with_parameters(**{LENGTH: float(np.median(along)) / robot.length_m})
 
@@ -86,10 +87,20 @@ def taken_length(simulator: Simulator) -> dict[str, float]:
 
 def _rests(runs: Sequence[Recording], robot: Robot) -> np.ndarray:
     """Return where the tip rests (runs, 3) m before anything acts, of the runs that begin without pressure."""
+    return np.array([np.median(tip, axis=0) for tip in _resting(runs, robot)]).reshape(-1, 3)
+
+
+def _trembles(runs: Sequence[Recording], robot: Robot) -> float:
+    """Return by how much the tip's place along the base's axis varies within a rest, m rms."""
+    return float(np.sqrt(np.mean([np.var(tip[:, 2]) for tip in _resting(runs, robot)])))
+
+
+def _resting(runs: Sequence[Recording], robot: Robot) -> list[np.ndarray]:
     if robot.output == "bend_angle":
-        return np.empty((0, 3))
+        return []
     quiet = [run for run in runs if still(run, robot)[_at_first(run)].all()]
-    return np.array([np.median(np.asarray(run.position)[_at_first(run)], axis=0) for run in quiet]).reshape(-1, 3)
+    seen = [np.asarray(run.position)[_at_first(run) & np.isfinite(np.asarray(run.position)).all(axis=1)] for run in quiet]
+    return [tip for tip in seen if len(tip)]
 
 
 def _at_first(run: Recording) -> np.ndarray:
