@@ -24,7 +24,7 @@ from softrl.diagnosis.fitting.problem import Numerics, Problem
 from softrl.diagnosis.fitting.step import suited
 from softrl.diagnosis.fitting.trial import Search
 from softrl.diagnosis.judging.along import along_the_body
-from softrl.diagnosis.judging.another_body import with_its_length, with_its_taper
+from softrl.diagnosis.judging.another_body import with_its_length, with_its_mass, with_its_taper
 from softrl.diagnosis.judging.clock import sent_later
 from softrl.diagnosis.judging.compete import add_calibrated, competitors, judged_on, with_map
 from softrl.diagnosis.judging.correct import Traces, share_closed
@@ -78,10 +78,11 @@ class Config:
         for name in ("dt_s", "rough_dt_s", "bin_s"):
             if getattr(self.numerics, name) <= 0.0:
                 raise ConfigError(f"stage.numerics.{name}={getattr(self.numerics, name):g} s must be positive")
-        if self.numerics.settle_s < 0.0 or self.numerics.tuned_factor <= 1.0:
+        number = self.numerics
+        if number.settle_s < 0.0 or min(number.tuned_factor, number.mass_factor) <= 1.0:
             raise ConfigError(
-                f"stage.numerics.settle_s={self.numerics.settle_s:g}, tuned_factor={self.numerics.tuned_factor:g}; "
-                "expected 0 s or more, and above 1"
+                f"stage.numerics.settle_s={number.settle_s:g}, tuned_factor={number.tuned_factor:g}, "
+                f"mass_factor={number.mass_factor:g}; expected 0 s or more, and above 1 each"
             )
         if not 0.0 < self.heldout_share < 1.0:
             raise ConfigError(f"stage.heldout_share={self.heldout_share:g} must lie between 0 and 1")
@@ -227,8 +228,8 @@ def _diagnosed(
     pipeline = both_at_once(whole, data, config.effects)
     judge = pipeline.judge(data.training, config.thresholds, config.seed)
     whole, findings = with_its_length(whole, data, judge, pipeline.choices, examined, config.search)
-    if config.search.in_time:
-        whole, findings = with_its_taper(whole, findings, examined, config.search)
+    whole, findings = with_its_mass(whole, findings, examined, config.search)
+    whole, findings = with_its_taper(whole, findings, examined, config.search)
     if config.search.in_time:
         findings = behind_gauges(
             findings,

@@ -15,6 +15,7 @@ from softrl.diagnosis.judging.another_body import _may_be_pressed
 from softrl.diagnosis.stage import run
 from softrl.effects.effect import Effect
 from softrl.effects.lag import Lag
+from softrl.effects.payload import Payload
 from softrl.pcc.simulator import PccSimulator
 from tests.diagnosis.conftest import configured, made
 
@@ -27,8 +28,8 @@ def soft(body: PccSimulator) -> PccSimulator:
     return replace(body, robot=replace(body.robot, gravity_m_s2=(9.81, 0.0, 0.0)), bend_at_full_pressure_rad=1.2)
 
 
-def diagnosed(soft: PccSimulator, ratio: float, *hidden: Effect) -> Diagnosis:
-    recordings = made(replace(soft, stiffness_base_to_tip=ratio), hidden, sessions=4)
+def diagnosed(soft: PccSimulator, ratio: float, *hidden: Effect, mass: float = 1.0) -> Diagnosis:
+    recordings = made(replace(soft, stiffness_base_to_tip=ratio, mass_scale=mass), hidden, sessions=4)
     return run(configured(**FEW), soft.robot, recordings, soft, tracker=NullTracker())
 
 
@@ -82,3 +83,25 @@ def test_what_may_have_pressed_a_body_that_was_taken_for_shorter(
     names = [SimpleNamespace(choice=hypothesis.effects[0])]
     finding: Any = SimpleNamespace(unknown=unknown, named=names, part=SimpleNamespace(problem=problem), final=trial)
     assert _may_be_pressed(finding, -0.01 * body.length_m) == pressed
+
+
+@pytest.fixture
+def light(body: PccSimulator) -> PccSimulator:
+    """Return a small body whose mass, retuned, takes a load so well that what is left counts for nothing."""
+    robot = replace(body.robot, chamber_radius_m=0.01, length_m=0.12, mass_kg=0.08)
+    return replace(body, robot=robot, bend_at_full_pressure_rad=1.2)
+
+
+def test_a_load_in_every_run_is_not_retuned_away(light: PccSimulator) -> None:
+    """Of what does nearly as well, the mass that a scale would show."""
+    found = diagnosed(light, 1.0, Lag(fill_s=0.1, vent_s=0.2), Payload(0.5))
+    told = {effect["name"]: effect["parameters"] for effect in found.effects}
+    assert set(told) == {"lag", "payload"} and of_noise(found) < 1.1, found.sentences
+    assert told["payload"]["mass"]["low"] <= 0.5 <= told["payload"]["mass"]["high"]
+    assert found.simulator_parameters["mass_scale"] == pytest.approx(1.0, abs=0.25)
+    assert any("at most, or as much less" in line for line in found.sentences)
+
+
+def test_a_mass_that_the_file_says_wrongly_is_no_load(light: PccSimulator) -> None:
+    found = diagnosed(light, 1.0, Lag(fill_s=0.1, vent_s=0.2), mass=1.7)
+    assert [effect["name"] for effect in found.effects] == ["lag"], found.sentences

@@ -19,6 +19,7 @@ MOMENTS = ("since_s", "onset_s")  # parameters that say from when on something a
 LATE = "late_s"  # how late a log has it that rows act, tuned with the simulator's parameters
 LATE_SCALE = 12.0  # sampling intervals that are one scaled unit: what a log may be late counts as no far retuning
 GUESSED = ("damping_s", "damping_scale")  # what no file knows well, and of which less looks like nothing that was left out
+MASS = "mass_scale"
 AT_END = 0.97  # a retuned parameter this close to the end of its range (in logarithms) is not plausible
 FULL_TURN_RAD = 6.0  # a parameter in rad with a wider range than this is a direction
 
@@ -154,8 +155,8 @@ class Hypothesis:
 class Space:
     """The free parameters of a hypothesis: effects first, in order, then the simulator's and how late the log is.
 
-    The simulator's parameters may change by ``tuned_factor`` either way, its damping down to the square of that. The log may be
-    late by ``late_max_s`` at most, and by ``late_apart_s`` where an effect shifts all motion in time itself.
+    The simulator's parameters may change by ``tuned_factor`` either way, its damping down to the square of that, its mass by
+    ``mass_factor`` at most. The log may be late by ``late_max_s`` at most, by ``late_apart_s`` where an effect shifts all motion.
     """
 
     hypothesis: Hypothesis
@@ -163,6 +164,7 @@ class Space:
     tuned_factor: float
     late_max_s: float = 0.0
     late_apart_s: float = 0.0
+    mass_factor: float = np.inf
 
     @cached_property
     def axes(self) -> tuple[Axis, ...]:
@@ -171,7 +173,7 @@ class Space:
         return (*mine, *(self._late if name == LATE else self._retuned(name) for name in self.hypothesis.tuned))
 
     def _retuned(self, name: str) -> Axis:
-        nominal, factor = self.simulator.parameters[name], self.tuned_factor
+        nominal, factor = self.simulator.parameters[name], min(self.tuned_factor, self.mass_factor if name == MASS else np.inf)
         least = nominal / factor ** (2 if name in GUESSED else 1)
         return Axis("simulator", name, "", least, nominal * factor, nominal, 1.0, True)
 

@@ -42,6 +42,7 @@ class Numerics:
     bin_s: float
     settle_s: float
     tuned_factor: float
+    mass_factor: float = np.inf
 
 
 class Residual(NamedTuple):
@@ -129,7 +130,8 @@ class Problem:
 
     def space(self, hypothesis: Hypothesis) -> Space:
         """Return the free parameters of a hypothesis."""
-        return Space(hypothesis, self.simulator, self.numerics.tuned_factor, self.late_max_s, self.late_apart_s)
+        factors = self.numerics.tuned_factor, self.numerics.mass_factor
+        return Space(hypothesis, self.simulator, factors[0], self.late_max_s, self.late_apart_s, factors[1])
 
     @property
     def tuned(self) -> tuple[str, ...]:

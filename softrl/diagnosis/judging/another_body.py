@@ -9,7 +9,7 @@ import numpy as np
 from softrl.core.simulator import Simulator
 from softrl.diagnosis.checks.data import Data
 from softrl.diagnosis.checks.reach import as_it_stands, stands_for_length
-from softrl.diagnosis.fitting.hypothesis import Choice, Hypothesis, starts
+from softrl.diagnosis.fitting.hypothesis import MASS, Choice, Hypothesis, starts
 from softrl.diagnosis.fitting.intervals import intervals
 from softrl.diagnosis.fitting.judge import Judge
 from softrl.diagnosis.fitting.problem import Problem
@@ -20,7 +20,7 @@ from softrl.pcc.simulator import TAPER, PccSimulator
 from softrl.robots.robot import Robot
 
 log = logging.getLogger(__name__)
-MASS, WEIGHED = "mass_scale", 1.25  # who weighs a robot, with what moves of its tubes, errs by less
+WEIGHED = 1.25  # who weighs a robot, with what moves of its tubes, errs by less
 LIKE_A_LENGTH = 0.25  # of what a length seems to be wrong by: an effect that moves the tip at rest by more may be it
 PLAINER = 1.2  # times the error that another body may leave, where fewer effects are named with it
 
@@ -63,6 +63,25 @@ def with_its_length(
     return (other, again) if better else (whole, findings)
 
 
+def with_its_mass(
+    whole: Problem, findings: list[Finding], examine: Examine, search: Search
+) -> tuple[Problem, list[Finding]]:
+    """Return the problem and its ``findings``, or those of a body of about the mass that its file says where these do better.
+
+    A load in every run is retuned away if the mass may be any. Of what does as well the mass that a scale would show is taken;
+    with it another effect may be named if that errs by less, however little that is. ``examine`` is as above.
+    """
+    last = findings[-1]
+    if not search.in_time or last.unknown or _weighs_as_told(last):
+        return whole, findings
+    log.info("the body is examined again with a mass that a scale would show: a load may have been retuned away")
+    problem = replace(whole, numerics=replace(whole.numerics, mass_factor=min(whole.numerics.mass_factor, WEIGHED)))
+    again = examine(problem, findings[:-1])
+    loaded = len(again[-1].named) == len(last.named) + 1 and last.judge.tells(last.final.squares, again[-1].final.squares)
+    better = not again[-1].unknown and (loaded or does_as_well(again[-1], last, more=False))
+    return (problem, again) if better else (whole, findings)
+
+
 def with_its_taper(
     whole: Problem, findings: list[Finding], examine: Examine, search: Search
 ) -> tuple[Problem, list[Finding]]:
@@ -70,7 +89,7 @@ def with_its_taper(
 
     It is not asked before everything else: a lag looks like damping where more is retuned. ``examine`` is as above.
     """
-    body = tapering(whole, findings[-1], search)
+    body = tapering(whole, findings[-1], search) if search.in_time else None
     if body is None:
         return whole, findings
     log.info("the body is examined again with a stiffness that may change along it: a taper, or a clamp that gives, may be left")
@@ -190,6 +209,8 @@ def told_of_mass(last: Finding, robot: Robot) -> list[str]:
     if last.part.problem.target != "motion" or last.unknown:
         return []
     of_file, nominal = f"robot.mass_kg={robot.mass_kg:g}", last.part.problem.simulator.parameters.get(MASS, 1.0)
+    if (most := last.part.problem.numerics.mass_factor) <= WEIGHED:
+        return [f"The body's mass was let be {most:g} times {of_file} at most, or as much less: with more a load may hide in it."]
     return [
         f"The body's mass was retuned to {told.value:.3g} ({told.low:.3g} to {told.high:.3g}) times {of_file}: weigh the robot. "
         "If the file is right, mass that is not spread evenly along the body, as an end plate is, shows so, or a load at the tip "
