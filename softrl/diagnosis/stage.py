@@ -239,7 +239,7 @@ def _diagnosed(
         )
     whole = put_together(whole, findings)
     findings = joined(whole.on(data.training), findings, config.search, config.thresholds)
-    models = competitors(config.search, whole.on(data.training), findings)
+    models = competitors(config.search, whole.on(data.training), findings, numerics.mass_factor)
     judged = judged_on(whole, data, models, config.search.workers, simulator)
     if calibration is not None:
         add_calibrated(whole, data, calibration, models["retuned"], judged, config.search)

@@ -22,21 +22,25 @@ from softrl.diagnosis.judging.join import tuned_together
 from softrl.pcc.simulator import PccSimulator
 
 
-def competitors(search: Search, training: Problem, findings: list[Finding]) -> dict[str, Model]:
-    """Return nominal, retuned and corrected, all from command to motion."""
+def competitors(search: Search, training: Problem, findings: list[Finding], mass_factor: float) -> dict[str, Model]:
+    """Return nominal, retuned and corrected, all from command to motion.
+
+    What is retuned alone may have any mass within ``mass_factor``, though effects were named beside one that a scale would show.
+    """
     empty = Hypothesis((), ())
     tuned = training.tuned
     motion = findings[-1]
     start = tuned_together(findings[0].base, motion.base)
-    retuned = fit_trials(training, None, [(Hypothesis((), tuned), [start])], search)[0]
     parts = [finding.final for finding in findings]
     effects = tuple(choice for trial in parts for choice in trial.hypothesis.effects)
+    free = replace(training, numerics=replace(training.numerics, mass_factor=mass_factor)) if effects else training
+    retuned = fit_trials(free, None, [(Hypothesis((), tuned), [start])], search)[0]
     point = np.concatenate([*(of_effects(trial) for trial in parts), tuned_together(parts[0], parts[-1])])
     if not effects:
         point = retuned.fit.point
     elif motion.joint is not None:
         point = motion.joint
-    lag = one_lag(training, retuned.fit.point, search)
+    lag = one_lag(free, retuned.fit.point, search)
     judge = _judge(training, findings)
     nominal, plain, corrected = (
         model_of(training, *model)
