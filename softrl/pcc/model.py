@@ -13,7 +13,7 @@ class Model(NamedTuple):
 
     Attributes
     ----------
-    plane : (2,), that of a robot with one chamber
+    plane : (2,), that of a body with two coordinates
     stiffness, damping : (m,) J, J s, of each coordinate
     inertia : see ``Inertia``
     skewed, skewed_damping : J and J s, stiffness and damping that they share where the stiffness changes along the body

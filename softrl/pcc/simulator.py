@@ -64,8 +64,8 @@ class PccSimulator:
     those of Euler and Bernoulli's rod do, exactly (``F L^3 / (3 E I)`` for a force at the tip), and its swing has the first
     frequency of that rod to 0.5 %, with a mass at its end or without. Of ``c``, first-order terms count, and its square along
     the axis. Inertia is that of an evenly loaded rod that is bent so, along the axis that of its first mode, and changes with the
-    shape, see ``inertia``. The length at rest already includes the axial weight. A robot with one
-    chamber bends in its plane and does not elongate. Effects of the wall are evaluated at a chamber's mean strain, so that one
+    shape, see ``inertia``. The length at rest already includes the axial weight. A robot with one chamber that does not elongate, or
+    reports its bend alone, bends in its plane only. Effects of the wall are evaluated at a chamber's mean strain, so that one
     which creeps or slips resists ``c`` as it does without; one that is stiffer does so by as much (``UNEVEN``).
     """
 
@@ -101,14 +101,18 @@ class PccSimulator:
 
     @property
     def _tunable(self) -> tuple[str, ...]:
-        stretches = self.robot.chambers > 1 and self.elongation_at_full_pressure > 0.0
-        axial = ("axial_stiffness_scale",) if stretches else ()
+        axial = ("axial_stiffness_scale",) if self.elongation_at_full_pressure > 0.0 and not self._planar else ()
         taper = (TAPER,) if self.retune_taper else ()
         return ("bending_stiffness_scale", *axial, "damping_s", "mass_scale", *taper)
 
     @property
+    def _planar(self) -> bool:
+        """Whether the body bends only, in the plane of its one chamber: it does not stretch, or nothing would show it."""
+        return self.robot.chambers == 1 and (self.elongation_at_full_pressure == 0.0 or self.robot.output == "bend_angle")
+
+    @property
     def parameters(self) -> dict[str, float]:
-        """Tunable physical parameters; a single chamber, and a body that does not stretch, have no axial stiffness."""
+        """Tunable physical parameters; a body that does not stretch, or shows a bend only, has no axial stiffness."""
         return {name: getattr(self, name) for name in self._tunable}
 
     def with_parameters(self, **values: float) -> "PccSimulator":
@@ -158,12 +162,12 @@ class PccSimulator:
     def _straight(self) -> Model:
         """What the kernel reads, about the straight body."""
         r, length = self.robot, self.length_m
-        plane, to_strain = _maps_of(tuple(r.chamber_angle_deg), r.chamber_radius_m / length)
+        plane, to_strain = _maps_of(tuple(r.chamber_angle_deg), r.chamber_radius_m / length, self._planar)
         end = self.mass_scale * self.end_mass_kg
         mass, uneven = self.mass_scale * r.mass_kg - end, self._uneven
         bending, _, axial = self.stiffness
         stiffness = np.array([bending, bending, axial, bending / 3.0, bending / 3.0])
-        if r.chambers == 1:
+        if self._planar:
             stiffness = stiffness[[0, 3]]
         work = r.chamber_area_m2 * length  # of a pascal over a strain of 1
         elastic = stiffness[: to_strain.shape[1]]
@@ -196,7 +200,7 @@ class PccSimulator:
         self, hooks: tuple[Calls, Calls], pressure: np.ndarray | None = None, tip_force: np.ndarray | None = None
     ) -> np.ndarray:
         """Return the coordinates (m,) at rest under gravity, load effects, ``pressure`` (chambers,) and ``tip_force`` (3,)."""
-        order = 2 if self.robot.chambers == 1 else 5
+        order = 2 if self._planar else 5
         loads_only = (_NONE, hooks[1])
         y = np.zeros(order)
         held = np.zeros((1, self.robot.chambers)) if pressure is None else np.atleast_2d(pressure).astype(float)
@@ -314,13 +318,13 @@ def _strains_of(angles_deg: tuple[float, ...], lever: float) -> np.ndarray:
 
 
 @cache
-def _maps_of(angles_deg: tuple[float, ...], lever: float) -> tuple[np.ndarray, ...]:
-    """Return the plane (2,) of a robot with one chamber; and the strains (chambers, moving) of the coordinates that stretch them.
+def _maps_of(angles_deg: tuple[float, ...], lever: float, planar: bool) -> tuple[np.ndarray, ...]:
+    """Return the plane (2,) of a ``planar`` body, and the strains (chambers, moving) of the coordinates that stretch chambers.
 
-    Those are all three, or the bend in the plane.
+    Those are all three, or the bend in the plane of the one chamber.
     """
     strain, plane = _strains_of(angles_deg, lever), np.zeros(2)
-    if len(angles_deg) == 1:
+    if planar:
         plane = strain[0, :2] / lever
         strain = strain[:, :2] @ plane[:, None]
     return plane, np.ascontiguousarray(strain)

@@ -266,6 +266,19 @@ def test_full_pressure_bends_and_elongates_as_configured() -> None:
     assert finger.observe(state)[0][0] > 0.0  # its chamber lies towards -x
 
 
+def test_one_chamber_stretches_a_body_whose_tip_shows_it() -> None:
+    """An arc of the bend and the length that are configured, in any plane; one that shows its bend alone has none."""
+    weightless = replace(robot_named("single_chamber_finger"), gravity_m_s2=(0.0, 0.0, 0.0), chamber_angle_deg=(120.0,))
+    body = simulator(replace(weightless, output="tip_position"), bend_at_full_pressure_rad=1.3, elongation_at_full_pressure=0.05)
+    state = body.equilibrium(np.array([weightless.pressure_max_pa]))
+    radius, away = 1.05 * weightless.length_m / 1.3, np.deg2rad(120.0 + 180.0)
+    side = radius * (1.0 - np.cos(1.3))
+    expected = [side * np.cos(away), side * np.sin(away), radius * np.sin(1.3)]
+    np.testing.assert_allclose(body.observe(state)[0], expected, atol=1e-9)
+    assert "axial_stiffness_scale" in body.parameters
+    assert "axial_stiffness_scale" not in simulator(weightless, elongation_at_full_pressure=0.05).parameters
+
+
 def test_a_body_that_does_not_stretch_keeps_its_length() -> None:
     body = simulator(elongation_at_full_pressure=0.0)
     assert "axial_stiffness_scale" not in body.parameters

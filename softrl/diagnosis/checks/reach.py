@@ -17,6 +17,8 @@ AT_FIRST_S = 0.2
 LEAST, MOST = 0.005, 0.15  # of the length, by which a straight tip tells another one
 STRAIGHT, STEADY = 0.25, 0.25  # of that: a tip that rests aside, or now here and now there, tells of something else
 RUNS = 2  # that tell
+SAGS, FORM = 0.6, 0.1  # a rod that weight, a force at its tip or a moment bends ends 4/7, 3/5, 2/3 of sag^2 / length nearer
+MOST_SAG = 0.3  # of the length, up to which that holds
 NOISY = 2.0  # times what the tip seems to move along at rest, by which rests that are the same may differ
 SHIFTS = ("marker_offset", "frame", "offset", "pressure_sensor")
 
@@ -34,17 +36,20 @@ def stands_for_length(choice: Choice) -> bool:
 def as_it_stands(simulator: Simulator, runs: Sequence[Recording], robot: Robot) -> Simulator:
     """Return the lumped body as long as its tip at rest tells: what a robot's file says wrongly is no physics.
 
-    Any other simulator, and one whose tip rests where it should, aside, or not always in the same place, is returned as it is.
+    Any other simulator, and one whose tip rests where it should, aside but where weight bends it, or not always in the same
+    place, is returned as it is.
     """
     rests = _rests(runs, robot)
     if not isinstance(simulator, PccSimulator) or len(rests) < RUNS:
         return simulator
-    along, aside = rests[:, 2], np.linalg.norm(np.median(rests[:, :2], axis=0))
-    off = float(np.median(along)) - simulator.length_m
-    plain = LEAST * robot.length_m < abs(off) < MOST * robot.length_m
-    if not plain or aside > STRAIGHT * abs(off) or np.ptp(along) > STEADY * abs(off) + NOISY * _trembles(runs, robot):
+    along, (sag, aside) = rests[:, 2], _sag(np.median(rests[:, :2], axis=0), robot)
+    shorter = sag**2 / robot.length_m
+    length = float(np.median(along)) + SAGS * shorter
+    off = abs(length - simulator.length_m)
+    plain = LEAST * robot.length_m + FORM * shorter < off < MOST * robot.length_m and sag < MOST_SAG * robot.length_m
+    if not plain or aside > STRAIGHT * off or np.ptp(along) > STEADY * off + NOISY * _trembles(runs, robot):
         return simulator
-    return simulator.with_parameters(**{LENGTH: float(np.median(along)) / robot.length_m})
+    return simulator.with_parameters(**{LENGTH: length / robot.length_m})
 
 
 def of_other_length(
@@ -88,6 +93,14 @@ def taken_length(simulator: Simulator) -> dict[str, float]:
 def _rests(runs: Sequence[Recording], robot: Robot) -> np.ndarray:
     """Return where the tip rests (runs, 3) m before anything acts, of the runs that begin without pressure."""
     return np.array([np.median(tip, axis=0) for tip in _resting(runs, robot)]).reshape(-1, 3)
+
+
+def _sag(rest: np.ndarray, robot: Robot) -> tuple[float, float]:
+    """Return how far a tip that rests at ``rest`` (2,) m across the axis is where weight draws it, and how far beside that, m."""
+    across = np.array(robot.gravity_m_s2[:2], dtype=float)
+    pull = float(np.linalg.norm(across))
+    sag = max(float(rest @ across) / pull, 0.0) if pull > 0.0 else 0.0
+    return sag, float(np.linalg.norm(rest - sag * across / max(pull, 1e-300)))
 
 
 def _trembles(runs: Sequence[Recording], robot: Robot) -> float:
