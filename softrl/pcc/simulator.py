@@ -64,7 +64,7 @@ class PccSimulator:
     those of Euler and Bernoulli's rod do, exactly (``F L^3 / (3 E I)`` for a force at the tip), and its swing has the first
     frequency of that rod to 0.5 %, with a mass at its end or without. Of ``c``, first-order terms count, and its square along
     the axis. Inertia is that of an evenly loaded rod that is bent so, along the axis that of its first mode, and changes with the
-    shape, see ``inertia``. The length at rest already includes the axial weight. A robot with one chamber that does not elongate, or
+    shape, see ``inertia``. The length at rest already includes the axial weight. A robot of one chamber that does not stretch, or
     reports its bend alone, bends in its plane only. Effects of the wall are evaluated at a chamber's mean strain, so that one
     which creeps or slips resists ``c`` as it does without; one that is stiffer does so by as much (``UNEVEN``).
     """

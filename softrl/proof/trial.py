@@ -197,9 +197,8 @@ def _recording(
 
 
 def _body(robot: Robot, nominal: PccSimulator, nuisance: Nuisance, links: int) -> Body:
-    """Return the hidden body from the nominal one's numbers: of one chamber it does not stretch either."""
-    told = replace(nominal, elongation_at_full_pressure=0.0) if robot.chambers == 1 else nominal
-    bending, _, axial = told.stiffness
+    """Return the hidden body from the nominal one's numbers."""
+    bending, _, axial = nominal.stiffness
     return Body(
         direction=robot.chamber_direction,
         radius_m=robot.chamber_radius_m,
