@@ -9,7 +9,7 @@ import numpy as np
 from softrl.core.simulator import Simulator
 from softrl.diagnosis.checks.data import Data
 from softrl.diagnosis.checks.reach import as_it_stands, stands_for_length
-from softrl.diagnosis.fitting.hypothesis import MASS, Choice, Hypothesis, starts
+from softrl.diagnosis.fitting.hypothesis import MASS, Choice, Hypothesis, effect_axes, starts
 from softrl.diagnosis.fitting.intervals import intervals
 from softrl.diagnosis.fitting.judge import Judge
 from softrl.diagnosis.fitting.problem import Problem
@@ -35,9 +35,9 @@ def with_its_length(
     A tape tells a length to a per cent, and a shift along the body that is named for the rest looks alike. So does a load that
     presses the body: where retuning does not say beforehand that it is the length, what is named moves the tip at rest, or the
     mass is another than a scale would show, the length of the robot's file is asked as well, and stays unless a shift is named
-    with it, or more effects than with the other, of a mass that may be. Where neither is understood that is taken which errs
-    less. ``judge`` scores on the training runs, on which one of the ``choices`` may press; ``examine`` takes the problem and what
-    was found of the valve, which stays.
+    with it, or the other says more with less. Where neither is understood that is taken which errs less. ``judge`` scores on the
+    training runs, on which one of the ``choices`` may press; ``examine`` takes the problem and what was found of the valve, which
+    stays.
     """
     body = as_it_stands(whole.simulator, data.training, whole.robot)
     if whole.register or body is whole.simulator:
@@ -54,11 +54,11 @@ def with_its_length(
             return (other, again) if again[-1].final.mean_square < findings[-1].final.mean_square else (whole, findings)
     else:
         findings = examine(whole, [])
-        if not search.in_time or not (_shifted(findings[-1]) or _stands_for_one(body, findings[-1], search)):
+        if not search.in_time or not (findings[-1].named or findings[-1].unknown):
             return whole, findings
         log.info("the body is examined again as long as its tip at rest tells: a length said wrongly may be what was found")
         again = examine(other, findings[:-1])
-    likelier = _shifted(findings[-1]) or (_says_more_with_less(again[-1], findings[-1]) and _weighs_as_told(again[-1]))
+    likelier = _shifted(findings[-1]) or _says_more_with_less(again[-1], findings[-1], body.length_m - whole.simulator.length_m)
     better = likelier and does_as_well(again[-1], findings[-1], more=False)
     return (other, again) if better else (whole, findings)
 
@@ -125,12 +125,18 @@ def _may_be_pressed(finding: Finding, longer_m: float) -> bool:
     return (
         finding.unknown
         or not _weighs_as_told(finding)
-        or any(abs(_moves_at_rest(finding, named.choice)) > LIKE_A_LENGTH * abs(longer_m) for named in finding.named)
+        or _rests_elsewhere(finding, longer_m)
     )
 
 
-def _says_more_with_less(again: Finding, last: Finding) -> bool:
-    return (last.unknown and not again.unknown) or len(again.named) < len(last.named)
+def _says_more_with_less(again: Finding, last: Finding, longer_m: float) -> bool:
+    """Return whether a body that is ``longer_m`` more gives an answer where there was none, or one of fewer numbers.
+
+    A map may be bent for a length. The mass is one that a scale would show; what moved the tip at rest was no length.
+    """
+    numbers, before = (sum(len(effect_axes(named.choice)) for named in found.named) for found in (again, last))
+    plainer = numbers < before and not _rests_elsewhere(last, longer_m)
+    return _weighs_as_told(again) and ((last.unknown and not again.unknown) or plainer)
 
 
 def _weighs_as_told(finding: Finding) -> bool:
@@ -140,12 +146,9 @@ def _weighs_as_told(finding: Finding) -> bool:
     return 1.0 / WEIGHED <= retuned / problem.simulator.parameters.get(MASS, 1.0) <= WEIGHED
 
 
-def _stands_for_one(body: Simulator, last: Finding, search: Search) -> bool:
-    """Return whether ``body`` does as well without one of the effects that were named: a map may be bent for a length."""
-    named, final = [named.choice for named in last.named], last.final
-    bare = [(final.hypothesis.without(choice), drop(final, choice)) for choice in named]
-    fitted = [_fitted(last, task, body, search) for task in bare]
-    return any(not last.judge.tells(trial.squares, final.squares) for trial in fitted if trial)
+def _rests_elsewhere(finding: Finding, longer_m: float) -> bool:
+    """Return whether anything that is named moves the tip at rest by as much as a body ``longer_m`` more might."""
+    return any(abs(_moves_at_rest(finding, named.choice)) > LIKE_A_LENGTH * abs(longer_m) for named in finding.named)
 
 
 def _moves_at_rest(finding: Finding, choice: Choice) -> float:
