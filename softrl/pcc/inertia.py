@@ -10,7 +10,7 @@ AXIAL = 4.0 / np.pi**2  # of m L^2: the first mode of an evenly loaded rod along
 
 
 class Inertia(NamedTuple):
-    """Inertia of a body in its coordinates, bends ``b``, elongation ``e`` (of one chamber none) and losses of curvature ``c``.
+    """Inertia of a body in its coordinates, bends ``b``, elongation ``e`` (of a planar body none) and losses of curvature ``c``.
 
     Most that moves is moved by ``w = b + with_loss c``. By its square ``W`` the inertia of bending on falls by ``1 + inward W``,
     that of swinging across the plane of the bend by ``1 + across W + across_more W^2``, as those of an arc do: to fourth order

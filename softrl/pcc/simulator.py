@@ -26,8 +26,8 @@ _NONE = pack(())
 class PccState(NamedTuple):
     """Coordinates (m,) and velocity (m,) 1/s, and the coordinates (m,) at rest, from which strains count.
 
-    Bend to +x and +y in rad, elongation, and what the curvature loses from base to tip, of either, times the length; one chamber:
-    bend and loss of curvature in its plane. Without a ``rest`` it is the equilibrium under gravity alone.
+    Bend to +x and +y in rad, elongation, and what the curvature loses from base to tip, of either, times the length; planar:
+    bend and loss of curvature in the chamber's plane. Without a ``rest`` it is the equilibrium under gravity alone.
     """
 
     coordinates: np.ndarray
