@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +14,7 @@ from softrl.pcc.inertia import inertia_of
 from softrl.pcc.kernel import run_kernel
 from softrl.pcc.model import Model, fill_shape
 from softrl.pcc.pose import tip_orientation, tip_position
+from softrl.pcc.strains import maps_of, moving_of, strains_of, wall_of
 from softrl.robots.robot import Robot
 
 LENGTH = "length_scale"
@@ -151,7 +152,7 @@ class PccSimulator:
     @property
     def strain_map(self) -> np.ndarray:
         """(chambers, 3): chamber elongation per coordinate (b_x, b_y, epsilon)."""
-        return _strains_of(tuple(self.robot.chamber_angle_deg), self.robot.chamber_radius_m / self.length_m)
+        return strains_of(tuple(self.robot.chamber_angle_deg), self.robot.chamber_radius_m / self.length_m)
 
     @cached_property
     def _model(self) -> Model:
@@ -162,7 +163,7 @@ class PccSimulator:
     def _straight(self) -> Model:
         """What the kernel reads, about the straight body."""
         r, length = self.robot, self.length_m
-        plane, to_strain = _maps_of(tuple(r.chamber_angle_deg), r.chamber_radius_m / length, self._planar)
+        plane, to_strain = maps_of(tuple(r.chamber_angle_deg), r.chamber_radius_m / length, self._planar)
         end = self.mass_scale * self.end_mass_kg
         mass, uneven = self.mass_scale * r.mass_kg - end, self._uneven
         bending, _, axial = self.stiffness
@@ -171,7 +172,7 @@ class PccSimulator:
             stiffness = stiffness[[0, 3]]
         work = r.chamber_area_m2 * length  # of a pascal over a strain of 1
         elastic = stiffness[: to_strain.shape[1]]
-        to_moving = _moving_of(to_strain, elastic)
+        to_moving = moving_of(to_strain, elastic)
         to_elastic = np.ascontiguousarray(to_moving.T * elastic / work)
         gravity = np.array(r.gravity_m_s2, dtype=float)
         return Model(
@@ -185,7 +186,7 @@ class PccSimulator:
             to_strain=to_strain,
             to_elastic=to_elastic,
             slope=np.sum(to_elastic * to_moving.T, axis=1),
-            wall=_wall_of(to_strain, elastic) / work,
+            wall=wall_of(to_strain, elastic) / work,
             beside=np.diag(elastic) - work * to_strain.T @ to_elastic,
             rest=np.zeros(len(stiffness)),
             length=float(length),
@@ -309,43 +310,3 @@ class PccSimulator:
         unpack(hooks[0], body)
         unpack(hooks[1], load)
         return Motion(np.asarray(time, dtype=float), position, quaternion, held)
-
-
-def _strains_of(angles_deg: tuple[float, ...], lever: float) -> np.ndarray:
-    """Return the chambers' strains (chambers, 3) per (b_x, b_y, epsilon), ``lever`` being their radius over the length."""
-    angle = np.deg2rad(angles_deg)
-    return np.stack([-lever * np.cos(angle), -lever * np.sin(angle), np.ones(len(angle))], axis=1)
-
-
-@cache
-def _maps_of(angles_deg: tuple[float, ...], lever: float, planar: bool) -> tuple[np.ndarray, ...]:
-    """Return the plane (2,) of a ``planar`` body, and the strains (chambers, moving) of the coordinates that stretch chambers.
-
-    Those are all three, or the bend in the plane of the one chamber.
-    """
-    strain, plane = _strains_of(angles_deg, lever), np.zeros(2)
-    if planar:
-        plane = strain[0, :2] / lever
-        strain = strain[:, :2] @ plane[:, None]
-    return plane, np.ascontiguousarray(strain)
-
-
-def _moving_of(to_strain: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
-    """Return the coordinates (moving, chambers) of least energy for strains, with ``stiffness`` (moving,) J.
-
-    Two chambers leave one coordinate open. Any other choice would mix bends and elongation by their units, and walls that follow
-    what holds the chambers would gain work along a closed path.
-    """
-    root = np.sqrt(stiffness)
-    return np.linalg.pinv(to_strain / root) / root[:, None]
-
-
-def _wall_of(to_strain: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
-    """Return the stiffnesses (chambers,) J of the walls beside the chambers, whose strains are ``to_strain`` (chambers, moving).
-
-    Equal walls that all together bear the bending, in the plane where they bear most: what holds a body's length need not be
-    its walls. But none is stiffer than the body is to one chamber's pressure, so that a body without one of them still stands.
-    """
-    bent = to_strain[:, :2]
-    alike = stiffness[0] / np.linalg.eigvalsh(bent.T @ bent)[-1]
-    return np.minimum(alike, 1.0 / np.sum(to_strain**2 / stiffness, axis=1))

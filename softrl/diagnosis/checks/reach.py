@@ -39,7 +39,8 @@ def as_it_stands(simulator: Simulator, runs: Sequence[Recording], robot: Robot) 
     Any other simulator, and one whose tip rests where it should, aside but where weight bends it, or not always in the same
     place, is returned as it is.
     """
-    rests = _rests(runs, robot)
+    tips = _resting(runs, robot)
+    rests = _places(tips)
     if not isinstance(simulator, PccSimulator) or len(rests) < RUNS:
         return simulator
     along, (sag, aside) = rests[:, 2], _sag(np.median(rests[:, :2], axis=0), robot)
@@ -47,7 +48,7 @@ def as_it_stands(simulator: Simulator, runs: Sequence[Recording], robot: Robot) 
     length = float(np.median(along)) + SAGS * shorter
     off = abs(length - simulator.length_m)
     plain = LEAST * robot.length_m + FORM * shorter < off < MOST * robot.length_m and sag < MOST_SAG * robot.length_m
-    if not plain or aside > STRAIGHT * off or np.ptp(along) > STEADY * off + NOISY * _trembles(runs, robot):
+    if not plain or aside > STRAIGHT * off or np.ptp(along) > STEADY * off + NOISY * _trembles(tips):
         return simulator
     return simulator.with_parameters(**{LENGTH: length / robot.length_m})
 
@@ -60,7 +61,7 @@ def of_other_length(
     By runs that begin without pressure, if they agree. A marker beyond the tip shows so, too: which of both it is no recording
     of the tip can tell. Where a shift along the body is ``named`` a smaller difference is told as well.
     """
-    reach = np.linalg.norm(_rests(runs, robot), axis=1)
+    reach = np.linalg.norm(_places(_resting(runs, robot)), axis=1)
     if taken_length(simulator) or not len(reach) or np.ptp(reach) > ALIKE * robot.length_m:
         return None
     found = float(np.median(reach))
@@ -90,9 +91,9 @@ def taken_length(simulator: Simulator) -> dict[str, float]:
     return {LENGTH: scale} if scale != 1.0 else {}
 
 
-def _rests(runs: Sequence[Recording], robot: Robot) -> np.ndarray:
-    """Return where the tip rests (runs, 3) m before anything acts, of the runs that begin without pressure."""
-    return np.array([np.median(tip, axis=0) for tip in _resting(runs, robot)]).reshape(-1, 3)
+def _places(tips: Sequence[np.ndarray]) -> np.ndarray:
+    """Return where the tip rests (runs, 3) m."""
+    return np.array([np.median(tip, axis=0) for tip in tips]).reshape(-1, 3)
 
 
 def _sag(rest: np.ndarray, robot: Robot) -> tuple[float, float]:
@@ -103,16 +104,18 @@ def _sag(rest: np.ndarray, robot: Robot) -> tuple[float, float]:
     return sag, float(np.linalg.norm(rest - sag * across / max(pull, 1e-300)))
 
 
-def _trembles(runs: Sequence[Recording], robot: Robot) -> float:
+def _trembles(tips: Sequence[np.ndarray]) -> float:
     """Return by how much the tip's place along the base's axis varies within a rest, m rms."""
-    return float(np.sqrt(np.mean([np.var(tip[:, 2]) for tip in _resting(runs, robot)])))
+    return float(np.sqrt(np.mean([np.var(tip[:, 2]) for tip in tips])))
 
 
 def _resting(runs: Sequence[Recording], robot: Robot) -> list[np.ndarray]:
+    """Return the tip's places (samples, 3) m before anything acts, of every run that begins without pressure."""
     if robot.output == "bend_angle":
         return []
     quiet = [run for run in runs if still(run, robot)[_at_first(run)].all()]
-    seen = [np.asarray(run.position)[_at_first(run) & np.isfinite(np.asarray(run.position)).all(axis=1)] for run in quiet]
+    tips = [np.asarray(run.position)[_at_first(run)] for run in quiet]
+    seen = [tip[np.isfinite(tip).all(axis=1)] for tip in tips]
     return [tip for tip in seen if len(tip)]
 
 

@@ -19,7 +19,7 @@ MOMENTS = ("since_s", "onset_s")  # parameters that say from when on something a
 LATE = "late_s"  # how late a log has it that rows act, tuned with the simulator's parameters
 LATE_SCALE = 12.0  # sampling intervals that are one scaled unit: what a log may be late counts as no far retuning
 GUESSED = ("damping_s", "damping_scale")  # what no file knows well, and of which less looks like nothing that was left out
-MASS = "mass_scale"
+MASS = "mass_scale"  # which a scale would show
 AT_END = 0.97  # a retuned parameter this close to the end of its range (in logarithms) is not plausible
 FULL_TURN_RAD = 6.0  # a parameter in rad with a wider range than this is a direction
 
@@ -156,7 +156,7 @@ class Space:
     """The free parameters of a hypothesis: effects first, in order, then the simulator's and how late the log is.
 
     The simulator's parameters may change by ``tuned_factor`` either way, its damping down to the square of that, its mass by
-    ``mass_factor`` at most. The log may be late by ``late_max_s`` at most, by ``late_apart_s`` where an effect shifts all motion.
+    ``mass_factor`` at most. The log may be late by ``late_max_s``, ``late_apart_s`` where an effect shifts motion in time itself.
     """
 
     hypothesis: Hypothesis

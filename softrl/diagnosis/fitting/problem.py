@@ -130,8 +130,8 @@ class Problem:
 
     def space(self, hypothesis: Hypothesis) -> Space:
         """Return the free parameters of a hypothesis."""
-        factors = self.numerics.tuned_factor, self.numerics.mass_factor
-        return Space(hypothesis, self.simulator, factors[0], self.late_max_s, self.late_apart_s, factors[1])
+        most = self.numerics
+        return Space(hypothesis, self.simulator, most.tuned_factor, self.late_max_s, self.late_apart_s, most.mass_factor)
 
     @property
     def tuned(self) -> tuple[str, ...]:

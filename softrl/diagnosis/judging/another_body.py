@@ -205,7 +205,7 @@ def told_of_taper(simulator: Simulator, tuned: dict[str, float]) -> list[str]:
 
 
 def told_of_mass(last: Finding, robot: Robot) -> list[str]:
-    """Return in a sentence what the body's mass was retuned to, where that is surely another than a scale would show.
+    """Return in a sentence what the body's mass was retuned to, where a scale would surely show another, or that it was held.
 
     What hangs at the tip in every run acts on a lumped body nearly as more mass does: retuning takes it, and nothing is missing.
     """
